@@ -1,0 +1,51 @@
+# make demo, make test, make check, make bench: each sets up what it needs first.
+# Needs make and Python 3.11 or newer with venv (Debian: apt-get install make python3 python3-venv).
+
+PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
+	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p; done))
+BIN := .venv/bin
+# Tests run one process a core; more threads than that only get in each other's way.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.PHONY: demo test check types bench clean
+
+demo: .venv/installed
+	$(BIN)/labkit demo
+
+test: .venv/installed-test
+	$(ONE_THREAD) $(BIN)/python -m pytest -n auto
+
+check: types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest -q tests/unit/test_imports.py
+
+# mypy sees the packages where they will be installed, through links: drivers/ is labkit/drivers there.
+types: .venv/installed-dev
+	rm -rf build/typing && mkdir -p build/typing/labkit
+	ln -s $(CURDIR)/labkit/* $(CURDIR)/drivers $(CURDIR)/targets build/typing/labkit/
+	ln -s $(CURDIR)/tests $(CURDIR)/benchmarks $(CURDIR)/examples build/typing/
+	cd build/typing && $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
+		--cache-dir $(CURDIR)/.mypy_cache labkit tests benchmarks examples
+
+bench: .venv/installed
+	$(BIN)/python -m benchmarks
+
+.venv/bin/python:
+	@test -n "$(PYTHON)" || { echo "needs Python 3.11 or newer with venv: apt-get install python3 python3-venv" >&2; exit 2; }
+	$(PYTHON) -m venv .venv
+
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+.venv/installed-test: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@ .venv/installed
+
+.venv/installed-dev: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dev]'
+	touch $@ .venv/installed-test .venv/installed
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
