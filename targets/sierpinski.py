@@ -1,0 +1,31 @@
+"""The Sierpinski pre-carpet: squares in nine sizes' steps, edges everywhere. Thesis §3.7."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labkit.errors import TargetError
+from labkit.target import SURROUNDS, CellTarget, Floats
+
+if TYPE_CHECKING:
+    from labkit.plan import TargetSpec
+
+MAX_ORDER = 8
+
+
+def carpet_cells(order: int) -> Floats:
+    """(3**order, 3**order) radiances of a pre-carpet: the removed middle squares white (1), the rest black (0)."""
+    digits = np.arange(3**order)[:, None] // 3 ** np.arange(order) % 3 == 1
+    removed = np.zeros((3**order, 3**order), dtype=bool)
+    for level in range(order):
+        removed |= np.outer(digits[:, level], digits[:, level])
+    return removed.astype(np.float64)
+
+
+def open_target(spec: TargetSpec) -> CellTarget:
+    """A carpet of ``spec.order``, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8."""
+    if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
+        raise TargetError(f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MAX_ORDER}")
+    return CellTarget(carpet_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround])
