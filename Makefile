@@ -26,7 +26,7 @@ types: .venv/installed-dev
 	ln -s $(CURDIR)/labkit/* $(CURDIR)/drivers $(CURDIR)/targets build/typing/labkit/
 	ln -s $(CURDIR)/tests $(CURDIR)/benchmarks $(CURDIR)/examples build/typing/
 	cd build/typing && $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
-		--cache-dir $(CURDIR)/.mypy_cache labkit tests benchmarks examples
+		--cache-dir $(CURDIR)/.mypy_cache labkit tests $(wildcard benchmarks/*.py examples/*.py)
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
