@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 def carpet_transform(order: int, nu_y: Floats, nu_x: Floats) -> Floats:
-    """Fourier transform of a pre-carpet of side 1, by self-similarity: its black is shifted copies of a smaller black."""
+    """Transform of a pre-carpet of side 1, by self-similarity: its black is shifted copies of a smaller black."""
     black = np.outer(np.sinc(nu_y), np.sinc(nu_x))
     whole = black.copy()
     scale = 1.0

@@ -1,0 +1,149 @@
+"""A target as a file to print or to show: PNG or PDF at its true size.
+
+For the command line: ``labkit target render SPEC FILE`` is ``render_file(open_target(read_spec(SPEC)), FILE, dpi=...)``
+(or ``pixels=...``), then print the returned `Rendering.notes`, one a line.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import ValidationError
+
+from labkit.errors import InputError, TargetError
+from labkit.plan import TargetSpec, load_plan
+from labkit.target import CellTarget, Target
+
+MM_PER_INCH = 25.4
+MAX_PIXELS = 400_000_000
+EXAMPLE = "an example: sierpinski:order=5,size_mm=46.8"
+
+
+@dataclass(frozen=True, slots=True)
+class Rendering:
+    """What was written: (rows, cols) pixels over (height, width) mm, and what the user should know."""
+
+    path: Path
+    pixels: tuple[int, int]
+    size_mm: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def read_spec(text: str) -> TargetSpec:
+    """A target from a plan's path, or from ``kind:name=value,...`` such as ``sierpinski:order=5,size_mm=46.8``.
+
+    Raises PlanError for a bad plan, TargetError for anything else that is not understood.
+    """
+    if text.endswith(".toml"):
+        return load_plan(Path(text)).target
+    kind, _, listed = text.partition(":")
+    fields: dict[str, object] = {"kind": kind}
+    for item in filter(None, listed.split(",")):
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise TargetError(f"target {text!r}: {item!r} is not name=value; {EXAMPLE}")
+        fields[name.strip()] = _number_or_text(value.strip())
+    try:
+        return TargetSpec.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"{part}: " for part in first["loc"])
+        raise TargetError(f"target {text!r}: {where}{first['msg']}; {EXAMPLE}") from error
+
+
+def _number_or_text(value: str) -> int | float | str:
+    for number in (int, float):
+        try:
+            return number(value)
+        except ValueError:
+            continue
+    return value
+
+
+def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None) -> Rendering:
+    """Write a target as PNG or PDF, as large as it is; the file appears whole or not at all.
+
+    dpi: raster in dots per inch, or pixels: dots along its height; neither: three dots a cell (one in a PDF). Grey
+    levels are linear radiance. Raises TargetError for another suffix or an impossible raster.
+    """
+    if path.suffix.lower() not in (".png", ".pdf"):
+        raise TargetError(f"cannot write a target as {path.name!r}: the name must end in .png or .pdf")
+    rows, cols = _raster(target, dpi, pixels, default_dots=3 if path.suffix.lower() == ".png" else 1)
+    height, width = target.size_mm
+    y = ((np.arange(rows) + 0.5) / rows - 0.5) * height
+    x = ((np.arange(cols) + 0.5) / cols - 0.5) * width
+    grey = np.rint(255 * np.clip(target.radiance(y[:, None], x[None, :]), 0, 1)).astype(np.uint8)
+    if path.suffix.lower() == ".png":
+        dots = (cols * MM_PER_INCH / width, rows * MM_PER_INCH / height)
+        _write_whole(path, lambda file: Image.fromarray(grey).save(file, format="png", dpi=dots))
+    else:
+        _write_whole(path, lambda file: file.write(_pdf(grey, height, width)))
+    return Rendering(path, (rows, cols), (height, width), tuple(_notes(target, grey)))
+
+
+def _raster(target: Target, dpi: float | None, pixels: int | None, default_dots: int) -> tuple[int, int]:
+    height, width = target.size_mm
+    if dpi is not None and pixels is not None:
+        raise TargetError("a target's raster is given by dpi or by pixels, not by both")
+    if pixels is None and dpi is None:
+        if not isinstance(target, CellTarget):
+            raise TargetError("give dpi or pixels: this target has no cells to go by")
+        pixels = default_dots * target.cells.shape[0]
+    wanted = float(pixels) if pixels is not None else height / MM_PER_INCH * float(dpi or 0)
+    if not (np.isfinite(wanted) and wanted >= 1 and wanted * wanted * width / height <= MAX_PIXELS):
+        raise TargetError(f"a raster of {wanted:g} pixels over {height:g} mm: allowed are 1 to {MAX_PIXELS:.0e} in all")
+    rows = round(wanted)
+    return rows, max(1, round(rows * width / height))
+
+
+def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
+    notes = []
+    if isinstance(target, CellTarget):
+        dots = grey.shape[0] / target.cells.shape[0]
+        if any(have % cells for have, cells in zip(grey.shape, target.cells.shape, strict=True)):
+            whole = max(1, round(dots)) * target.cells.shape[0]
+            dpi = whole * MM_PER_INCH / target.size_mm[0]
+            notes.append(
+                f"a cell is {dots:.3g} pixels, so edges move by up to half a pixel: "
+                f"{whole} pixels ({dpi:.2f} dpi) would make it whole"
+            )
+    if np.any((grey != 0) & (grey != 255)):
+        notes.append("grey levels are linear in radiance: show them on a linearised display")
+    if target.surround == 0:
+        notes.append("the plan says that black surrounds the target: mount it on black")
+    return notes
+
+
+def _pdf(grey: NDArray[np.uint8], height_mm: float, width_mm: float) -> bytes:
+    """A page as large as the target, the raster in it as it is, not resampled."""
+    page = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH))
+    axes = page.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.imshow(grey, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+    content = BytesIO()
+    page.savefig(content, format="pdf")
+    return content.getvalue()
+
+
+def _write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write beside the path, flush to the disk, then rename."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
