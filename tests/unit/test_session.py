@@ -1,0 +1,204 @@
+"""The session folder: commits, crashes, locks, verification."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import pytest
+
+from labkit.errors import PlanError, SessionError
+from labkit.lab.session import Session, verify
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+PLAN = """
+[lens]
+focal_length_mm = 70.0
+f_number = 2.8
+[sensor]
+pixel_pitch_um = 4.78
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 5
+size_mm = 46.8
+"""
+
+
+class PowerCutError(BaseException):
+    """Stands for the plug being pulled."""
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Path:
+    path = tmp_path / "photo.dng"
+    path.write_bytes(bytes(range(256)) * 8)
+    return path
+
+
+@pytest.fixture
+def session_folder(tmp_path: Path, photo: Path) -> Path:
+    folder = tmp_path / "session"
+    with Session.create(folder, PLAN, tmp_path) as session:
+        session.add_frame(photo, "dark_0.dng", "dark", None, exposure_s=0.5, iso=100)
+        session.add_frame(photo, "target_0.dng", "target", 3000.0)
+    return folder
+
+
+def test_a_session_reads_back_what_was_added(session_folder: Path, photo: Path) -> None:
+    dark, target = Session.open(session_folder).frames
+    assert (dark.kind, dark.range_mm, dark.exposure_s, dict(dark.meta)) == ("dark", None, 0.5, {"iso": 100})
+    assert (target.kind, target.range_mm, target.exposure_s) == ("target", 3000.0, None)
+    assert target.path.read_bytes() == photo.read_bytes()
+    assert verify(Session.open(session_folder)) == []
+
+
+def test_the_plan_is_stored_as_it_was_written(session_folder: Path) -> None:
+    assert (session_folder / "plan.toml").read_text() == PLAN
+
+
+def test_a_wrong_plan_makes_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(PlanError):
+        Session.create(tmp_path / "new" / "session", PLAN.replace("2.8", "0"), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_session_is_not_made_over_something_else(session_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="is there already"):
+        Session.create(session_folder, PLAN, tmp_path)
+
+
+def test_a_frame_is_never_overwritten(session_folder: Path, photo: Path) -> None:
+    with Session.append(session_folder) as session, pytest.raises(SessionError, match="never overwritten"):
+        session.add_frame(photo, "dark_0.dng", "dark", None)
+
+
+@pytest.mark.parametrize("name", ["../escape.dng", "a/b.dng", "", ".hidden", "x\n.dng", "x" * 300])
+def test_an_unsafe_name_is_refused(session_folder: Path, photo: Path, name: str) -> None:
+    with Session.append(session_folder) as session, pytest.raises(SessionError, match="allowed is letters"):
+        session.add_frame(photo, name, "dark", None)
+
+
+def test_a_session_cannot_be_opened_twice_for_writing(session_folder: Path) -> None:
+    with Session.append(session_folder), pytest.raises(SessionError, match="another process"):
+        Session.append(session_folder)
+    Session.append(session_folder).close()
+
+
+def test_reading_goes_on_while_another_writes(session_folder: Path) -> None:
+    with Session.append(session_folder):
+        assert len(Session.open(session_folder).frames) == 2
+
+
+def test_a_session_open_to_read_takes_no_frame(session_folder: Path, photo: Path) -> None:
+    with pytest.raises(SessionError, match="read only"):
+        Session.open(session_folder).add_frame(photo, "more.dng", "dark", None)
+
+
+@pytest.mark.parametrize("kept", [1, 40, -1])
+def test_a_torn_last_line_is_dropped_with_a_warning(session_folder: Path, kept: int) -> None:
+    journal = session_folder / "journal.jsonl"
+    *whole, last = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(whole) + last[:kept])
+    assert [frame.file for frame in Session.open(session_folder).frames] == ["dark_0.dng"]
+    assert "torn" in Session.open(session_folder).warnings[0]
+    assert verify(Session.open(session_folder)) == []
+    with Session.append(session_folder) as session:
+        assert "torn" in session.warnings[0]
+    mended = Session.open(session_folder)
+    assert mended.warnings == ()
+    # the torn line committed a photograph that lay whole in frames/
+    assert [frame.file for frame in mended.frames] == ["dark_0.dng", "target_0.dng"]
+    assert verify(mended) == []
+
+
+def test_a_damaged_line_in_the_middle_is_an_error_that_names_it(session_folder: Path) -> None:
+    journal = session_folder / "journal.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    lines[2] = lines[2].replace("dark_0", "dark_1")
+    journal.write_text("".join(lines))
+    with pytest.raises(SessionError, match="line 3"):
+        Session.open(session_folder)
+
+
+def test_every_journal_line_is_json_that_names_its_event_and_time(session_folder: Path) -> None:
+    lines = [json.loads(line) for line in (session_folder / "journal.jsonl").read_text().splitlines()]
+    assert [line["event"] for line in lines] == ["created", "adding", "frame", "adding", "frame"]
+    assert all({"time", "check"} <= line.keys() for line in lines)
+
+
+def test_verify_tells_altered_missing_and_stray_files(session_folder: Path) -> None:
+    frames = session_folder / "frames"
+    (frames / "dark_0.dng").write_bytes(b"altered")
+    (frames / "target_0.dng").unlink()
+    (frames / "stray.dng").write_bytes(b"?")
+    (session_folder / "plan.toml").write_text(PLAN + "# later\n")
+    said = "\n".join(verify(Session.open(session_folder)))
+    for words in ("dark_0.dng: does not fit", "target_0.dng: missing", "stray.dng: not in", "plan.toml: does not fit"):
+        assert words in said
+
+
+def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="is no session"):
+        Session.open(tmp_path)
+
+
+@pytest.mark.parametrize("where", ["pattern.pgm", "../patterns/my pattern.pgm", "{}/patterns/plan.toml"])
+def test_a_session_carries_its_target_picture_with_it(tmp_path: Path, where: str) -> None:
+    where = where.format(tmp_path)
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "patterns").mkdir()
+    picture = (tmp_path / "plans" / where).resolve()
+    picture.write_bytes(b"P5 1 1 255\n\x80")
+    text = PLAN.replace('"sierpinski"', f'"image"  # "a print"\nfile = "{where}"  # it\'s the lab\'s')
+    Session.create(tmp_path / "session", text, tmp_path / "plans").close()
+    (tmp_path / "session").rename(tmp_path / "elsewhere")
+    picture.unlink()
+    session = Session.open(tmp_path / "elsewhere")
+    assert session.plan.target.file is not None
+    assert session.plan.target.file.parent == tmp_path / "elsewhere"
+    assert session.plan.target.file.read_bytes() == b"P5 1 1 255\n\x80"
+    assert "it's the lab's" in (session.folder / "plan.toml").read_text()
+    assert verify(session) == []
+
+
+@pytest.mark.parametrize("step", range(8))
+def test_a_power_cut_at_any_step_loses_no_committed_frame(
+    session_folder: Path, photo: Path, step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cuts = iter(range(100))
+
+    def cut_before(call: Callable[P, R]) -> Callable[P, R]:
+        def cut(*args: P.args, **kwargs: P.kwargs) -> R:
+            if next(cuts) == step:
+                raise PowerCutError
+            return call(*args, **kwargs)
+
+        return cut
+
+    session = Session.append(session_folder)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", cut_before(os.fsync))
+        patch.setattr(Path, "rename", cut_before(Path.rename))
+        try:
+            session.add_frame(photo, "next.dng", "flat", 3000.0)
+            committed = True
+        except PowerCutError:
+            committed = False
+    session.close()
+    assert verify(Session.open(session_folder)) == []
+    with Session.append(session_folder) as resumed:
+        names = [frame.file for frame in resumed.frames]
+        assert names[:2] == ["dark_0.dng", "target_0.dng"]
+        assert ("next.dng" in names) or not committed
+        if "next.dng" not in names:
+            resumed.add_frame(photo, "next.dng", "flat", 3000.0)
+    assert verify(Session.open(session_folder)) == []
+    assert sorted(path.name for path in (session_folder / "frames").iterdir()) == sorted(
+        frame.file for frame in Session.open(session_folder).frames
+    )
