@@ -1,0 +1,225 @@
+"""Charts of a measurement: defocus against range, Zernike modes, MTF, residuals against the normal law."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import special
+
+from labkit.optics.psf import diffraction_mtf
+from labkit.optics.zernike import NAMES
+from labkit.plan import Plan
+from labkit.report.quantities import millimetres, plus_minus
+from labkit.report.reading import Floats, Focus, Measurement, Residuals, Wavefront
+from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, panels
+
+Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
+
+
+def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
+    """Defocus against range with the fitted curves and best focus; below it what they leave, in thousandths of a wave.
+
+    curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
+    """
+    inks = channel_inks(measurement.channels)
+    figure = Figure(figsize=(WIDTH_IN, 5.0 if focus else 3.4), layout="constrained")
+    if focus is None:
+        above, below = figure.subplots(), None
+    else:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
+    bounds = _range_bounds(measurement, focus, shortest_mm)
+    above.axhline(0, color=SOFT, lw=0.7)
+    for k, channel in enumerate(measurement.channels):
+        fits = [w for w in measurement.of_channel(channel) if w.defocus]
+        x = np.array([w.range_mm for w in fits])
+        y = np.array([w.defocus.value for w in fits if w.defocus])
+        error = np.nan_to_num(np.array([w.defocus.std for w in fits if w.defocus]))
+        ink = inks[channel]
+        label = channel
+        if focus and channel in focus.best_mm:
+            best = focus.best_mm[channel]
+            label += f"   best focus {plus_minus(best.value, best.std)} mm"
+            grid = np.linspace(*bounds, 300)
+            above.plot(grid, curve(channel, grid), color=ink.colour, lw=1.2)
+            _mark_focus(above, best.value, best.std, ink)
+        above.errorbar(
+            x, y, error, fmt=ink.marker, ms=5, color=ink.colour, mec="white", mew=0.6, capsize=2, label=label
+        )
+        rest = np.array(focus.residual_waves.get(channel, ()) if focus else ())
+        if below is not None and rest.size == x.size:
+            dodge = (k - (len(measurement.channels) - 1) / 2) * 0.006 * (bounds[1] - bounds[0])
+            _points(below, x + dodge, 1e3 * rest, 1e3 * error, ink, None)
+    above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {measurement.reference_wavelength_nm:g} nm")
+    above.legend(loc="upper left")
+    lowest = above if below is None else below
+    lowest.set_xlabel("range of the target, mm")
+    if below is not None:
+        below.axhline(0, color=SOFT, lw=0.7)
+        below.set_ylabel("residual, milliwaves")
+        below.margins(y=0.25)
+    return figure
+
+
+def _range_bounds(measurement: Measurement, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
+    seen = [r for r in measurement.ranges_mm if r is not None]
+    seen += [best.value for best in focus.best_mm.values() if np.isfinite(best.value)] if focus else []
+    low, high = min(seen), max(seen)
+    margin = 0.06 * (high - low) or 0.01 * high
+    return max(low - margin, shortest_mm), high + margin
+
+
+def _points(axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None) -> None:
+    shape: dict[str, Any] = {"fmt": ink.marker, "ms": 5.0, "mec": "white", "mew": 0.6, "capsize": 2.5}
+    axes.errorbar(x, y, error, color=ink.colour, label=label, **shape)
+
+
+def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
+    axes.axvline(value_mm, color=ink.colour, lw=0.8, ls=(0, (4, 3)))
+    if np.isfinite(std_mm):
+        axes.axvspan(value_mm - std_mm, value_mm + std_mm, color=ink.colour, alpha=0.25, lw=0)
+    axes.plot([value_mm], [0], marker="|", ms=12, mew=1.6, color=ink.colour)
+
+
+def zernike_chart(measurement: Measurement, range_mm: float | None, limit: float) -> Figure | None:
+    """Bars of the modes of one range, one for each channel, with standard errors; defocus on its own scale.
+
+    limit: of the axis of the modes beyond defocus, waves.
+    """
+    inks, fits = channel_inks(measurement.channels), measurement.at_range(range_mm)
+    modes = sorted({j for w in fits for j in w.noll})
+    if not modes:
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
+    groups = [[j for j in modes if j == 4], [j for j in modes if j != 4]]
+    groups = [g for g in groups if g]
+    axes_of = figure.subplots(1, len(groups), squeeze=False, width_ratios=[max(len(g), 1.4) for g in groups])[0]
+    for axes, group in zip(axes_of, groups, strict=True):
+        _bars(axes, group, fits, inks)
+        nanometres = axes.secondary_yaxis("right", functions=_scaling(measurement.reference_wavelength_nm))
+        nanometres.tick_params(labelsize=7.5)
+        if axes is axes_of[-1]:
+            nanometres.set_ylabel("nm RMS")
+        if group != [4] and limit > 0:
+            axes.set_ylim(-limit, limit)
+    axes_of[0].set_ylabel("waves RMS")
+    axes_of[-1].legend(loc="upper right", ncols=len(fits), borderaxespad=0, handlelength=1)
+    return figure
+
+
+def _scaling(factor: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
+    return lambda waves: waves * factor, lambda nm: nm / factor
+
+
+def _bars(axes: Axes, modes: Sequence[int], fits: Sequence[Wavefront], inks: dict[str, Ink]) -> None:
+    width = 0.8 / len(fits)
+    for k, fit in enumerate(fits):
+        shown = [(i, fit.noll.index(j)) for i, j in enumerate(modes) if j in fit.noll]
+        x = np.array([i for i, _ in shown]) + (k - (len(fits) - 1) / 2) * width
+        index = [n for _, n in shown]
+        axes.bar(x, fit.waves[index], 0.9 * width, color=inks[fit.channel].colour, label=fit.channel)
+        axes.errorbar(
+            x, fit.waves[index], np.nan_to_num(fit.std[index]), fmt="none", ecolor=INK, elinewidth=0.8, capsize=1.5
+        )
+    axes.axhline(0, color=SOFT, lw=0.7)
+    axes.set_xticks(range(len(modes)), [_mode_label(j) for j in modes], fontsize=7.5)
+    axes.set_xlim(-0.6, len(modes) - 0.4)
+    axes.grid(False, axis="x")
+    axes.tick_params(axis="x", length=0)
+
+
+def mode_name(j: int) -> str:
+    """The usual name of a Noll mode; its number where it has none."""
+    return NAMES.get(j, f"mode {j}")
+
+
+def _mode_label(j: int) -> str:
+    return f"{j}\n" + mode_name(j).replace(" ", "\n")
+
+
+def mtf(psf: Floats, spacing_um: float) -> tuple[Floats, Floats, Floats]:
+    """Modulation transfer along x (columns) and along y (rows).
+
+    psf: (n, n), spacing_um apart. Returns frequencies in cycles/mm, and the two curves, each 1 at frequency 0.
+    """
+    length = max(1024, *psf.shape)
+    frequency = np.fft.rfftfreq(length, spacing_um * 1e-3)
+    along_x = np.abs(np.fft.rfft(psf.sum(axis=0), length))
+    along_y = np.abs(np.fft.rfft(psf.sum(axis=1), length))
+    return frequency, along_x / along_x[0], along_y / along_y[0]
+
+
+def half_contrast(frequency: Floats, curve: Floats) -> float:
+    """The lowest frequency where an MTF falls to one half; nan where it does not."""
+    below = np.flatnonzero(curve < 0.5)
+    if not below.size or below[0] == 0:
+        return float("nan")
+    k = below[0]
+    return float(np.interp(0.5, [curve[k], curve[k - 1]], [frequency[k], frequency[k - 1]]))
+
+
+def cutoff_per_mm(wavelength_nm: float, f_number: float) -> float:
+    """Where a perfect lens stops: 1 / (lambda N)."""
+    return 1.0 / (wavelength_nm * 1e-6 * f_number)
+
+
+def mtf_chart(measurement: Measurement, ranges_mm: Sequence[float | None], plan: Plan) -> Figure:
+    """MTF of each range's channels, along x and y, with the diffraction limit and the sensor's Nyquist frequency."""
+    inks = channel_inks(measurement.channels)
+    nyquist = 500.0 / plan.sensor.pixel_pitch_um
+    cutoffs = [cutoff_per_mm(w.wavelength_nm, plan.lens.f_number) for w in measurement.wavefronts]
+    last = min(3 * nyquist, max(cutoffs))
+    figure, axes_of = panels(len(ranges_mm), max(2, min(3, len(ranges_mm))), 2.7, sharey=True)
+    for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
+        axes.set_title(millimetres(range_mm))
+        for fit in measurement.at_range(range_mm):
+            colour = inks[fit.channel].colour
+            if fit.psf is not None:
+                frequency, along_x, along_y = mtf(fit.psf, measurement.psf_spacing_um)
+                axes.plot(frequency, along_x, color=colour, label=f"{fit.channel} along x")
+                axes.plot(frequency, along_y, color=colour, ls=(0, (4, 2)), label=f"{fit.channel} along y")
+            grid = np.linspace(0, last, 200)
+            perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, plan.lens.f_number))
+            axes.plot(grid, perfect, color=colour, lw=0.8, ls=(0, (1, 1.5)))
+        if nyquist <= last:
+            axes.axvline(nyquist, color=SOFT, lw=0.7)
+            axes.text(nyquist, 1.02, "Nyquist", color=SOFT, fontsize=7.5, ha="center", va="bottom")
+        axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="cycles/mm on the sensor")
+    axes_of[0].set_ylabel("MTF")
+    figure.legend(*axes_of[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    return figure
+
+
+def quantile_chart(measurement: Measurement, ranges_mm: Sequence[float | None]) -> Figure:
+    """Quantiles of the normalised residuals against the normal law's, and the band that 99 % of points keep to."""
+    inks = channel_inks(measurement.channels)
+    figure, axes_of = panels(len(ranges_mm), max(2, min(3, len(ranges_mm))), 2.9, sharex=True, sharey=True)
+    for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
+        axes.set_title(millimetres(range_mm))
+        axes.axline((0, 0), slope=1, color=SOFT, lw=0.8)
+        for k, fit in enumerate(measurement.at_range(range_mm)):
+            if fit.residuals is None:
+                continue
+            normal, low, high, seen = residual_quantiles(fit.residuals)
+            if k == 0:
+                axes.fill_between(normal, low, high, color=FAINT, lw=0)
+            ink = inks[fit.channel]
+            axes.plot(normal, seen, ink.marker, ms=2.6, mew=0, color=ink.colour, alpha=0.85, label=fit.channel)
+        axes.set(xlabel="normal quantile, σ", aspect="equal", adjustable="box")
+        axes.legend(loc="upper left", handletextpad=0.2)
+    axes_of[0].set_ylabel("quantile of the residuals, σ")
+    return figure
+
+
+def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Floats]:
+    """A hundred quantiles, dense in the tails: of the normal law, the 99 % band around them, and of the residuals."""
+    values = residuals.normalised
+    values = np.sort(values[np.isfinite(values)])
+    tail = np.unique(np.geomspace(1, max(values.size // 2, 1), 50).astype(int))
+    rank = np.unique(np.concatenate([tail, values.size + 1 - tail]))
+    rank = rank[(rank >= 1) & (rank <= values.size)]
+    after = values.size + 1 - rank
+    normal = special.ndtri((rank - 0.375) / (values.size + 0.25))  # Blom's plotting positions
+    low, high = (special.ndtri(special.betaincinv(rank, after, p)) for p in (0.005, 0.995))
+    return normal, low, high, values[rank - 1]

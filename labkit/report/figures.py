@@ -1,0 +1,185 @@
+"""Every figure of a report: drawn, encoded, and put into words."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from re import sub
+from typing import cast, get_args
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.errors import DataError
+from labkit.optics.lens import Convention, ThinLens, defocus_waves
+from labkit.plan import Plan
+from labkit.report import charts, pictures
+from labkit.report.quantities import millimetres, plus_minus
+from labkit.report.reading import Floats, Measurement, Residuals, Wavefront
+from labkit.report.style import in_groups, png, styled, svg
+
+PER_FIGURE = 6  # ranges in one figure
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure: its file's name, its bytes (as SVG too where it is made of lines), and its words."""
+
+    name: str
+    png: bytes
+    svg: bytes | None
+    alt: str
+    caption: str
+
+
+def draw_figures(measurement: Measurement, plan: Plan) -> dict[str, list[Drawn]]:
+    """All figures, by the section of the report they belong to; a section without any is left out."""
+    with styled():
+        sections = {
+            "focus": list(_focus(measurement, plan)),
+            "fits": list(_fits(measurement)),
+            "psf": list(_psfs(measurement, plan)),
+            "mtf": list(_mtfs(measurement, plan)),
+            "zernike": list(_zernikes(measurement)),
+            "residuals": list(_quantiles(measurement)),
+        }
+    return {name: drawn for name, drawn in sections.items() if drawn}
+
+
+def _chart(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
+    return Drawn(name, png(figure), svg(figure), alt, caption)
+
+
+def _picture(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
+    return Drawn(name, png(figure), None, alt, caption)
+
+
+def _file_name(*parts: object) -> str:
+    return sub(r"[^A-Za-z0-9.+_-]", "-", "_".join(map(str, parts)))
+
+
+def _focus(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
+    if not any(w.range_mm is not None and w.defocus for w in measurement.wavefronts):
+        return
+    focus = measurement.focus
+    if measurement.convention not in get_args(Convention):
+        raise DataError(f"results.json: convention {measurement.convention!r}; it is one of {get_args(Convention)}")
+    convention = cast(Convention, measurement.convention)
+
+    def curve(channel: str, ranges_mm: Floats) -> Floats:
+        assert focus is not None
+        magnification = focus.pupil_magnification.value
+        lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number, magnification if magnification > 0 else 1.0)
+        best = focus.best_mm[channel].value
+        return defocus_waves(lens, np.asarray(ranges_mm, float), best, measurement.reference_wavelength_nm, convention)
+
+    figure = charts.focus_chart(measurement, focus, curve, 1.02 * plan.lens.focal_length_mm)
+    if focus is None:
+        yield _chart("focus", figure, "Defocus against range.", "Defocus of each fit. No focus fit was made.")
+        return
+    best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_mm.items())
+    caption = (
+        "Measured defocus (points), the fitted law of a lens with this focal length, f-number and pupil magnification "
+        "(curves), and best focus (dashed, with one standard error shaded). Positive: the target lies beyond best "
+        "focus. Below: what the fit leaves, with the standard error of each defocus; points are set side by side to be seen."
+    )
+    yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
+
+
+def _fits(measurement: Measurement) -> Iterator[Drawn]:
+    for fit in measurement.wavefronts:
+        if fit.residuals is None:
+            continue
+        where = f"{millimetres(fit.range_mm)}, channel {fit.channel}"
+        alt = f"Raw chip, model and normalised residual: {where}."
+        yield _picture(
+            _file_name("fit", fit.key), pictures.fit_picture(fit.residuals), alt, _fit_caption(fit, fit.residuals)
+        )
+
+
+def _fit_caption(fit: Wavefront, residuals: Residuals) -> str:
+    frames, planes, rows, cols = residuals.data.shape
+    z = residuals.normalised
+    used = int(np.isfinite(z).sum())
+    text = f"{millimetres(fit.range_mm)}, {fit.channel}: {rows} × {cols} pixels"
+    if frames * planes == 1:
+        return f"{text}, {used} used; residual {_rms(z):.3f} σ RMS."
+    each = ", ".join(f"{_rms(z[f, p]):.3f}" for f in range(frames) for p in range(planes))
+    counted = [f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((frames, "frame"), (planes, "plane")) if n > 1]
+    return (
+        f"{text}; the first of {' of '.join(counted)}, fitted together ({used} used). Residual of each, σ RMS: {each}."
+    )
+
+
+def _rms(z: Floats) -> float:
+    finite = z[np.isfinite(z)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+
+
+def _psfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
+    if not any(w.psf is not None for w in measurement.wavefronts):
+        return
+    half_width = pictures.psf_half_width_um(measurement, plan.lens.f_number)
+    caption = (
+        f"Optics alone, without the pixel's aperture. Every panel is {2 * half_width:.3g} µm wide on the sensor, rows "
+        "down and columns right as there, and runs from zero (white) to its own peak on a square-root stretch. Dashed: "
+        "the Airy radius, 1.22 λN. Number: the peak, as a fraction of a perfect lens's."
+    )
+    groups = in_groups(measurement.ranges_mm, PER_FIGURE)
+    for k, ranges in enumerate(groups):
+        figure = pictures.psf_picture(measurement, ranges, plan.lens.f_number, half_width)
+        alt = f"Point-spread functions at {_listed(ranges)}, channels {', '.join(measurement.channels)}."
+        yield _picture(_numbered("psf", k, len(groups)), figure, alt, caption)
+
+
+def _mtfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
+    if not any(w.psf is not None for w in measurement.wavefronts):
+        return
+    pitch = plan.sensor.pixel_pitch_um
+    caption = (
+        "Optics alone, without the pixel's aperture. Solid: along x (the sensor's columns run right); dashed: along y; "
+        "dotted: a perfect lens of this f-number. "
+        f"Nyquist is that of the full sampling, {500 / pitch:.0f} cycles/mm for {pitch:g} µm."
+    )
+    groups = in_groups(measurement.ranges_mm, PER_FIGURE)
+    for k, ranges in enumerate(groups):
+        alt = f"Modulation transfer functions at {_listed(ranges)}."
+        yield _chart(_numbered("mtf", k, len(groups)), charts.mtf_chart(measurement, ranges, plan), alt, caption)
+
+
+def _zernikes(measurement: Measurement) -> Iterator[Drawn]:
+    reach = [
+        abs(v) + (s if np.isfinite(s) else 0.0)
+        for w in measurement.wavefronts
+        for j, v, s in zip(w.noll, w.waves, w.std, strict=True)
+        if j != 4
+    ]
+    for range_mm in measurement.ranges_mm:
+        figure = charts.zernike_chart(measurement, range_mm, 1.25 * max(reach, default=0.0))
+        if figure is None:
+            continue
+        where = millimetres(range_mm)
+        rms = "; ".join(f"{w.channel} {w.rms(without=(4,)).value:.4f}" for w in measurement.at_range(range_mm))
+        alt = f"Zernike coefficients at {where}. RMS without defocus, waves: {rms}."
+        caption = (
+            f"{where.capitalize()}. Defocus has its own scale, the other modes share one. Lines: one std. error."
+        )
+        yield _chart(_file_name("zernike", "none" if range_mm is None else f"{range_mm:g}"), figure, alt, caption)
+
+
+def _quantiles(measurement: Measurement) -> Iterator[Drawn]:
+    ranges_with = [r for r in measurement.ranges_mm if any(w.residuals for w in measurement.at_range(r))]
+    caption = (
+        "Normalised residuals of all pixels against the normal law, thinned in the middle and complete in the tails. "
+        "On the line: the noise is what the model says. Shaded: where each point falls in 99 of 100 cases."
+    )
+    groups = in_groups(ranges_with, PER_FIGURE)
+    for k, ranges in enumerate(groups):
+        alt = f"Q-Q plot of the normalised residuals at {_listed(ranges)}."
+        yield _chart(_numbered("residuals", k, len(groups)), charts.quantile_chart(measurement, ranges), alt, caption)
+
+
+def _listed(ranges: Sequence[float | None]) -> str:
+    return ", ".join(millimetres(r) for r in ranges)
+
+
+def _numbered(name: str, k: int, count: int) -> str:
+    return name if count == 1 else f"{name}_{k + 1}"

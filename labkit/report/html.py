@@ -1,0 +1,71 @@
+"""The report: one HTML file that needs nothing else, and its figures as files beside it."""
+
+import os
+import tempfile
+from base64 import b64encode
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from labkit.plan import Plan, load_plan
+from labkit.report.contents import contents
+from labkit.report.figures import Drawn, draw_figures
+from labkit.report.reading import read_measurement
+
+
+def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
+    """Write report.html and figures/ into a results folder; returns the report's path.
+
+    plan: what was measured; by default the plan of the session that the results folder lies in.
+    Raises DataError where the folder holds no results, PlanError where the plan cannot be read.
+    """
+    measurement = read_measurement(results_folder)
+    if plan is None:
+        plan = load_plan(results_folder / ".." / ".." / "plan.toml")
+    drawn = draw_figures(measurement, plan)
+    figures = results_folder / "figures"
+    figures.mkdir(exist_ok=True)
+    for figure in (figure for section in drawn.values() for figure in section):
+        _write_whole(figures / f"{figure.name}.png", figure.png)
+        if figure.svg is not None:
+            _write_whole(figures / f"{figure.name}.svg", figure.svg)
+    html = _render(contents(measurement, plan, set(drawn)), drawn)
+    path = results_folder / "report.html"
+    _write_whole(path, html.encode())
+    return path
+
+
+def _render(words: dict[str, Any], drawn: dict[str, list[Drawn]]) -> str:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    embedded = {
+        section: [{"uri": _data_uri(figure), "alt": figure.alt, "caption": figure.caption} for figure in figures]
+        for section, figures in drawn.items()
+    }
+    return environment.get_template("report.html.j2").render(drawn=embedded, **words)
+
+
+def _data_uri(figure: Drawn) -> str:
+    kind, content = ("png", figure.png) if figure.svg is None else ("svg+xml", figure.svg)
+    return f"data:image/{kind};base64,{b64encode(content).decode()}"
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    """Write beside the path, flush to the disk, then rename: a reader sees the old file or the new one."""
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(beside, 0o644)  # mkstemp leaves it to its owner alone
+        os.replace(beside, path)
+    except BaseException:
+        os.unlink(beside)
+        raise

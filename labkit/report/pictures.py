@@ -1,0 +1,140 @@
+"""Pictures of a fit: the chip beside its model and residual, and the point-spread functions side by side."""
+
+from collections.abc import Sequence
+from math import floor, log10
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Circle
+
+from labkit.report.quantities import millimetres
+from labkit.report.reading import Floats, Measurement, Residuals, Wavefront
+from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
+
+RESIDUAL_LIMIT = 4.0  # standard deviations
+MASKED = "#b9d8c2"  # a pixel left out: neither a grey nor a colour of the residual's scale
+
+
+def fit_picture(residuals: Residuals, frame: int = 0, plane: int = 0) -> Figure:
+    """Raw chip, model on the same scale, and normalised residual, of one plane of one frame."""
+    data, model = residuals.data[frame, plane], residuals.model[frame, plane]
+    rows, cols = data.shape
+    height = float(np.clip(WIDTH_IN * 0.29 * rows / cols, 1.2, 5.0)) + 0.3
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
+    raw, fitted, rest = figure.subplots(1, 3)
+    finite = np.concatenate([data[np.isfinite(data)], model[np.isfinite(model)]])
+    low, high = np.quantile(finite, [0.001, 0.999]) if finite.size else (0.0, 1.0)
+    _chip(raw, data, "raw, counts", "gray", low, high)
+    image = _chip(fitted, model, "model, same scale", "gray", low, high)
+    figure.colorbar(image, ax=[raw, fitted], fraction=0.03, pad=0.01, aspect=28)
+    normalised = residuals.normalised[frame, plane]
+    image = _chip(rest, normalised, "(raw − model) / σ", "RdBu_r", -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
+    figure.colorbar(image, ax=rest, fraction=0.05, pad=0.02, aspect=28, ticks=[-4, -2, 0, 2, 4], extend="both")
+    return figure
+
+
+def _chip(axes: Axes, image: Floats, title: str, colours: str, low: float, high: float) -> AxesImage:
+    axes.set_title(title, fontweight="normal")
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    axes.set_facecolor(MASKED)
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+    # nearest shows each pixel as it is; an image finer than the figure has to be averaged
+    finer = max(image.shape) > WIDTH_IN * 0.29 * DPI
+    return axes.imshow(image, cmap=colours, vmin=low, vmax=high, interpolation="auto" if finer else "nearest")
+
+
+def psf_half_width_um(measurement: Measurement, f_number: float) -> float:
+    """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with room around it."""
+    spacing = measurement.psf_spacing_um
+    widths = [
+        max(1.3 * _encircled_um(w.psf, spacing, 0.9), 4 * airy_radius_um(w, f_number))
+        for w in measurement.wavefronts
+        if w.psf is not None
+    ]
+    window = min(w.psf.shape[0] // 2 for w in measurement.wavefronts if w.psf is not None) * spacing
+    return float(min(max(widths), window))
+
+
+def airy_radius_um(wavefront: Wavefront, f_number: float) -> float:
+    """Radius of the first dark ring of a perfect lens; the first zero of J1 over pi, times wavelength and f-number."""
+    return 1.2197 * wavefront.wavelength_nm * 1e-3 * f_number
+
+
+def peak_ratio(wavefront: Wavefront, f_number: float, spacing_um: float) -> float:
+    """Peak of the PSF over that of a perfect lens, pi / (4 lambda^2 N^2): Strehl's ratio, within the PSF's window."""
+    if wavefront.psf is None:
+        return float("nan")
+    perfect = np.pi / (2 * wavefront.wavelength_nm * 1e-3 * f_number) ** 2
+    return float(wavefront.psf.max() / spacing_um**2 / perfect)
+
+
+def _encircled_um(psf: Floats, spacing_um: float, share: float) -> float:
+    rows, cols = psf.shape
+    y, x = np.arange(rows) - rows // 2, np.arange(cols) - cols // 2
+    radius = np.hypot(y[:, None], x[None, :]).ravel()
+    order = np.argsort(radius)
+    energy = np.cumsum(psf.ravel()[order])
+    return float(radius[order][np.searchsorted(energy, share * energy[-1])] * spacing_um)
+
+
+def psf_picture(
+    measurement: Measurement, ranges_mm: Sequence[float | None], f_number: float, half_width_um: float
+) -> Figure:
+    """PSFs on one grid, rows channels and columns ranges, all of one extent; each stretched to its own peak."""
+    channels, inks = measurement.channels, channel_inks(measurement.channels)
+    columns = max(len(ranges_mm), 3)
+    side = min(WIDTH_IN / columns, 2.2)
+    figure = Figure(figsize=(side * len(ranges_mm) + 0.3, side * len(channels) + 0.3), layout="constrained")
+    grid = figure.subplots(len(channels), len(ranges_mm), squeeze=False)
+    found = {(w.channel, w.range_mm): w for w in measurement.wavefronts}
+    for i, channel in enumerate(channels):
+        for k, range_mm in enumerate(ranges_mm):
+            axes, wavefront = grid[i, k], found.get((channel, range_mm))
+            axes.set(xticks=[], yticks=[])
+            axes.grid(False)
+            for spine in axes.spines.values():
+                spine.set(visible=True, color="#c4c8cc")
+            if i == 0:
+                axes.set_title(millimetres(range_mm))
+            if k == 0:
+                axes.set_ylabel(channel, rotation=0, ha="right", va="center", fontweight="bold", fontsize=10)
+            if wavefront is None or wavefront.psf is None:
+                axes.text(0.5, 0.5, "not fitted", color=SOFT, ha="center", va="center", transform=axes.transAxes)
+                continue
+            _psf(axes, wavefront, measurement.psf_spacing_um, half_width_um, inks[channel].ramp)
+            axes.add_patch(
+                Circle((0, 0), airy_radius_um(wavefront, f_number), fill=False, ec=INK, lw=0.5, ls=(0, (3, 2)))
+            )
+            share = peak_ratio(wavefront, f_number, measurement.psf_spacing_um)
+            axes.text(0.97, 0.03, f"{share:.2f}", ha="right", va="bottom", fontsize=8, transform=axes.transAxes)
+    _scale_bar(grid[0, 0], half_width_um)
+    return figure
+
+
+def _psf(axes: Axes, wavefront: Wavefront, spacing_um: float, half_width_um: float, colours: Colormap) -> None:
+    psf = np.asarray(wavefront.psf)
+    centre, reach = psf.shape[0] // 2, int(np.ceil(half_width_um / spacing_um))
+    low, high = max(centre - reach, 0), min(centre + reach + 1, psf.shape[0])
+    edges = (low - 0.5 - centre) * spacing_um, (high - 0.5 - centre) * spacing_um
+    axes.imshow(
+        psf[low:high, low:high],
+        cmap=colours,
+        norm=PowerNorm(0.5, 0, psf.max(), clip=True),
+        interpolation="nearest",
+        extent=(edges[0], edges[1], edges[1], edges[0]),
+    )
+    axes.set(xlim=(-half_width_um, half_width_um), ylim=(half_width_um, -half_width_um))
+
+
+def _scale_bar(axes: Axes, half_width_um: float) -> None:
+    wanted = 0.7 * half_width_um
+    decade = 10.0 ** floor(log10(wanted))
+    length = max(step * decade for step in (1, 2, 5) if step * decade <= wanted)
+    left, y = -0.92 * half_width_um, 0.88 * half_width_um
+    axes.plot([left, left + length], [y, y], color=INK, lw=2, solid_capstyle="butt")
+    axes.text(left, y - 0.05 * half_width_um, f"{length:g} µm", fontsize=8, va="bottom")

@@ -1,0 +1,111 @@
+"""How figures look: type, lines, the colour of each channel, and their encoding as PNG and SVG."""
+
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, cast
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+WIDTH_IN = 9.0  # of a figure across the page
+DPI = 200
+INK, SOFT, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
+
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": SOFT,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.5,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "white",
+    "text.parse_math": False,  # a dollar sign in a name begins no formula
+    "svg.fonttype": "path",
+    "svg.hashsalt": "labkit",  # the same figure gives the same file
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ink:
+    """How a channel is drawn."""
+
+    colour: str
+    marker: str
+
+    @property
+    def ramp(self) -> LinearSegmentedColormap:
+        """White, through the colour, to nearly black."""
+        return LinearSegmentedColormap.from_list("ramp", ["#ffffff", self.colour, "#101214"])
+
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart
+NAMED = {"R": Ink("#d55e00", "o"), "G": Ink("#009e73", "s"), "B": Ink("#0072b2", "^")}
+OTHERS = (Ink("#444a50", "D"), Ink("#cc79a7", "v"), Ink("#e69f00", "P"), Ink("#56b4e9", "X"))
+
+
+def channel_inks(channels: Iterable[str]) -> dict[str, Ink]:
+    """The same colour and marker for the same channel in every figure."""
+    others = [c for c in channels if c not in NAMED]
+    return NAMED | {c: OTHERS[k % len(OTHERS)] for k, c in enumerate(others)}
+
+
+def styled() -> AbstractContextManager[None]:
+    """Matplotlib's settings while figures are made; as they were afterwards."""
+    return rc_context(cast(Any, STYLE))
+
+
+def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
+    """A figure of panels of one size, row by row."""
+    rows = -(-count // columns)
+    figure = Figure(figsize=(WIDTH_IN, rows * height_in), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
+    for unused in grid[count:]:
+        unused.set_visible(False)
+    return figure, list(grid[:count])
+
+
+def in_groups(items: Sequence[Any], size: int) -> list[Sequence[Any]]:
+    """The items, so many at a time: a figure must fit on a page."""
+    return [items[k : k + size] for k in range(0, len(items), size)]
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    return _encode(figure, "png", {"Software": None})
+
+
+def svg(figure: Figure) -> bytes:
+    """The figure as an SVG file that needs no fonts."""
+    return _encode(figure, "svg", {"Date": None, "Creator": None})
+
+
+def _encode(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
+    buffer = BytesIO()
+    with styled():
+        figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
+    return buffer.getvalue()
