@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from scipy import special
 
 from labkit.optics.psf import diffraction_mtf
@@ -14,6 +15,8 @@ from labkit.plan import Plan
 from labkit.report.quantities import millimetres, plus_minus
 from labkit.report.reading import Floats, Focus, Measurement, Residuals, Wavefront
 from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, panels
+
+SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
 
@@ -52,7 +55,7 @@ def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, sho
             dodge = (k - (len(measurement.channels) - 1) / 2) * 0.006 * (bounds[1] - bounds[0])
             _points(below, x + dodge, 1e3 * rest, 1e3 * error, ink, None)
     above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {measurement.reference_wavelength_nm:g} nm")
-    above.legend(loc="upper left")
+    above.legend(loc="lower right")
     lowest = above if below is None else below
     lowest.set_xlabel("range of the target, mm")
     if below is not None:
@@ -82,10 +85,12 @@ def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
     axes.plot([value_mm], [0], marker="|", ms=12, mew=1.6, color=ink.colour)
 
 
-def zernike_chart(measurement: Measurement, range_mm: float | None, limit: float) -> Figure | None:
+def zernike_chart(
+    measurement: Measurement, range_mm: float | None, defocus: tuple[float, float], limit: float
+) -> Figure | None:
     """Bars of the modes of one range, one for each channel, with standard errors; defocus on its own scale.
 
-    limit: of the axis of the modes beyond defocus, waves.
+    defocus, limit: of the two axes, waves; the same for all ranges.
     """
     inks, fits = channel_inks(measurement.channels), measurement.at_range(range_mm)
     modes = sorted({j for w in fits for j in w.noll})
@@ -101,7 +106,9 @@ def zernike_chart(measurement: Measurement, range_mm: float | None, limit: float
         nanometres.tick_params(labelsize=7.5)
         if axes is axes_of[-1]:
             nanometres.set_ylabel("nm RMS")
-        if group != [4] and limit > 0:
+        if group == [4] and defocus[0] < defocus[1]:
+            axes.set_ylim(*defocus)
+        elif group != [4] and limit > 0:
             axes.set_ylim(-limit, limit)
     axes_of[0].set_ylabel("waves RMS")
     axes_of[-1].legend(loc="upper right", ncols=len(fits), borderaxespad=0, handlelength=1)
@@ -123,7 +130,7 @@ def _bars(axes: Axes, modes: Sequence[int], fits: Sequence[Wavefront], inks: dic
             x, fit.waves[index], np.nan_to_num(fit.std[index]), fmt="none", ecolor=INK, elinewidth=0.8, capsize=1.5
         )
     axes.axhline(0, color=SOFT, lw=0.7)
-    axes.set_xticks(range(len(modes)), [_mode_label(j) for j in modes], fontsize=7.5)
+    axes.set_xticks(range(len(modes)), [_mode_label(j) for j in modes], fontsize=7)
     axes.set_xlim(-0.6, len(modes) - 0.4)
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", length=0)
@@ -135,7 +142,7 @@ def mode_name(j: int) -> str:
 
 
 def _mode_label(j: int) -> str:
-    return f"{j}\n" + mode_name(j).replace(" ", "\n")
+    return f"{j}\n" + mode_name(j).replace("astigmatism", "astig.").replace(" ", "\n")
 
 
 def mtf(psf: Floats, spacing_um: float) -> tuple[Floats, Floats, Floats]:
@@ -177,18 +184,24 @@ def mtf_chart(measurement: Measurement, ranges_mm: Sequence[float | None], plan:
             colour = inks[fit.channel].colour
             if fit.psf is not None:
                 frequency, along_x, along_y = mtf(fit.psf, measurement.psf_spacing_um)
-                axes.plot(frequency, along_x, color=colour, label=f"{fit.channel} along x")
-                axes.plot(frequency, along_y, color=colour, ls=(0, (4, 2)), label=f"{fit.channel} along y")
+                axes.plot(frequency, along_x, color=colour, ls=SOLID)
+                axes.plot(frequency, along_y, color=colour, ls=DASHED)
             grid = np.linspace(0, last, 200)
             perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, plan.lens.f_number))
-            axes.plot(grid, perfect, color=colour, lw=0.8, ls=(0, (1, 1.5)))
+            axes.plot(grid, perfect, color=colour, lw=0.8, ls=DOTTED)
         if nyquist <= last:
             axes.axvline(nyquist, color=SOFT, lw=0.7)
-            axes.text(nyquist, 1.02, "Nyquist", color=SOFT, fontsize=7.5, ha="center", va="bottom")
+            axes.text(nyquist, 0.98, " Nyquist", color=SOFT, fontsize=7.5, ha="left", va="top")
         axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="cycles/mm on the sensor")
     axes_of[0].set_ylabel("MTF")
-    figure.legend(*axes_of[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    figure.legend(handles=_mtf_key(measurement.channels, inks), loc="outside lower center", ncols=7)
     return figure
+
+
+def _mtf_key(channels: Sequence[str], inks: dict[str, Ink]) -> list[Line2D]:
+    colours = [Line2D([], [], color=inks[c].colour, label=c) for c in channels]
+    styles = {"along x": SOLID, "along y": DASHED, "perfect lens": DOTTED}
+    return colours + [Line2D([], [], color=SOFT, ls=style, label=label) for label, style in styles.items()]
 
 
 def quantile_chart(measurement: Measurement, ranges_mm: Sequence[float | None]) -> Figure:

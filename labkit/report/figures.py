@@ -21,9 +21,10 @@ PER_FIGURE = 6  # ranges in one figure
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A figure: its file's name, its bytes (as SVG too where it is made of lines), and its words."""
+    """A figure: its file's name, its width, its bytes (as SVG too where it is made of lines), and its words."""
 
     name: str
+    width_in: float
     png: bytes
     svg: bytes | None
     alt: str
@@ -45,11 +46,11 @@ def draw_figures(measurement: Measurement, plan: Plan) -> dict[str, list[Drawn]]
 
 
 def _chart(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
-    return Drawn(name, png(figure), svg(figure), alt, caption)
+    return Drawn(name, figure.get_figwidth(), png(figure), svg(figure), alt, caption)
 
 
 def _picture(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
-    return Drawn(name, png(figure), None, alt, caption)
+    return Drawn(name, figure.get_figwidth(), png(figure), None, alt, caption)
 
 
 def _file_name(*parts: object) -> str:
@@ -79,7 +80,7 @@ def _focus(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
     caption = (
         "Measured defocus (points), the fitted law of a lens with this focal length, f-number and pupil magnification "
         "(curves), and best focus (dashed, with one standard error shaded). Positive: the target lies beyond best "
-        "focus. Below: what the fit leaves, with the standard error of each defocus; points are set side by side to be seen."
+        "focus. Below: what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
     )
     yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
 
@@ -135,7 +136,7 @@ def _mtfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
         return
     pitch = plan.sensor.pixel_pitch_um
     caption = (
-        "Optics alone, without the pixel's aperture. Solid: along x (the sensor's columns run right); dashed: along y; "
+        "Optics alone, without the pixel's aperture. Solid: along x, right on the sensor; dashed: along y, down; "
         "dotted: a perfect lens of this f-number. "
         f"Nyquist is that of the full sampling, {500 / pitch:.0f} cycles/mm for {pitch:g} µm."
     )
@@ -152,16 +153,17 @@ def _zernikes(measurement: Measurement) -> Iterator[Drawn]:
         for j, v, s in zip(w.noll, w.waves, w.std, strict=True)
         if j != 4
     ]
+    seen = [w.defocus.value for w in measurement.wavefronts if w.defocus]
+    defocus = 1.1 * min([0.0, *seen]), 1.1 * max([0.0, *seen])
     for range_mm in measurement.ranges_mm:
-        figure = charts.zernike_chart(measurement, range_mm, 1.25 * max(reach, default=0.0))
+        figure = charts.zernike_chart(measurement, range_mm, defocus, 1.25 * max(reach, default=0.0))
         if figure is None:
             continue
         where = millimetres(range_mm)
         rms = "; ".join(f"{w.channel} {w.rms(without=(4,)).value:.4f}" for w in measurement.at_range(range_mm))
         alt = f"Zernike coefficients at {where}. RMS without defocus, waves: {rms}."
-        caption = (
-            f"{where.capitalize()}. Defocus has its own scale, the other modes share one. Lines: one std. error."
-        )
+        errors = np.concatenate([w.std for w in measurement.at_range(range_mm)])
+        caption = f"{where.capitalize()}. Defocus has a scale of its own. Black: one standard error, {_span(errors)}."
         yield _chart(_file_name("zernike", "none" if range_mm is None else f"{range_mm:g}"), figure, alt, caption)
 
 
@@ -175,6 +177,11 @@ def _quantiles(measurement: Measurement) -> Iterator[Drawn]:
     for k, ranges in enumerate(groups):
         alt = f"Q-Q plot of the normalised residuals at {_listed(ranges)}."
         yield _chart(_numbered("residuals", k, len(groups)), charts.quantile_chart(measurement, ranges), alt, caption)
+
+
+def _span(values: Floats) -> str:
+    finite = values[np.isfinite(values)]
+    return f"{finite.min():.1g} to {finite.max():.1g} waves" if finite.size else "not known"
 
 
 def _listed(ranges: Sequence[float | None]) -> str:

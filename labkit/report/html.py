@@ -12,6 +12,7 @@ from labkit.plan import Plan, load_plan
 from labkit.report.contents import contents
 from labkit.report.figures import Drawn, draw_figures
 from labkit.report.reading import read_measurement
+from labkit.report.style import WIDTH_IN
 
 
 def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
@@ -45,7 +46,10 @@ def _render(words: dict[str, Any], drawn: dict[str, list[Drawn]]) -> str:
         lstrip_blocks=True,
     )
     embedded = {
-        section: [{"uri": _data_uri(figure), "alt": figure.alt, "caption": figure.caption} for figure in figures]
+        section: [
+            {"uri": _data_uri(f), "alt": f.alt, "caption": f.caption, "share": round(100 * f.width_in / WIDTH_IN)}
+            for f in figures
+        ]
         for section, figures in drawn.items()
     }
     return environment.get_template("report.html.j2").render(drawn=embedded, **words)

@@ -15,7 +15,8 @@ from labkit.report.reading import Floats, Measurement, Residuals, Wavefront
 from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
-MASKED = "#b9d8c2"  # a pixel left out: neither a grey nor a colour of the residual's scale
+LABEL = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.5}
+MASKED = "#8fceaa"  # a pixel left out: neither a grey nor a colour of the residual's scale
 
 
 def fit_picture(residuals: Residuals, frame: int = 0, plane: int = 0) -> Figure:
@@ -29,10 +30,10 @@ def fit_picture(residuals: Residuals, frame: int = 0, plane: int = 0) -> Figure:
     low, high = np.quantile(finite, [0.001, 0.999]) if finite.size else (0.0, 1.0)
     _chip(raw, data, "raw, counts", "gray", low, high)
     image = _chip(fitted, model, "model, same scale", "gray", low, high)
-    figure.colorbar(image, ax=[raw, fitted], fraction=0.03, pad=0.01, aspect=28)
+    figure.colorbar(image, cax=fitted.inset_axes((1.03, 0, 0.04, 1)))
     normalised = residuals.normalised[frame, plane]
     image = _chip(rest, normalised, "(raw − model) / σ", "RdBu_r", -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
-    figure.colorbar(image, ax=rest, fraction=0.05, pad=0.02, aspect=28, ticks=[-4, -2, 0, 2, 4], extend="both")
+    figure.colorbar(image, cax=rest.inset_axes((1.03, 0, 0.04, 1)), ticks=[-4, -2, 0, 2, 4])
     return figure
 
 
@@ -111,7 +112,9 @@ def psf_picture(
                 Circle((0, 0), airy_radius_um(wavefront, f_number), fill=False, ec=INK, lw=0.5, ls=(0, (3, 2)))
             )
             share = peak_ratio(wavefront, f_number, measurement.psf_spacing_um)
-            axes.text(0.97, 0.03, f"{share:.2f}", ha="right", va="bottom", fontsize=8, transform=axes.transAxes)
+            axes.text(
+                0.97, 0.03, f"{share:.2g}", ha="right", va="bottom", fontsize=8, transform=axes.transAxes, bbox=LABEL
+            )
     _scale_bar(grid[0, 0], half_width_um)
     return figure
 
