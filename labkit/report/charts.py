@@ -1,7 +1,6 @@
 """Charts of a measurement: defocus against range, Zernike modes, MTF, residuals against the normal law."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -74,8 +73,8 @@ def _range_bounds(measurement: Measurement, focus: Focus | None, shortest_mm: fl
 
 
 def _points(axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None) -> None:
-    shape: dict[str, Any] = {"fmt": ink.marker, "ms": 5.0, "mec": "white", "mew": 0.6, "capsize": 2.5}
-    axes.errorbar(x, y, error, color=ink.colour, label=label, **shape)
+    axes.errorbar(x, y, error, fmt="none", ecolor=ink.colour, capsize=2.5)
+    axes.plot(x, y, ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
 
 
 def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
@@ -219,7 +218,7 @@ def quantile_chart(measurement: Measurement, ranges_mm: Sequence[float | None]) 
                 axes.fill_between(normal, low, high, color=FAINT, lw=0)
             ink = inks[fit.channel]
             axes.plot(normal, seen, ink.marker, ms=2.6, mew=0, color=ink.colour, alpha=0.85, label=fit.channel)
-        axes.set(xlabel="normal quantile, σ", aspect="equal", adjustable="box")
+        axes.set_xlabel("normal quantile, σ")
         axes.legend(loc="upper left", handletextpad=0.2)
     axes_of[0].set_ylabel("quantile of the residuals, σ")
     return figure

@@ -6,8 +6,8 @@ import numpy as np
 
 from labkit.plan import Plan
 from labkit.report.charts import half_contrast, mode_name, mtf
-from labkit.report.quantities import UNKNOWN, decimals, fixed, millimetres, plus_minus
-from labkit.report.reading import Estimate, Focus, Measurement, Wavefront
+from labkit.report.quantities import MINUS, UNKNOWN, decimals, fixed, millimetres, plus_minus
+from labkit.report.reading import Estimate, Focus, Measurement, Verdict, Wavefront
 from labkit.report.style import channel_inks
 
 SECTIONS = {
@@ -46,7 +46,6 @@ def contents(measurement: Measurement, plan: Plan, drawn: set[str]) -> dict[str,
         "fits": _fit_rows(m),
         "modes": [_mode_table(m, r) for r in m.ranges_mm],
         "focus_rows": _focus_rows(m, focus) if focus else [],
-        "poses": [_pose_row(w) for w in m.wavefronts],
         "provenance": _provenance(m, plan),
     }
 
@@ -125,44 +124,58 @@ CHI2_USUAL = (0.9, 1.5)
 
 
 def _fit_rows(m: Measurement) -> list[dict[str, Any]]:
-    rows = []
-    for range_mm in m.ranges_mm:
-        for k, fit in enumerate(m.at_range(range_mm)):
-            rows.append({"first": k == 0, "range": millimetres(range_mm)} | _fit_row(fit, m.psf_spacing_um))
-    return rows
+    return [
+        {"first": k == 0} | _fit_row(fit, m.psf_spacing_um)
+        for range_mm in m.ranges_mm
+        for k, fit in enumerate(m.at_range(range_mm))
+    ]
 
 
 def _fit_row(fit: Wavefront, spacing_um: float) -> dict[str, Any]:
-    def waves(estimate: Estimate | None) -> str:
-        if estimate is None:
-            return UNKNOWN
-        return plus_minus(estimate.value, estimate.std, max(4, decimals(estimate.std, 5)))
-
-    mtf50 = UNKNOWN
+    along_x, along_y = float("nan"), float("nan")
     if fit.psf is not None:
-        frequency, along_x, along_y = mtf(fit.psf, spacing_um)
-        mtf50 = ", ".join(fixed(half_contrast(frequency, curve), 0) for curve in (along_x, along_y))
-    verdict = "not tested"
-    if fit.verdict:
-        verdict = "accepted" if fit.verdict.accepted else "rejected"
-        details = [fit.verdict.name] if fit.verdict.name else []
-        details += [f"p = {fit.verdict.p_value:.2g}"] if np.isfinite(fit.verdict.p_value) else []
-        details += [f"{fit.verdict.starts} starts"] if fit.verdict.starts is not None else []
-        verdict += f" ({', '.join(details)})" if details else ""
+        frequency, *curves = mtf(fit.psf, spacing_um)
+        along_x, along_y = (half_contrast(frequency, curve) for curve in curves)
+    verdict = fit.verdict
     return {
+        "range": UNKNOWN if fit.range_mm is None else f"{fit.range_mm:g}",
         "channel": fit.channel,
-        "total": waves(fit.rms()),
-        "defocus": waves(fit.defocus),
-        "beyond": waves(fit.rms(without=(4,))),
-        "mtf50": mtf50,
+        "total": _waves(fit.rms()),
+        "defocus": _waves(fit.defocus),
+        "beyond": _waves(fit.rms(without=(4,))),
+        "mtf50_x": fixed(along_x, 0),
+        "mtf50_y": fixed(along_y, 0),
         "chi2": fixed(fit.chi2_per_pixel, 3),
+        "verdict": "not tested" if verdict is None else "accepted" if verdict.accepted else "rejected",
+        "rejected": verdict is not None and not verdict.accepted,
+        "test": _test(verdict),
         "gain": fixed(fit.gain, 4),
         "read_noise": fixed(fit.read_noise, 2),
-        "verdict": verdict,
-        "rejected": fit.verdict is not None and not fit.verdict.accepted,
-        "frames": len(fit.frames) or UNKNOWN,
         "seconds": fixed(fit.seconds, 1),
+        "frames": ", ".join(fit.frames) or UNKNOWN,
+        "poses": _poses(fit),
     }
+
+
+def _waves(estimate: Estimate | None) -> str:
+    if estimate is None:
+        return UNKNOWN
+    return plus_minus(estimate.value, estimate.std, max(4, decimals(estimate.std, 5)))
+
+
+def _test(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return "none"
+    words = [verdict.name or "unnamed"]
+    words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
+    words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
+    return ", ".join(words)
+
+
+def _poses(fit: Wavefront) -> list[str]:
+    if not fit.pose.size:
+        return [UNKNOWN]
+    return ["   ".join(f"{v:.4g}" for v in pose).replace("-", MINUS) for pose in np.atleast_2d(fit.pose)]
 
 
 def _mode_table(m: Measurement, range_mm: float | None) -> dict[str, Any]:
@@ -193,16 +206,6 @@ def _focus_rows(m: Measurement, focus: Focus) -> list[dict[str, str]]:
         }
         for channel, best in focus.best_mm.items()
     ]
-
-
-def _pose_row(fit: Wavefront) -> dict[str, Any]:
-    poses = np.atleast_2d(fit.pose) if fit.pose.size else np.empty((0, 8))
-    return {
-        "range": millimetres(fit.range_mm),
-        "channel": fit.channel,
-        "poses": ["  ".join(f"{v:.4g}".replace("-", "−") for v in pose) for pose in poses] or [UNKNOWN],
-        "frames": ", ".join(fit.frames) or UNKNOWN,
-    }
 
 
 def _provenance(m: Measurement, plan: Plan) -> list[tuple[str, str]]:

@@ -101,7 +101,7 @@ def png(figure: Figure) -> bytes:
 
 def svg(figure: Figure) -> bytes:
     """The figure as an SVG file that needs no fonts."""
-    return _encode(figure, "svg", {"Date": None, "Creator": None})
+    return _encode(figure, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type")))
 
 
 def _encode(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
