@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Tests run one process a core; more threads than that only get in each other's way.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check types bench clean
+.PHONY: demo test check types bench sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
@@ -30,6 +30,12 @@ types: .venv/installed-dev
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
+
+# A whole raw of a real mirrorless camera, out of another project's source archive: fetched, tested against, not kept here.
+sony-raw: .venv/installed-test
+	$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --dest build/sony libraw-cffi
+	cd build/sony && tar -xzf libraw_cffi-*.tar.gz
+	LABKIT_SONY_RAW=$$(find $(CURDIR)/build/sony -name '*.ARW') $(BIN)/python -m pytest -q tests/unit/test_raw.py -k mirrorless
 
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "needs Python 3.11 or newer with venv: apt-get install python3 python3-venv" >&2; exit 2; }
