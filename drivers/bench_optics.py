@@ -49,7 +49,8 @@ def zernike(j: int, u: Floats, v: Floats) -> Floats:
     if m == 0:
         return sqrt(n + 1) * radial
     turn = (u + 1j * v) ** m
-    return sqrt(2 * (n + 1)) * radial * (turn.real if signed > 0 else turn.imag)
+    mode: Floats = sqrt(2 * (n + 1)) * radial * (turn.real if signed > 0 else turn.imag)
+    return mode
 
 
 def defocus_waves(

@@ -1,0 +1,150 @@
+"""What is true on the simulated bench: lens, sensor, panel, rail and pose, the faults to come, and the truth, which
+only demos and tests may read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+REFERENCE_NM = 450.0
+"""Wavelength in whose waves the truth counts optical paths."""
+
+FIXED_MODES = tuple(range(5, 16))
+"""Noll's modes of the lens's fixed aberration; defocus, 4, comes from the range."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueLens:
+    """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm)."""
+
+    focal_length_mm: float = 70.0
+    f_number: float = 2.8
+    pupil_magnification: float = 0.985
+    wavelength_nm: Mapping[str, float] = field(default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0})
+    best_focus_mm: Mapping[str, float] = field(default_factory=lambda: {"R": 3024.0, "G": 3013.2, "B": 3031.0})
+    aberration_waves: float = 0.07
+    colour_share: float = 0.15
+    """Size of what each colour has of its own in the aberration, relative to what they share."""
+    vignetting: float = 0.10
+    """Light lost in the frame's corner."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueSensor:
+    """The sensor and its electronics, at ISO 100."""
+
+    rows: int = 264
+    cols: int = 264
+    pitch_um: float = 4.78
+    fill_factor: float = 1.0
+    pattern: str = "RGGB"
+    """The 2x2 colour cell, row by row; "mono" for none."""
+    black_level: int = 600
+    white_level: int = 16383
+    counts_per_electron: float = 0.45
+    read_noise_electrons: float = 2.5
+    response_std: float = 0.007
+    hot_pixels: int = 12
+    dead_pixels: int = 6
+    white_electrons_per_s: float = 1.15e6
+    """From the white panel, in the middle of the frame; other colours have the shares below."""
+    colour_response: Mapping[str, float] = field(default_factory=lambda: {"R": 0.85, "B": 0.75})
+
+
+@dataclass(frozen=True, slots=True)
+class TruePanel:
+    """The glass: (height, width) in pixels, pitch, gamma, contrast, RMS of its smooth unevenness."""
+
+    pixels: tuple[int, int] = (1536, 2048)
+    pitch_mm: float = 46.8 / 486
+    gamma: float = 2.2
+    contrast: float = 800.0
+    unevenness: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class TrueRail:
+    """The rail: travel, its scatter from visit to visit, play between screw and carriage, the encoder's step."""
+
+    low_mm: float = 0.0
+    high_mm: float = 500.0
+    scatter_mm: float = 0.02
+    play_mm: float = 0.15
+    encoder_step_mm: float = 0.005
+    speed_mm_per_s: float = 20.0
+    range_at_zero_mm: float = 2950.0
+    direction: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class TruePose:
+    """Largest errors of the camera's aim: each is drawn evenly within plus and minus this."""
+
+    tilt_deg: float = 0.3
+    roll_deg: float = 1.2
+    offset_px: float = 3.0
+    wander_px: float = 0.5
+    """How far the picture moves from one stop of the rail to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSettings:
+    """Everything of the simulated world that is chosen; the seed draws the rest."""
+
+    seed: int = 1
+    lens: TrueLens = TrueLens()
+    sensor: TrueSensor = TrueSensor()
+    panel: TruePanel = TruePanel()
+    rail: TrueRail = TrueRail()
+    pose: TruePose = TruePose()
+    halo_um: float = 750.0
+    """How far out diffraction is followed."""
+    samples_per_pixel: int = 10
+    """At least; a fast lens gets as many as its diffraction needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Trouble on a device's call number `call` (from 1: exposures, moves, pictures shown), `times` calls in a row.
+
+    camera: timeout, unplug (until it is identified again), card_full (for good); rail: stall, limit, lost_steps;
+    display: sleep (until the next picture).
+    """
+
+    device: Literal["camera", "rail", "display"]
+    kind: Literal["timeout", "unplug", "card_full", "stall", "limit", "lost_steps", "sleep"]
+    call: int
+    times: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """The truth while the carriage stood at one stop: asked and actual range, defocus in waves RMS per colour.
+
+    target_to_pixels: (3, 3) panel mm (x right, y down from the centre, 1) to pixels (column, row, 1).
+    """
+
+    range_mm: float
+    actual_range_mm: float
+    defocus_waves: Mapping[str, float]
+    target_to_pixels: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What an estimate may be compared with afterwards. Modes are {Noll: waves RMS at 450 nm} per colour."""
+
+    seed: int
+    best_focus_mm: Mapping[str, float]
+    pupil_magnification: float
+    modes_waves: Mapping[str, Mapping[int, float]]
+    counts_per_electron: float
+    read_noise_counts: float
+    visits: tuple[Visit, ...]
+    reference_wavelength_nm: float = REFERENCE_NM
+
+    def to_json(self) -> str:
+        """All of it as JSON."""
+        return json.dumps(asdict(self), indent=1)

@@ -1,0 +1,207 @@
+"""What a camera, a rail and a display can do, as the rest of labkit sees them.
+
+Drivers keep these protocols without importing anything else of labkit but its errors. All calls are synchronous, every
+wait in them has a time limit, and each device is a context manager that closes itself. They raise DeviceError
+(CameraError, RailError, RailLimitError, DisplayError, DeviceTimeoutError).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.errors import PlanError
+from labkit.plan import DisplaySettings
+
+Picture = Literal["white", "black"] | NDArray[np.uint8]
+"""What a display shows: all of the panel in one grey, or grey values of panel pixels, centred, black around them."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """Who a camera says it is."""
+
+    model: str
+    serial: str
+    driver: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureSettings:
+    """How to expose: shutter time and sensitivity."""
+
+    exposure_s: float
+    iso: int
+
+    def __post_init__(self) -> None:
+        if not (self.exposure_s > 0 and self.iso > 0):
+            raise ValueError(f"exposure time and ISO must be above 0: {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class RawFrame:
+    """A raw file as it came from the camera: where it lies, and how it was exposed."""
+
+    path: Path
+    exposure_s: float
+    iso: int
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """Positions that a rail can reach."""
+
+    low_mm: float
+    high_mm: float
+
+    def __post_init__(self) -> None:
+        if not self.low_mm < self.high_mm:
+            raise ValueError(f"empty travel: {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class PanelInfo:
+    """A display's glass: (height, width) in pixels, the pitch of its square pixels, how a pixel's colours lie."""
+
+    pixels: tuple[int, int]
+    pitch_mm: float
+    subpixels: Literal["rgb", "none"] = "rgb"
+    gamma: float = 2.2
+
+    def __post_init__(self) -> None:
+        if not (min(self.pixels) > 0 and self.pitch_mm > 0 and self.gamma > 0):
+            raise ValueError(f"a panel has pixels, a pitch and a gamma above 0: {self}")
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """(height, width) of the lit area."""
+        return self.pixels[0] * self.pitch_mm, self.pixels[1] * self.pitch_mm
+
+
+PANELS = {
+    "ipad-9.7-retina": PanelInfo((1536, 2048), 25.4 / 264),
+    "ipad-10.2": PanelInfo((1620, 2160), 25.4 / 264),
+    "ipad-pro-11": PanelInfo((1668, 2388), 25.4 / 264),
+    "ipad-pro-12.9": PanelInfo((2048, 2732), 25.4 / 264),
+    "ipad-mini-8.3": PanelInfo((1488, 2266), 25.4 / 326),
+}
+"""Panels a plan can name, landscape, by their makers' data sheets."""
+
+
+def panel_info(settings: DisplaySettings) -> PanelInfo:
+    """The panel that a plan's [display] table describes. Raises PlanError for a name that is not known."""
+    if settings.pixels is not None and settings.pixel_pitch_mm is not None:
+        return PanelInfo(settings.pixels, settings.pixel_pitch_mm)
+    if settings.panel not in PANELS:
+        known = ", ".join(sorted(PANELS))
+        raise PlanError(
+            f'display.panel = "{settings.panel}": known are {known}; or give pixel_pitch_mm and pixels instead'
+        )
+    return PANELS[settings.panel]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A display's word that a picture is on the glass: (height, width) of its lit part in panel pixels."""
+
+    pixels: tuple[int, int]
+
+
+class Camera(AbstractContextManager["Camera"], Protocol):
+    """A camera that delivers raw files."""
+
+    def identify(self) -> CameraInfo:
+        """Who it is; finds it again, if it had dropped off its cable."""
+        ...
+
+    def configure(self, settings: ExposureSettings) -> None:
+        """Set how the next frames are exposed; read back, never silently rounded."""
+        ...
+
+    def expose(self, path: Path) -> RawFrame:
+        """Expose once and write the raw file as it came, whole or not at all, to a path that does not exist yet."""
+        ...
+
+    def close(self) -> None:
+        """Let the camera go; again does nothing."""
+        ...
+
+
+@runtime_checkable
+class Coverable(Protocol):
+    """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
+
+    def cover(self, closed: bool) -> None:
+        """Close or open what keeps the light out."""
+        ...
+
+
+class Rail(AbstractContextManager["Rail"], Protocol):
+    """A motorised stage along the optical axis."""
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Where it can go."""
+        ...
+
+    def home(self) -> None:
+        """Find the zero again."""
+        ...
+
+    def move_to(self, position_mm: float) -> float:
+        """Go there, and return the measured position in mm once it stands."""
+        ...
+
+    def stop(self) -> None:
+        """Stop at once."""
+        ...
+
+    def close(self) -> None:
+        """Let the rail go; again does nothing."""
+        ...
+
+
+class Display(AbstractContextManager["Display"], Protocol):
+    """A panel that shows targets, pixel for pixel."""
+
+    @property
+    def panel(self) -> PanelInfo:
+        """The glass."""
+        ...
+
+    def show(self, picture: Picture) -> Shown:
+        """Show it, and return once it is known to be on the glass."""
+        ...
+
+    def close(self) -> None:
+        """Let the display go; again does nothing."""
+        ...
+
+
+@dataclass(slots=True)
+class Room:
+    """What devices that are opened together share.
+
+    A driver whose devices depend on each other keeps their common part in `shared`, under its address; the
+    simulated ones keep their bench there, and replace `wait`, for in their world time is not real.
+    """
+
+    shared: dict[str, Any] = field(default_factory=dict)
+    wait: Callable[[float], None] = time.sleep
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """A bench, ready: one camera, one rail, one display, and how to wait (for seconds) beside them."""
+
+    camera: Camera
+    rail: Rail
+    display: Display
+    wait: Callable[[float], None] = time.sleep

@@ -1,0 +1,68 @@
+"""Devices by address: what stands before the colon is the driver's name, an entry point.
+
+Groups `labkit.cameras`, `labkit.rails` and `labkit.displays`; each entry is a callable (address, plan, room) -> device.
+A lab adds its own device by an entry point of a package of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.metadata import entry_points
+from typing import Any
+
+from labkit.errors import PlanError
+from labkit.lab.devices import Camera, Devices, Display, Rail, Room
+from labkit.plan import Plan
+
+GROUPS = {"camera": "labkit.cameras", "rail": "labkit.rails", "display": "labkit.displays"}
+
+
+def installed(device: str) -> tuple[str, ...]:
+    """Names of the drivers installed for "camera", "rail" or "display"."""
+    return tuple(sorted(entry_points(group=GROUPS[device]).names))
+
+
+def open_camera(address: str, plan: Plan, room: Room) -> Camera:
+    """The camera at an address such as gphoto2:usb:001,004. Raises PlanError, or what the driver raises."""
+    camera: Camera = _open("camera", address, plan, room)
+    return camera
+
+
+def open_rail(address: str, plan: Plan, room: Room) -> Rail:
+    """The rail at an address such as grbl:/dev/ttyUSB0. Raises PlanError, or what the driver raises."""
+    rail: Rail = _open("rail", address, plan, room)
+    return rail
+
+
+def open_display(address: str, plan: Plan, room: Room) -> Display:
+    """The display at an address such as web://0.0.0.0:8642. Raises PlanError, or what the driver raises."""
+    display: Display = _open("display", address, plan, room)
+    return display
+
+
+@contextmanager
+def open_devices(plan: Plan, simulated: str | None = None, room: Room | None = None) -> Iterator[Devices]:
+    """All three devices of a plan, opened together and closed together.
+
+    simulated: an address such as "simulated:seed=3" that takes the place of all three; room: what they share, given
+    by a caller who wants to look into it. Raises PlanError if the plan lacks a table that capture needs.
+    """
+    room = room or Room()
+    if plan.camera is None or plan.rail is None or plan.display is None:
+        missing = ", ".join(f"[{name}]" for name in GROUPS if getattr(plan, name) is None)
+        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera], [rail] and [display]")
+    with ExitStack() as stack:
+        camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, room))
+        rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, room))
+        display = stack.enter_context(open_display(simulated or plan.display.address, plan, room))
+        yield Devices(camera, rail, display, room.wait)
+
+
+def _open(device: str, address: str, plan: Plan, room: Room) -> Any:
+    scheme = address.partition(":")[0]
+    found = entry_points(group=GROUPS[device], name=scheme)
+    if not found:
+        known = ", ".join(f"{name}:" for name in installed(device)) or "none (is labkit installed?)"
+        raise PlanError(f'{device}.address = "{address}": no driver "{scheme}" for a {device}; installed: {known}')
+    return next(iter(found)).load()(address, plan, room)
