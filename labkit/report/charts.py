@@ -228,7 +228,7 @@ def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Fl
     """A hundred quantiles, dense in the tails: of the normal law, the 99 % band around them, and of the residuals."""
     values = residuals.normalised
     values = np.sort(values[np.isfinite(values)])
-    tail = np.unique(np.geomspace(1, max(values.size // 2, 1), 50).astype(int))
+    tail = np.unique(np.geomspace(1, max((values.size + 1) // 2, 1), 50).astype(int))
     rank = np.unique(np.concatenate([tail, values.size + 1 - tail]))
     rank = rank[(rank >= 1) & (rank <= values.size)]
     after = values.size + 1 - rank

@@ -105,8 +105,9 @@ def _checks(m: Measurement) -> list[dict[str, Any]]:
         checks.append({"good": False, "text": text})
     elif tested:
         checks.append({"good": True, "text": f"all {len(tested)} optima pass the test for a local minimum"})
-    if len(tested) < len(m.wavefronts):
-        checks.append({"good": False, "text": f"{len(m.wavefronts) - len(tested)} optima untested"})
+    untested = len(m.wavefronts) - len(tested)
+    if untested:
+        checks.append({"good": False, "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested"})
     chi2 = [w.chi2_per_pixel for w in m.wavefronts if np.isfinite(w.chi2_per_pixel)]
     if chi2:
         good = min(chi2) > CHI2_USUAL[0] and max(chi2) < CHI2_USUAL[1]
