@@ -346,8 +346,10 @@ def _needs(loc: tuple[int | str, ...]) -> str:
     """What a field takes, in words; empty where its type says it all."""
     names = [step for step in loc if isinstance(step, str)]
     field = _table(loc).model_fields.get(names[min(1, len(names) - 1)])
-    if field is None or field.description:
-        return (field.description if field else None) or ""
+    if field is None:
+        return ""
+    if field.description:
+        return field.description
     optional = [item for part in get_args(field.annotation) for item in getattr(part, "__metadata__", ())]
     for item in (*field.metadata, *optional):
         if isinstance(item, AfterValidator) and isinstance(item.func, Allowed):
