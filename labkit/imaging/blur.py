@@ -1,0 +1,76 @@
+"""The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from labkit.imaging.grid import Torus
+from labkit.optics.psf import Complexes, Pupil, diffraction_mtf
+from labkit.optics.zernike import Floats
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Lens and pixel.
+
+    pupil: its PSF's spacing is the torus's, or a whole fraction of it. active_um: width of the pixel's active square, whatever the sampling period.
+
+    Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
+    transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
+    and compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.)
+    """
+
+    torus: Torus
+    pupil: Pupil
+    active_um: float
+
+    @cached_property
+    def _finer(self) -> int:
+        ratio = self.torus.spacing_um / self.pupil.spacing_um
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError(f"the torus's spacing, {self.torus.spacing_um:g} um, is no multiple of the PSF's, {self.pupil.spacing_um:g} um")
+        return round(ratio)
+
+    @cached_property
+    def _pixel(self) -> Floats:
+        return np.asarray(
+            np.sinc(self.torus.row_frequency * self.active_um) * np.sinc(self.torus.column_frequency * self.active_um)
+        )
+
+    @cached_property
+    def _centred_pixel(self) -> Complexes:
+        """The pixel's transfer, with the PSF's centre moved from the middle of its window to the origin."""
+        return self._pixel * self.torus.shift(self.pupil.size // 2 * self.pupil.spacing_um)
+
+    @cached_property
+    def _perfect(self) -> Floats:
+        cutoff = 1 / (self.pupil.wavelength_um * self.pupil.f_number)
+        return diffraction_mtf(np.hypot(self.torus.row_frequency, self.torus.column_frequency) / cutoff) * self._pixel
+
+    @cached_property
+    def _perfect_psf(self) -> Floats:
+        return self.pupil.psf(np.zeros(len(self.pupil.noll)))
+
+    def transfer(self, waves: Floats) -> Complexes:
+        """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
+        difference = self.pupil.psf(waves) - self._perfect_psf
+        return self._perfect + self._centred_pixel * self.torus.half_spectrum_of_window(difference, self._finer)
+
+    def transfer_jacobian(self, waves: Floats) -> Iterator[Complexes]:
+        """Half planes of the transfer function's derivatives by each mode, one at a time to spare memory."""
+        for slope in self.pupil.psf_jacobian(waves)[1]:
+            yield self._centred_pixel * self.torus.half_spectrum_of_window(slope, self._finer)
+
+    def spread(self, transfer: Complexes) -> tuple[Complexes, Complexes]:
+        """Transforms of t h(t), row and column component (um), of a transfer function's own kernel h.
+
+        By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.
+        """
+        (rows, columns), spacing = self.torus.fine, self.torus.spacing_um
+        before = np.conj(np.roll(transfer[1:2, ::-1], 1, axis=1))  # the row at frequency -1
+        tall = np.concatenate([before, transfer, np.zeros_like(before)])
+        by_row = (tall[2:] - tall[:-2]) * (1j * rows * spacing / (4 * np.pi))
+        by_column = (np.roll(transfer, -1, 1) - np.roll(transfer, 1, 1)) * (1j * columns * spacing / (4 * np.pi))
+        return by_row, by_column

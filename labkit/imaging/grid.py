@@ -1,0 +1,110 @@
+"""The torus that an image is modelled on, and how its spectrum folds when pixels sample it (thesis 2.61-2.69)."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+
+from labkit.optics.psf import Complexes
+from labkit.optics.zernike import Floats
+
+
+@dataclass(frozen=True)
+class Torus:
+    """A periodic fine grid around a frame of pixels, with a whole number of fine samples to a pixel.
+
+    pixels: (rows, columns) of the torus, in pixels; the frame stands at `margin` in it, the rest is guard band.
+    oversampling: fine samples to a pixel along each axis. pitch_um: of the pixels.
+    band_limit_per_um: no image holds more than this; below the fine grid's Nyquist frequency.
+
+    Spectra are kept as half planes: row frequencies from 0 up to the band limit, all column frequencies in FFT order; real
+    images have no more. A whole ratio makes sampling the plain folding of the spectrum, so that neither a Nyquist bin nor a
+    non-integer ratio ever arises.
+    """
+
+    pixels: tuple[int, int]
+    margin: tuple[int, int]
+    frame: tuple[int, int]
+    oversampling: int
+    pitch_um: float
+    band_limit_per_um: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.band_limit_per_um <= self.oversampling / (2 * self.pitch_um):
+            raise ValueError(
+                f"{self.oversampling} samples a pixel of {self.pitch_um:g} um cannot hold {self.band_limit_per_um:g} cycles/um"
+            )
+        if any(m + f > p for m, f, p in zip(self.margin, self.frame, self.pixels, strict=True)):
+            raise ValueError(f"a frame of {self.frame} pixels at {self.margin} does not fit a torus of {self.pixels}")
+
+    @classmethod
+    def around(cls, frame: tuple[int, int], guard_px: int, pitch_um: float, band_limit_per_um: float) -> "Torus":
+        """A torus with at least guard_px pixels of guard band beside the frame, its sides good for the FFT."""
+        oversampling = math.ceil(2 * pitch_um * band_limit_per_um * (1 + 1e-9))
+        rows, columns = (scipy.fft.next_fast_len(side + guard_px, real=True) for side in frame)
+        margin = ((rows - frame[0]) // 2, (columns - frame[1]) // 2)
+        return cls((rows, columns), margin, frame, oversampling, pitch_um, band_limit_per_um)
+
+    @property
+    def fine(self) -> tuple[int, int]:
+        """(rows, columns) of the fine grid."""
+        return self.pixels[0] * self.oversampling, self.pixels[1] * self.oversampling
+
+    @property
+    def spacing_um(self) -> float:
+        """Of the fine grid."""
+        return self.pitch_um / self.oversampling
+
+    @cached_property
+    def row_frequency(self) -> Floats:
+        """(half rows, 1) cycles/um, from 0 up to the band limit."""
+        count = min(self.fine[0] // 2, int(self.band_limit_per_um * self.fine[0] * self.spacing_um) + 1)
+        return np.asarray(scipy.fft.rfftfreq(self.fine[0], self.spacing_um)[:count, None])
+
+    @cached_property
+    def column_frequency(self) -> Floats:
+        """(1, fine columns) cycles/um, in FFT order."""
+        return np.asarray(scipy.fft.fftfreq(self.fine[1], self.spacing_um)[None, :])
+
+    def half_spectrum(self, image: Floats) -> Complexes:
+        """Half plane of the DFT of a fine image."""
+        by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
+        return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
+
+    def half_spectrum_of_window(self, window: Floats, finer: int = 1) -> Complexes:
+        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's.
+
+        window: (m, m), sampled `finer` times as finely as the torus; what it holds beyond the torus's band is left out.
+        Raises ValueError where the window is larger than the torus.
+        """
+        rows, columns = (side * finer for side in self.fine)
+        if max(window.shape) > min(rows, columns):
+            raise ValueError(f"a window of {window.shape} samples does not fit a torus of {(rows, columns)}")
+        by_row = scipy.fft.rfft(window, n=rows, axis=0)[: self.row_frequency.size]
+        spectrum = np.asarray(scipy.fft.fft(by_row, n=columns, axis=1))
+        if finer == 1:
+            return spectrum
+        positive = (self.fine[1] + 1) // 2
+        return np.concatenate([spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1)
+
+    def shift(self, distance_um: float) -> Complexes:
+        """Half plane that moves an image up and left by a distance."""
+        turn = 2j * np.pi * distance_um
+        return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
+
+    def sample(self, spectrum: Complexes) -> Floats:
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum.
+
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61). Half a plane is enough: the other half adds
+        the complex conjugate, so that twice the real part of the small transform is the image.
+        """
+        (rows, columns), many = self.pixels, self.oversampling
+        folded = np.zeros(self.pixels, complex)
+        for first in range(0, spectrum.shape[0], rows):
+            block = spectrum[first : first + rows]
+            folded[: len(block)] += block.reshape(len(block), many, columns).sum(axis=1)
+        folded[0] -= 0.5 * spectrum[0].reshape(many, columns).sum(axis=0)  # frequency 0 has no partner
+        image = (2.0 / many**2) * scipy.fft.ifft2(folded).real
+        return np.asarray(image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))])

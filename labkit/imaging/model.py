@@ -1,0 +1,129 @@
+"""Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from labkit.imaging.blur import Blur
+from labkit.imaging.grid import Torus
+from labkit.imaging.scene import Scene
+from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.optics.psf import Complexes, Pupil
+from labkit.optics.zernike import Floats
+from labkit.target import Target
+
+Bools = npt.NDArray[np.bool_]
+
+WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What one frame's used pixels see, in units of the target's radiance.
+
+    mean: (pixels,); by_waves: (modes, pixels); by_pose: (8, pixels). The derivatives are empty where not asked for.
+    """
+
+    mean: Floats
+    by_waves: Floats
+    by_pose: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """What is known of lens, light and sensor for one channel.
+
+    f_number: of the beam that reaches the sensor. noll: modes of the wavefront. pitch_um: of the pixels, whatever their
+    colours; active_um: width of a pixel's active square.
+    """
+
+    wavelength_um: float
+    reference_um: float
+    f_number: float
+    pitch_um: float
+    active_um: float
+    noll: tuple[int, ...]
+
+    @property
+    def airy_um(self) -> float:
+        """lambda N, the unit of length of diffraction."""
+        return self.wavelength_um * self.f_number
+
+
+@dataclass(frozen=True)
+class ForwardModel:
+    """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70)."""
+
+    scene: Scene
+    blur: Blur
+
+    @classmethod
+    def build(
+        cls, optics: Optics, target: Target, frame: tuple[int, int], *, band: float = 1.0, reach_um: float = 0.0
+    ) -> "ForwardModel":
+        """A model of frames of a size, (rows, columns).
+
+        band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
+        reach_um: how far from its image a point's light matters; never less than WINDOW_AIRY / 2 times lambda N.
+        """
+        window_um = max(2 * reach_um, WINDOW_AIRY * optics.airy_um)
+        guard_px = math.ceil(window_um / optics.pitch_um)
+        cutoff = 1 / optics.airy_um
+        torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
+        finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
+        spacing_um = torus.spacing_um / finer
+        size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
+        size = min(size, min(torus.fine) * finer)
+        pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
+        return cls(Scene(torus, target, band * cutoff), Blur(torus, pupil, optics.active_um))
+
+    def means(self, waves: Floats, poses: list[Pose], used: list[Bools]) -> list[Floats]:
+        """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
+        transfer = self.blur.transfer(waves)
+        return [self._sample(self.scene.spectrum(p) * transfer, u, self.scene.surround) for p, u in zip(poses, used, strict=True)]
+
+    def evaluate(self, waves: Floats, poses: list[Pose], used: list[Bools], *, by_waves: bool = True) -> list[Evaluation]:
+        """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
+
+        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.
+        """
+        transfer = self.blur.transfer(waves)
+        spread = self.blur.spread(transfer)
+        spectra = [self.scene.spectrum(pose) for pose in poses]
+        slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
+        for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
+            for spectrum, u, out in zip(spectra, used, slopes, strict=True):
+                out[mode] = self._sample(spectrum * slope, u)
+        results = []
+        for spectrum, pose, u, by_mode in zip(spectra, poses, used, slopes, strict=True):
+            mean = self._sample(spectrum * transfer, u, self.scene.surround)
+            results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
+        return results
+
+    def _sample(self, spectrum: Complexes, used: Bools, offset: float = 0.0) -> Floats:
+        return self.blur.torus.sample(spectrum)[used] + offset
+
+    def _by_pose(
+        self, spectrum: Complexes, transfer: Complexes, spread: tuple[Complexes, Complexes], pose: Pose, used: Bools
+    ) -> Floats:
+        """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the point seen at x.
+
+        w is linear over the width of the PSF, so with t the place in the PSF this is
+        -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
+        square of blur over distance.
+        """
+        torus = self.blur.torus
+        rows, columns = np.nonzero(used)
+        motions = pose.jacobian(rows.astype(float), columns.astype(float))
+        one_down = pose.jacobian(rows + 0.5, columns.astype(float)), pose.jacobian(rows - 0.5, columns.astype(float))
+        one_right = pose.jacobian(rows.astype(float), columns + 0.5), pose.jacobian(rows.astype(float), columns - 0.5)
+        result = np.zeros((POSE_SIZE, rows.size))
+        for axis, frequency in enumerate((torus.row_frequency, torus.column_frequency)):
+            gradient = spectrum * (2j * np.pi * torus.pitch_um * frequency)
+            result -= motions[axis] * self._sample(gradient * transfer, used)
+            for (high, low), kernel in zip((one_down, one_right), spread, strict=True):
+                result += (high[axis] - low[axis]) * self._sample(gradient * kernel, used) / torus.pitch_um
+        return result

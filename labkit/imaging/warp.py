@@ -1,0 +1,88 @@
+"""Where the target stands: the plane homography from the target's millimetres to the sensor's pixels (thesis 2.8, Appendix C)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.optics.zernike import Floats
+
+POSE_SIZE = 8
+CORNER_Y, CORNER_X = np.array([-1.0, -1, 1, 1]), np.array([-1.0, 1, 1, -1])
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Eight numbers v that map target coordinates to pixels.
+
+    With (y, x) in units of half the target's sides, from its centre, y down and x right,
+
+        row = (v0 + v1 y + v2 x) / (1 + v6 y + v7 x),    col = (v3 + v4 y + v5 x) / (1 + v6 y + v7 x).
+
+    v0..v5 are in pixels (pixel centres at integers), v6 and v7 unitless.
+    """
+
+    v: Floats
+    half_size_mm: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if self.v.shape != (POSE_SIZE,) or not np.all(np.isfinite(self.v)):
+            raise ValueError(f"a pose is {POSE_SIZE} finite numbers, not {self.v}")
+
+    @classmethod
+    def from_corners(cls, corners_px: Floats, size_mm: tuple[float, float]) -> "Pose":
+        """From the four corners (4, 2) as (row, col), in the order of the target's own (0,0), (0,w), (h,w), (h,0)."""
+        row, col = np.asarray(corners_px, float).T
+        one, zero = np.ones(4), np.zeros(4)
+        row_equations = np.stack([one, CORNER_Y, CORNER_X, zero, zero, zero, -row * CORNER_Y, -row * CORNER_X], axis=1)
+        col_equations = np.stack([zero, zero, zero, one, CORNER_Y, CORNER_X, -col * CORNER_Y, -col * CORNER_X], axis=1)
+        v = np.linalg.solve(np.concatenate([row_equations, col_equations]), np.concatenate([row, col]))
+        return cls(v, (size_mm[0] / 2, size_mm[1] / 2))
+
+    def moved(self, step: Floats) -> "Pose":
+        """The pose v + step."""
+        return Pose(self.v + step, self.half_size_mm)
+
+    def shifted(self, rows: float, columns: float) -> "Pose":
+        """The same pose seen from pixel coordinates whose origin lies at (rows, columns)."""
+        v = self.v.copy()
+        v[[0, 1, 2]] -= rows * np.array([1, v[6], v[7]])
+        v[[3, 4, 5]] -= columns * np.array([1, v[6], v[7]])
+        return Pose(v, self.half_size_mm)
+
+    @property
+    def matrix(self) -> Floats:
+        """(3, 3) homography from (y, x, 1) to (row, col, 1)."""
+        v = self.v
+        return np.array([[v[1], v[2], v[0]], [v[4], v[5], v[3]], [v[6], v[7], 1.0]])
+
+    def corners_px(self) -> Floats:
+        """(4, 2) corners as (row, col)."""
+        return self.to_pixels(CORNER_Y, CORNER_X)
+
+    def to_pixels(self, y: Floats, x: Floats) -> Floats:
+        """Pixels (..., 2) of unit target coordinates (...)."""
+        v = self.v
+        w = 1 + v[6] * y + v[7] * x
+        return np.stack([(v[0] + v[1] * y + v[2] * x) / w, (v[3] + v[4] * y + v[5] * x) / w], axis=-1)
+
+    def to_target(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
+        """Unit target coordinates (y, x) of pixels; row and col broadcast together."""
+        inverse = np.linalg.inv(self.matrix)
+        y, x, w = (a * row + b * col + c for a, b, c in inverse)
+        return y / w, x / w
+
+    def pixel_per_unit(self) -> tuple[float, float]:
+        """Pixels spanned by one unit of y and of x at the target's centre."""
+        v = self.v
+        dy = np.hypot(v[1] - v[0] * v[6], v[4] - v[3] * v[6])
+        dx = np.hypot(v[2] - v[0] * v[7], v[5] - v[3] * v[7])
+        return float(dy), float(dx)
+
+    def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
+        """Derivatives (8, ...) of row and of col by v, for the target's points that are seen at these pixels."""
+        y, x = self.to_target(row, col)
+        w = 1 + self.v[6] * y + self.v[7] * x
+        zero, basis = np.zeros_like(y), np.stack([np.ones_like(y), y, x]) / w
+        rows = np.concatenate([basis, [zero, zero, zero], -row * basis[1:]])
+        cols = np.concatenate([[zero, zero, zero], basis, -col * basis[1:]])
+        return rows, cols

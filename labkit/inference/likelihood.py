@@ -1,0 +1,104 @@
+"""The Gaussian likelihood whose variance follows its mean, with gradient and Fisher information (thesis 3.5-3.28).
+
+Counts d with the black level removed are N(mu, Sigma), independent over pixels,
+
+    mu = V (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2,
+
+u the relative image of `labkit.imaging`, V the relative illumination and s its relative standard deviation. Of the five
+detector numbers of thesis (3.4) only four can be told from frames (the information matrix over all five is exactly
+singular), so the black level is fixed from the raw file and dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.imaging.model import Bools, Evaluation
+from labkit.optics.zernike import Floats
+
+
+@dataclass(frozen=True)
+class FrameData:
+    """What one frame says about one channel.
+
+    counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s.
+    Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
+    """
+
+    counts: Floats
+    used: Bools
+    illumination: Floats
+    relative_std: Floats
+
+    def __post_init__(self) -> None:
+        shapes = {np.shape(a) for a in (self.counts, self.used, self.illumination, self.relative_std)}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+            raise ValueError(f"counts, used, illumination and relative_std must be one (rows, columns): {shapes}")
+        if not self.used.any():
+            raise ValueError("no pixel of the frame is used")
+        for name in ("counts", "illumination", "relative_std"):
+            if not np.all(np.isfinite(getattr(self, name)[self.used])):
+                raise ValueError(f"{name} has a used pixel that is not finite")
+
+
+@dataclass(frozen=True, slots=True)
+class Detector:
+    """Of one frame: scale and ambient in counts. Of all frames: gain in counts per electron, read_variance in counts^2."""
+
+    scale: float
+    ambient: float
+    gain: float
+    read_variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Log-likelihood of one frame with its gradient (p,) and Fisher information (p, p).
+
+    Parameters in order: modes, pose (8), scale, ambient, log gain, log read variance.
+    """
+
+    log_likelihood: float
+    gradient: Floats
+    information: Floats
+    chi2: float
+    pixels: int
+
+
+def predict(relative: Floats, data: FrameData, detector: Detector) -> tuple[Floats, Floats]:
+    """Mean and variance (pixels,) of the used pixels' counts from their relative image (pixels,)."""
+    mean = data.illumination[data.used] * (detector.scale * relative + detector.ambient)
+    spread = data.relative_std[data.used] * mean
+    return mean, detector.gain * np.maximum(mean, 0.0) + detector.read_variance + spread**2
+
+
+def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> float:
+    """Thesis (3.5), without its constant."""
+    mean, variance = predict(relative, data, detector)
+    return float(-0.5 * np.sum((data.counts[data.used] - mean) ** 2 / variance + np.log(variance)))
+
+
+def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
+    """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19), variance's dependence included."""
+    light = data.illumination[data.used]
+    mean, variance = predict(evaluation.mean, data, detector)
+    residual = data.counts[data.used] - mean
+    weight = 1 / variance
+    slopes = np.concatenate(
+        [
+            detector.scale * evaluation.by_waves,
+            detector.scale * evaluation.by_pose,
+            evaluation.mean[None],
+            np.ones((1, mean.size)),
+        ]
+    )
+    slopes *= light
+    bend = detector.gain * (mean > 0) + 2 * data.relative_std[data.used] ** 2 * mean  # d variance / d mean
+    noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
+    variance_slopes = np.concatenate([bend * slopes, noise])
+    mean_slopes = np.concatenate([slopes, np.zeros((2, mean.size))])
+    normalised = residual * weight
+    gradient = mean_slopes @ normalised + variance_slopes @ (0.5 * (normalised**2 - weight))
+    root = np.concatenate([mean_slopes * np.sqrt(weight), variance_slopes * (np.sqrt(0.5) * weight)], axis=1)
+    chi2 = float(np.sum(residual * normalised))
+    return Score(-0.5 * (chi2 + float(np.sum(np.log(variance)))), gradient, root @ root.T, chi2, mean.size)

@@ -1,0 +1,187 @@
+"""Damped Fisher scoring: from a start to the nearest maximum of the likelihood (Levenberg-Marquardt on thesis 3.15)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from labkit.errors import FitError
+from labkit.imaging.model import Evaluation, ForwardModel
+from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
+from labkit.optics.zernike import Floats
+
+PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
+NOISE = 2  # log gain, log read variance
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """What flats and darks say about the noise: independent measurements that join the likelihood.
+
+    gain: counts per electron; read_variance: counts^2; the stds are relative.
+    """
+
+    gain: float
+    gain_std: float
+    read_variance: float
+    read_variance_std: float
+
+    @property
+    def centre(self) -> Floats:
+        return np.log([self.gain, self.read_variance])
+
+    @property
+    def precision(self) -> Floats:
+        return 1 / np.array([self.gain_std, self.read_variance_std]) ** 2
+
+
+@dataclass(frozen=True)
+class State:
+    """A point of the parameter space: waves RMS (modes,), and for each frame its pose, scale and ambient light."""
+
+    waves: Floats
+    poses: tuple[Pose, ...]
+    scales: Floats
+    ambients: Floats
+    log_noise: Floats
+
+    @property
+    def gain(self) -> float:
+        return float(np.exp(self.log_noise[0]))
+
+    @property
+    def read_noise(self) -> float:
+        return float(np.exp(self.log_noise[1] / 2))
+
+    def detectors(self) -> list[Detector]:
+        gain, read_variance = np.exp(self.log_noise)
+        return [
+            Detector(s, a, float(gain), float(read_variance)) for s, a in zip(self.scales, self.ambients, strict=True)
+        ]
+
+    def moved(self, step: Floats) -> "State":
+        """The state after a step in all parameters: modes, then frame by frame pose, scale, ambient, then the noise."""
+        modes = self.waves.size
+        frames = step[modes:-NOISE].reshape(len(self.poses), PER_FRAME)
+        return State(
+            self.waves + step[:modes],
+            tuple(p.moved(f[:POSE_SIZE]) for p, f in zip(self.poses, frames, strict=True)),
+            self.scales + frames[:, POSE_SIZE],
+            self.ambients + frames[:, POSE_SIZE + 1],
+            self.log_noise + np.clip(step[-NOISE:], -1.0, 1.0),
+        )
+
+    def first(self) -> "State":
+        """The same for the first frame only."""
+        return replace(self, poses=self.poses[:1], scales=self.scales[:1], ambients=self.ambients[:1])
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Frames of one wavefront, a model of them, and what is known of the noise."""
+
+    model: ForwardModel
+    frames: tuple[FrameData, ...]
+    noise: NoisePrior
+
+    def relative(self, state: State) -> list[Floats]:
+        """Relative images (pixels,) of the frames."""
+        return self.model.means(state.waves, list(state.poses), [f.used for f in self.frames])
+
+    def objective(self, state: State, relative: Sequence[Floats]) -> float:
+        """Log-likelihood of everything measured, that of the noise's calibration included."""
+        total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
+        return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
+
+    def scores(self, state: State, *, by_waves: bool) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
+        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and the frames' own."""
+        evaluations = self.model.evaluate(
+            state.waves, list(state.poses), [f.used for f in self.frames], by_waves=by_waves
+        )
+        modes = state.waves.size
+        size = modes + PER_FRAME * len(self.frames) + NOISE
+        gradient, information = np.zeros(size), np.zeros((size, size))
+        scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
+        for k, one in enumerate(scores):
+            own = np.arange(PER_FRAME) + modes + k * PER_FRAME
+            index = np.concatenate([np.arange(modes if by_waves else 0), own, [size - 2, size - 1]])
+            gradient[index] += one.gradient
+            information[np.ix_(index, index)] += one.information
+        gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
+        information[-NOISE:, -NOISE:] += np.diag(self.noise.precision)
+        return gradient, information, scores, evaluations
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a climb ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
+
+    state: State
+    objective: float
+    information: Floats
+    chi2_per_pixel: float
+    steps: int
+    converged: bool
+
+    def covariance(self) -> Floats:
+        """Cramér-Rao covariance over all parameters.
+
+        Raises FitError where the data do not determine them.
+        """
+        scale = 1 / np.sqrt(np.diag(self.information))
+        try:
+            factor = scipy.linalg.cho_factor(self.information * np.outer(scale, scale))
+        except (scipy.linalg.LinAlgError, ValueError) as error:
+            raise FitError(
+                "the frames do not determine the wavefront and the pose: the Fisher information is singular"
+            ) from error
+        return np.asarray(scipy.linalg.cho_solve(factor, np.diag(scale))) * scale[:, None]
+
+
+def climb(
+    problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.02
+) -> Solution:
+    """Climb to the maximum near a start.
+
+    tolerance: stop when the next step is shorter than this many standard errors, all parameters together.
+    """
+    state = start
+    gradient, information, scores, evaluations = problem.scores(state, by_waves=free_waves)
+    best = problem.objective(state, [e.mean for e in evaluations])
+    damping, steps, converged = 1e-3, 1, False
+    while steps < max_steps and not converged and damping < 1e8:
+        step = _damped_step(gradient, information, damping)
+        trial = state.moved(step)
+        value = problem.objective(trial, problem.relative(trial)) if _sane(trial) else -np.inf
+        if not value > best:
+            converged = _length(step, information) < tolerance
+            damping = max(damping, 1e-4) * 8
+            continue
+        converged = _length(step, information) < tolerance and damping <= 1e-2
+        state, best, damping = trial, value, damping / 8
+        gradient, information, scores, _ = problem.scores(state, by_waves=free_waves)
+        steps += 1
+    chi2 = sum(s.chi2 for s in scores) / sum(s.pixels for s in scores)
+    return Solution(state, best, information, chi2, steps, converged)
+
+
+def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
+    """Marquardt's step; parameters without information stay."""
+    free = np.diag(information) > 0
+    scale = np.zeros_like(gradient)
+    scale[free] = 1 / np.sqrt(np.diag(information)[free])
+    scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
+    solved = scipy.linalg.solve(scaled, gradient * scale, assume_a="pos")
+    return np.asarray(solved * scale)
+
+
+def _length(step: Floats, information: Floats) -> float:
+    """Of a step, in standard errors."""
+    return float(np.sqrt(step @ information @ step))
+
+
+def _sane(state: State) -> bool:
+    corners = np.array([p.corners_px() for p in state.poses])
+    return bool(np.all(np.isfinite(corners)) and np.all(state.scales > 0) and np.abs(corners).max() < 1e6)

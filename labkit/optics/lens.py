@@ -1,0 +1,76 @@
+"""First-order optics: where the light meets, how defocus runs with range, how large the blur is (thesis, Appendix E)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from labkit.optics.zernike import Floats
+
+Convention = Literal["corrected", "thesis"]
+
+PV_PER_RMS = np.sqrt(12.0)  # a defocus of unit peak-to-valley over a disc has an RMS of 1/sqrt(12)
+
+
+@dataclass(frozen=True, slots=True)
+class ThinLens:
+    """A lens by its focal length (mm), f-number at infinity, and pupil magnification Dout/Din."""
+
+    focal_length_mm: float
+    f_number: float
+    pupil_magnification: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.focal_length_mm > 0 and self.f_number > 0 and self.pupil_magnification > 0):
+            raise ValueError(f"focal length, f-number and pupil magnification must be positive: {self}")
+
+    @property
+    def exit_pupil_mm(self) -> float:
+        """Diameter of the exit pupil, mm."""
+        return self.pupil_magnification * self.focal_length_mm / self.f_number
+
+    def image_distance_mm(self, range_mm: Floats | float) -> Floats:
+        """Distance behind the rear principal plane where a range comes to focus, mm. Thesis (E.1).
+
+        Raises ValueError for a range not beyond the focal length.
+        """
+        range_mm = np.asarray(range_mm, float)
+        if np.any(range_mm <= self.focal_length_mm):
+            raise ValueError(f"range must exceed the focal length, {self.focal_length_mm:g} mm: {range_mm}")
+        return range_mm * self.focal_length_mm / (range_mm - self.focal_length_mm)
+
+    def pupil_to_image_mm(self, range_mm: Floats | float, convention: Convention = "corrected") -> Floats:
+        """Distance from the exit pupil to the image of a range, mm. Thesis (E.2); (4.40) prints the sign of (mp-1) wrong."""
+        offset = (self.pupil_magnification - 1.0) * self.focal_length_mm
+        return self.image_distance_mm(range_mm) + (offset if convention == "corrected" else -offset)
+
+
+def defocus_waves(
+    lens: ThinLens,
+    target_mm: Floats | float,
+    focus_mm: Floats | float,
+    reference_nm: float,
+    convention: Convention = "corrected",
+) -> Floats:
+    """RMS defocus, in waves at the reference wavelength, of a target at one range seen by a lens focused at another.
+
+    target_mm, focus_mm: ranges, broadcast together; positive where the target lies beyond best focus.
+    Thesis (4.40), with the sagitta about the exit pupil as (E.2) and (E.9) have it, unless convention is "thesis".
+    """
+    half_squared = (lens.exit_pupil_mm / 2.0) ** 2
+    image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
+    sag_image = np.sqrt(lens.pupil_to_image_mm(target_mm, convention) ** 2 - half_squared)
+    sag_focus = np.sqrt(lens.pupil_to_image_mm(focus_mm, convention) ** 2 - half_squared)
+    path_mm = (image - focus) + sag_focus - sag_image
+    return np.asarray(path_mm / PV_PER_RMS / (reference_nm * 1e-6))
+
+
+def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:
+    """Diameter on the sensor of the geometric blur of a point. Thesis (E.9)."""
+    image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
+    return np.asarray(lens.exit_pupil_mm * np.abs(focus - image) / lens.pupil_to_image_mm(target_mm))
+
+
+def ground_sample_mm(lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float) -> Floats:
+    """What one pixel spans on a target at a range, mm. Thesis (2.35)."""
+    return np.asarray((np.asarray(range_mm, float) - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm)

@@ -1,0 +1,32 @@
+"""The shaded aperture: a disc on a grid, each sample holding the area of the disc inside it (thesis, Appendix G)."""
+
+import numpy as np
+
+from labkit.optics.zernike import Floats
+
+
+def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:
+    """Area of the disc inside the rectangle from the centre to (x, y), odd in both x and y."""
+    sign = np.sign(x) * np.sign(y)
+    x, y = np.minimum(np.abs(x), radius), np.minimum(np.abs(y), radius)
+
+    def under_arc(t: Floats) -> Floats:
+        return 0.5 * (t * np.sqrt(radius**2 - t**2) + radius**2 * np.arcsin(t / radius))
+
+    flat = np.minimum(x, np.sqrt(radius**2 - y**2))  # up to here the top of the rectangle is inside the disc
+    return sign * (y * flat + under_arc(x) - under_arc(flat))
+
+
+def disc_area(offsets: Floats, radius: float) -> Floats:
+    """Area of a disc inside each unit square of a grid.
+
+    offsets: (n,) coordinates of the squares' centres along either axis, in samples from the disc's centre.
+    radius: in samples. Returns (n, n), 0..1. Thesis (G.1)-(G.3), in closed form.
+    """
+    low, high = offsets - 0.5, offsets + 0.5
+
+    def corner(rows: Floats, columns: Floats) -> Floats:
+        return _quadrant_area(columns[None, :], rows[:, None], radius)
+
+    area = corner(high, high) - corner(low, high) - corner(high, low) + corner(low, low)
+    return np.clip(area, 0.0, 1.0)

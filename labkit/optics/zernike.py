@@ -1,0 +1,67 @@
+"""Zernike polynomials in Noll's order (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976)."""
+
+from functools import cache
+from math import comb, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+NAMES = {
+    4: "defocus",
+    5: "oblique astigmatism",
+    6: "vertical astigmatism",
+    7: "vertical coma",
+    8: "horizontal coma",
+    9: "vertical trefoil",
+    10: "oblique trefoil",
+    11: "spherical",
+    12: "vertical 2nd astigmatism",
+    13: "oblique 2nd astigmatism",
+    14: "vertical quadrafoil",
+    15: "oblique quadrafoil",
+}
+
+
+@cache
+def noll_to_nm(j: int) -> tuple[int, int]:
+    """Radial order n and signed azimuthal order m of Noll mode j; m < 0 stands for the sine.
+
+    Raises ValueError for j < 1.
+    """
+    if j < 1:
+        raise ValueError(f"Noll index {j}: modes are counted from 1")
+    n = 0
+    while (n + 1) * (n + 2) // 2 < j:
+        n += 1
+    place = j - n * (n + 1) // 2 - 1  # 0-based place within radial order n
+    m = 2 * ((place + 1) // 2) if n % 2 == 0 else 2 * (place // 2) + 1
+    return n, m if j % 2 == 0 else -m
+
+
+def is_even(j: int) -> bool:
+    """Whether Noll mode j has even radial order: Z(-w) = Z(w). Such modes change sign in the twin."""
+    return noll_to_nm(j)[0] % 2 == 0
+
+
+def radial(n: int, m: int, rho: Floats) -> Floats:
+    """Radial polynomial R_n^m; thesis (2.40), corrected: (n-k)! in the numerator."""
+    m = abs(m)
+    total = np.zeros_like(rho)
+    for k in range((n - m) // 2 + 1):
+        total += (-1) ** k * comb(n - k, k) * comb(n - 2 * k, (n - m) // 2 - k) * rho ** (n - 2 * k)
+    return total
+
+
+def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
+    """Noll mode j on the unit disc, unit RMS.
+
+    rho, theta: (...,) pupil polar coordinates, rho in 0..1. Returns (...,), unitless.
+    Raises ValueError for j < 1. Thesis (2.39)-(2.41), (2.40) corrected.
+    """
+    n, m = noll_to_nm(j)
+    if m == 0:
+        return sqrt(n + 1) * radial(n, 0, rho)
+    angular = np.cos(m * theta) if m > 0 else np.sin(-m * theta)
+    return sqrt(2 * (n + 1)) * radial(n, m, rho) * angular
