@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import DataError, InputError, RawError
-from labkit.lab.exposure import exposure_problem
 from labkit.lab.files import sync_folder
 from labkit.lab.raw import MONO, Mosaic, read_raw
 from labkit.lab.session import KINDS, Kind, Session, refuse_existing
+from labkit.lab.usable import difference, exposure_problem
 from labkit.plan import Plan, load_plan
 from labkit.target import open_target
 
@@ -166,7 +166,7 @@ def _check_photographs(
             first = mosaic
             if wrong := _channel_problem(mosaic, plan):
                 raise DataError(f"{csv_path}: {row.file}: {wrong}")
-        problem = _difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
+        problem = difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
         if problem:
             problems.append(f"{row.file} {problem}")
         found.append((mosaic.exposure_s, mosaic.iso))
@@ -181,20 +181,6 @@ def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
         return None if len(names) == 1 else f"is mono, but the plan has {len(names)} [[channel]] tables: allowed is one"
     unknown = [name for name in names if name not in mosaic.cfa]
     return f"has no channel {', '.join(unknown)}: its filter array is {mosaic.cfa}" if unknown else None
-
-
-def _difference(mosaic: Mosaic, first: Mosaic) -> str | None:
-    """How a photograph's sensor differs from the first one's."""
-    size, first_size = ("×".join(map(str, m.counts.shape)) for m in (mosaic, first))
-    for what, this, that in (
-        ("camera", mosaic.camera or "unknown", first.camera or "unknown"),
-        ("size", size, first_size),
-        ("filter array", mosaic.cfa, first.cfa),
-        ("white level", mosaic.white, first.white),
-    ):
-        if this != that:
-            return f"is of another {what} than the first photograph: {this}, not {that}"
-    return None
 
 
 def _names(rows: list[Row]) -> list[str]:
