@@ -1,0 +1,288 @@
+"""Runs a plan on a bench: darks once, then at every range flats of the white panel and photographs of the target.
+
+Every photograph is committed to the session before the next is taken, so whatever interrupts a capture, it goes on with
+just what is missing. A frame's `range_mm` is the plan's number, the same for all frames of a stop; where the
+carriage was measured to stand is in the frame's meta, as `position_mm` and `measured_range_mm`.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labkit.errors import DataError, DeviceError, InputError, PlanError, RailLimitError, RawError, SessionError
+from labkit.lab.devices import Coverable, Devices, ExposureSettings, Picture, RawFrame
+from labkit.lab.exposure import exposure_problem
+from labkit.lab.picture import panel_picture
+from labkit.lab.raw import Mosaic, read_raw
+from labkit.lab.session import JOURNAL, PLAN, Kind, Session
+from labkit.plan import CameraSettings, Plan, RailSettings, Table, parse_plan
+from labkit.target import open_target
+
+Result = TypeVar("Result")
+Progress = Callable[[int, int, str], None]
+"""Told (frames done, frames in all, name of the frame just done)."""
+
+Ask = Callable[[str], None]
+"""Asks a person to do something, and returns when it is done."""
+
+EXPOSING, REJECTED = ".exposing", "rejected"
+
+TRIES = 3
+"""How often a device may fail at one step before the capture stops."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A photograph to take: its name without the suffix, which the camera chooses."""
+
+    name: str
+    kind: Kind
+    range_mm: float | None
+
+
+def shots(plan: Plan) -> tuple[Shot, ...]:
+    """Every photograph that a plan asks for, in the order of taking. Raises PlanError without [camera] or [rail]."""
+    camera, rail = _settings(plan)
+    found = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
+    for range_mm in rail.ranges_mm:
+        found += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
+        found += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
+    return tuple(found)
+
+
+def missing(session: Session) -> tuple[Shot, ...]:
+    """What the session's plan asks for and its journal has not."""
+    done = {Path(frame.file).stem for frame in session.frames}
+    return tuple(shot for shot in shots(session.plan) if shot.name not in done)
+
+
+def begin(plan_file: Path, folder: Path, resume: bool = False) -> Session:
+    """The session to capture into, open to append: a new one, or with `resume` the one that was begun, if any was.
+
+    Raises PlanError, or SessionError if the folder is not empty without `resume`, is being written by another, or was
+    begun with another plan.
+    """
+    try:
+        text = plan_file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PlanError(f"plan {plan_file}: {error}") from error
+    if not (resume and (folder / JOURNAL).exists()):
+        return Session.create(folder, text, plan_file.parent)
+    plan = parse_plan(text, plan_file.parent)
+    session = Session.append(folder)
+    if changed := _changed_keys(plan, session.plan):
+        session.close()
+        raise SessionError(
+            f"{folder} was begun with another plan, which differs in {', '.join(changed)}: "
+            f"go on with its own {folder / PLAN}, or begin a new session"
+        )
+    return session
+
+
+def capture(session: Session, devices: Devices, *, progress: Progress | None = None, ask: Ask | None = None) -> None:
+    """Take every photograph that the session still lacks. The session is open to append.
+
+    ask: how to ask a person for the lens cap, where the camera has none of its own. Device trouble is tried again
+    up to three times. Raises DeviceError, DataError for a photograph that is useless (kept in SESSION/rejected),
+    TargetError, RawError, PlanError; whatever is raised, Ctrl-C too, calling it again goes on from there.
+    """
+    try:
+        _Capture(session, devices, progress, ask).run()
+    except KeyboardInterrupt:
+        devices.rail.stop()
+        session.log("interrupted")
+        raise
+    finally:
+        shutil.rmtree(session.folder / EXPOSING, ignore_errors=True)
+
+
+class _Capture:
+    """One run: the devices, and what is known of where they stand."""
+
+    def __init__(self, session: Session, devices: Devices, progress: Progress | None, ask: Ask | None) -> None:
+        self._session = session
+        self._devices = devices
+        self._progress = progress
+        self._ask = ask
+        self._camera, self._rail = _settings(session.plan)
+        self._total = len(shots(session.plan))
+        self._first: Mosaic | None = None
+
+    def run(self) -> None:
+        todo = missing(self._session)
+        if not todo:
+            return
+        target = panel_picture(open_target(self._session.plan.target), self._devices.display.panel)
+        self._refuse_out_of_reach()
+        for frame in self._session.frames[:1]:
+            self._first = read_raw(frame.path, self._session.plan.sensor)
+        self._try("camera", self._ready_camera, lambda: None)
+        self._session.log("began", missing=len(todo), shown_size_mm=target.size_mm)
+        self._take_darks([shot for shot in todo if shot.kind == "dark"])
+        stops = [shot.range_mm for shot in todo if shot.range_mm is not None]
+        if stops:
+            self._try("rail", self._devices.rail.home, lambda: None)
+        for range_mm in dict.fromkeys(stops):
+            here = [shot for shot in todo if shot.range_mm == range_mm]
+            meta = self._go_to(range_mm)
+            self._take("white", [shot for shot in here if shot.kind == "flat"], meta)
+            self._take(target.grey, [shot for shot in here if shot.kind == "target"], meta)
+        self._session.log("complete")
+
+    def _refuse_out_of_reach(self) -> None:
+        travel = self._devices.rail.travel_mm
+        for range_mm in self._rail.ranges_mm:
+            position_mm = self._position_mm(range_mm)
+            if not travel.low_mm <= position_mm <= travel.high_mm:
+                raise PlanError(
+                    f"rail.ranges_mm has {range_mm:g} mm, rail position {position_mm:g} mm: "
+                    f"the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
+                )
+
+    def _position_mm(self, range_mm: float) -> float:
+        return (range_mm - self._rail.range_at_zero_mm) * self._rail.direction
+
+    def _ready_camera(self) -> None:
+        """Find the camera, again if it had dropped off, and set it."""
+        info = self._devices.camera.identify()
+        self._devices.camera.configure(ExposureSettings(self._camera.exposure_s, self._camera.iso))
+        self._session.log("camera", model=info.model, serial=info.serial, driver=info.driver)
+
+    def _go_to(self, range_mm: float) -> dict[str, Any]:
+        """Move and settle; what is to be noted of the place."""
+        rail, asked_mm = self._devices.rail, self._position_mm(range_mm)
+        at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
+        self._devices.wait(self._rail.settle_s)
+        measured_mm = self._rail.range_at_zero_mm + self._rail.direction * at_mm
+        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
+        self._session.log("moved", range_mm=range_mm, **meta)
+        return meta
+
+    def _take_darks(self, todo: list[Shot]) -> None:
+        if not todo:
+            return
+        self._cover(True)
+        try:
+            self._take("black", todo, {})
+        finally:
+            self._cover(False)
+
+    def _cover(self, closed: bool) -> None:
+        camera = self._devices.camera
+        if isinstance(camera, Coverable):
+            camera.cover(closed)
+        elif self._ask is not None:
+            self._ask("Put the cap on the lens" if closed else "Take the cap off the lens")
+        else:
+            raise PlanError(
+                f"camera.darks = {self._camera.darks}: dark frames need someone to cap the lens; "
+                f"run this at a terminal, or set camera.darks = 0"
+            )
+
+    def _take(self, picture: Picture, todo: list[Shot], meta: dict[str, Any]) -> None:
+        if not todo:
+            return
+        self._try("display", lambda: self._devices.display.show(picture), lambda: None)
+        for shot in todo:
+            raw = self._try("camera", lambda shot=shot: self._expose(shot), self._ready_camera)  # type: ignore[misc]
+            self._keep(raw, shot, meta)
+
+    def _expose(self, shot: Shot) -> RawFrame:
+        """Into a folder that is thrown away: only a whole photograph gets into the session."""
+        folder = self._session.folder / EXPOSING
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        return self._devices.camera.expose(folder / shot.name)
+
+    def _keep(self, raw: RawFrame, shot: Shot, meta: dict[str, Any]) -> None:
+        """Commit a photograph, or put it aside and raise if it is useless."""
+        if problem := self._problem(raw.path, shot):
+            aside = _set_aside(raw.path, self._session.folder / REJECTED)
+            self._session.log("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
+            raise problem
+        meta = {**meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
+        self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
+        if self._progress:
+            self._progress(self._total - len(missing(self._session)), self._total, shot.name)
+
+    def _problem(self, path: Path, shot: Shot) -> InputError | None:
+        """Why a photograph is useless, as the error to raise; None if it is good."""
+        plan = self._session.plan
+        what = f"{shot.name}, just taken,"
+        try:
+            mosaic = read_raw(path, plan.sensor)
+            problem = exposure_problem(mosaic, shot.kind, (channel.name for channel in plan.channel))
+        except RawError as error:
+            return error
+        first = self._first = self._first or mosaic
+        if _likeness(mosaic) != _likeness(first):
+            return RawError(f"{what} is {_likeness(mosaic)}; the session's frames are {_likeness(first)}")
+        if problem:
+            return DataError(f"{what} {problem}, then go on with --resume ({self._camera.exposure_s:g} s was set)")
+        return None
+
+    def _try(self, device: str, action: Callable[[], Result], recover: Callable[[], object]) -> Result:
+        """Do something with a device; on trouble recover and do it again, a bounded number of times."""
+        for attempt in range(1, TRIES + 1):
+            try:
+                if attempt > 1:
+                    recover()
+                return action()
+            except RailLimitError:
+                raise
+            except DeviceError as error:
+                self._session.log("trouble", device=device, attempt=attempt, error=str(error))
+                if attempt == TRIES:
+                    raise
+        raise AssertionError("unreachable: the last attempt returns or raises")
+
+
+def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
+    if plan.camera is None or plan.rail is None:
+        raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
+    return plan.camera, plan.rail
+
+
+def _likeness(mosaic: Mosaic) -> str:
+    rows, cols = mosaic.counts.shape
+    return f"{rows} × {cols} {mosaic.cfa} of {mosaic.camera or 'an unnamed camera'}"
+
+
+def _changed_keys(new: Plan, old: Plan) -> list[str]:
+    """Where two plans differ. A target's picture is compared by its content: a session has its own copy."""
+    keys = []
+    for name in Plan.model_fields:
+        ours, theirs = getattr(new, name), getattr(old, name)
+        if ours == theirs:
+            continue
+        fields = type(ours).model_fields if isinstance(ours, Table) and isinstance(theirs, Table) else {}
+        differing = [key for key in fields if getattr(ours, key) != getattr(theirs, key)]
+        if name == "target" and "file" in differing and _same_picture(new.target.file, old.target.file):
+            differing.remove("file")
+            if not differing:
+                continue
+        keys += [f"{name}.{key}" for key in differing] or [name]
+    return keys
+
+
+def _same_picture(one: Path | None, other: Path | None) -> bool:
+    return one is not None and other is not None and one.read_bytes() == other.read_bytes()
+
+
+def _set_aside(file: Path, folder: Path) -> Path:
+    """Move a file into a folder under a name that is free there."""
+    folder.mkdir(exist_ok=True)
+    aside = next(path for path in _names(folder, file) if not path.exists())
+    file.rename(aside)
+    return aside
+
+
+def _names(folder: Path, file: Path) -> Iterator[Path]:
+    number = 0
+    while True:
+        yield folder / (f"{file.stem}-{number}{file.suffix}" if number else file.name)
+        number += 1
