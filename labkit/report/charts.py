@@ -13,7 +13,7 @@ from labkit.optics.zernike import NAMES
 from labkit.plan import Plan
 from labkit.report.quantities import millimetres, plus_minus
 from labkit.report.reading import Floats, Focus, Measurement, Residuals, Wavefront
-from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, panels
+from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
 
@@ -46,12 +46,10 @@ def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, sho
             grid = np.linspace(*bounds, 300)
             above.plot(grid, curve(channel, grid), color=ink.colour, lw=1.2)
             _mark_focus(above, best.value, best.std, ink)
-        above.errorbar(
-            x, y, error, fmt=ink.marker, ms=5, color=ink.colour, mec="white", mew=0.6, capsize=2, label=label
-        )
+        _points(above, x, y, error, ink, label)
         rest = np.array(focus.residual_waves.get(channel, ()) if focus else ())
         if below is not None and rest.size == x.size:
-            dodge = (k - (len(measurement.channels) - 1) / 2) * 0.006 * (bounds[1] - bounds[0])
+            dodge = (k - (len(measurement.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
             _points(below, x + dodge, 1e3 * rest, 1e3 * error, ink, None)
     above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {measurement.reference_wavelength_nm:g} nm")
     above.legend(loc="lower right")
@@ -73,7 +71,7 @@ def _range_bounds(measurement: Measurement, focus: Focus | None, shortest_mm: fl
 
 
 def _points(axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None) -> None:
-    axes.errorbar(x, y, error, fmt="none", ecolor=ink.colour, capsize=2.5)
+    axes.errorbar(x, y, error, fmt="none", ecolor=ink.colour, elinewidth=1.2, capsize=2)
     axes.plot(x, y, ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
 
 
@@ -176,7 +174,7 @@ def mtf_chart(measurement: Measurement, ranges_mm: Sequence[float | None], plan:
     nyquist = 500.0 / plan.sensor.pixel_pitch_um
     cutoffs = [cutoff_per_mm(w.wavelength_nm, plan.lens.f_number) for w in measurement.wavefronts]
     last = min(3 * nyquist, max(cutoffs))
-    figure, axes_of = panels(len(ranges_mm), max(2, min(3, len(ranges_mm))), 2.7, sharey=True)
+    figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.7, sharey=True)
     for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
         axes.set_title(millimetres(range_mm))
         for fit in measurement.at_range(range_mm):
@@ -206,14 +204,13 @@ def _mtf_key(channels: Sequence[str], inks: dict[str, Ink]) -> list[Line2D]:
 def quantile_chart(measurement: Measurement, ranges_mm: Sequence[float | None]) -> Figure:
     """Quantiles of the normalised residuals against the normal law's, and the band that 99 % of points keep to."""
     inks = channel_inks(measurement.channels)
-    figure, axes_of = panels(len(ranges_mm), max(2, min(3, len(ranges_mm))), 2.9, sharex=True, sharey=True)
+    figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.9, sharex=True, sharey=True)
     for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
         axes.set_title(millimetres(range_mm))
         axes.axline((0, 0), slope=1, color=SOFT, lw=0.8)
-        for k, fit in enumerate(measurement.at_range(range_mm)):
-            if fit.residuals is None:
-                continue
-            normal, low, high, seen = residual_quantiles(fit.residuals)
+        drawn = [(w, w.residuals) for w in measurement.at_range(range_mm) if w.residuals is not None]
+        for k, (fit, residuals) in enumerate(drawn):
+            normal, low, high, seen = residual_quantiles(residuals)
             if k == 0:
                 axes.fill_between(normal, low, high, color=FAINT, lw=0)
             ink = inks[fit.channel]

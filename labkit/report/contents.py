@@ -104,7 +104,7 @@ def _checks(m: Measurement) -> list[dict[str, Any]]:
         text = f"{len(rejected)} of {len(tested)} optima rejected as local minima: {names}"
         checks.append({"good": False, "text": text})
     elif tested:
-        checks.append({"good": True, "text": f"all {len(tested)} optima pass the test for a local minimum"})
+        checks.append({"good": True, "text": f"{_all(len(tested))} the test for a local minimum"})
     untested = len(m.wavefronts) - len(tested)
     if untested:
         checks.append({"good": False, "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested"})
@@ -119,6 +119,10 @@ def _checks(m: Measurement) -> list[dict[str, Any]]:
         text = f"focus fit leaves {fixed(1e3 * float(np.sqrt(np.mean(rest**2))), 1)} milliwaves RMS"
         checks.append({"good": True, "text": text})
     return checks
+
+
+def _all(count: int) -> str:
+    return "the optimum passes" if count == 1 else f"all {count} optima pass"
 
 
 CHI2_USUAL = (0.9, 1.5)
@@ -173,10 +177,9 @@ def _test(verdict: Verdict | None) -> str:
     return ", ".join(words)
 
 
-def _poses(fit: Wavefront) -> list[str]:
-    if not fit.pose.size:
-        return [UNKNOWN]
-    return ["   ".join(f"{v:.4g}" for v in pose).replace("-", MINUS) for pose in np.atleast_2d(fit.pose)]
+def _poses(fit: Wavefront) -> list[list[str]]:
+    poses = np.atleast_2d(fit.pose) if fit.pose.size else np.empty((0, 0))
+    return [[f"{v:.4g}".replace("-", MINUS) for v in pose] for pose in poses]
 
 
 def _mode_table(m: Measurement, range_mm: float | None) -> dict[str, Any]:
@@ -236,8 +239,8 @@ def _provenance(m: Measurement, plan: Plan) -> list[tuple[str, str]]:
             "Signs",
             "optical path difference; positive defocus: the target lies beyond best focus. A wavefront and its twin, "
             "turned by half a turn and negated, give the same image: the common sign of all modes of even order is "
-            "chosen, so that defocus grows with range",
+            "chosen, so that defocus grows with range where there are several",
         ),
         ("Standard errors", "from the inverse Fisher information of the identifiable parameters"),
-        ("Frames", f"{len(frames)}: {', '.join(frames)}" if frames else UNKNOWN),
+        ("Frames", f"{len(frames)}, listed above under “How they were fitted”" if frames else UNKNOWN),
     ]

@@ -58,7 +58,7 @@ def _file_name(*parts: object) -> str:
 
 
 def _focus(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
-    if not any(w.range_mm is not None and w.defocus for w in measurement.wavefronts):
+    if len({w.range_mm for w in measurement.wavefronts if w.range_mm is not None and w.defocus}) < 2:
         return
     focus = measurement.focus
     if measurement.convention not in get_args(Convention):

@@ -1,13 +1,13 @@
 """The report: one HTML file that needs nothing else, and its figures as files beside it."""
 
 import os
-import tempfile
 from base64 import b64encode
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from labkit.errors import InputError
 from labkit.plan import Plan, load_plan
 from labkit.report.contents import contents
 from labkit.report.figures import Drawn, draw_figures
@@ -19,14 +19,18 @@ def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
     """Write report.html and figures/ into a results folder; returns the report's path.
 
     plan: what was measured; by default the plan of the session that the results folder lies in.
-    Raises DataError where the folder holds no results, PlanError where the plan cannot be read.
+    Raises DataError where the folder holds no results, PlanError where the plan cannot be read, and InputError where
+    the folder cannot be written to.
     """
     measurement = read_measurement(results_folder)
     if plan is None:
-        plan = load_plan(results_folder / ".." / ".." / "plan.toml")
+        plan = load_plan(results_folder.resolve().parents[1] / "plan.toml")
     drawn = draw_figures(measurement, plan)
     figures = results_folder / "figures"
-    figures.mkdir(exist_ok=True)
+    try:
+        figures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {figures}: {error.strerror}") from error
     for figure in (figure for section in drawn.values() for figure in section):
         _write_whole(figures / f"{figure.name}.png", figure.png)
         if figure.svg is not None:
@@ -62,14 +66,14 @@ def _data_uri(figure: Drawn) -> str:
 
 def _write_whole(path: Path, content: bytes) -> None:
     """Write beside the path, flush to the disk, then rename: a reader sees the old file or the new one."""
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with beside.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(beside, 0o644)  # mkstemp leaves it to its owner alone
         os.replace(beside, path)
-    except BaseException:
-        os.unlink(beside)
-        raise
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        beside.unlink(missing_ok=True)

@@ -88,8 +88,7 @@ def psf_picture(
 ) -> Figure:
     """PSFs on one grid, rows channels and columns ranges, all of one extent; each stretched to its own peak."""
     channels, inks = measurement.channels, channel_inks(measurement.channels)
-    columns = max(len(ranges_mm), 3)
-    side = min(WIDTH_IN / columns, 2.2)
+    side = min(WIDTH_IN / max(len(ranges_mm), 4), 2.2)
     figure = Figure(figsize=(side * len(ranges_mm) + 0.3, side * len(channels) + 0.3), layout="constrained")
     grid = figure.subplots(len(channels), len(ranges_mm), squeeze=False)
     found = {(w.channel, w.range_mm): w for w in measurement.wavefronts}

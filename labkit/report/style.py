@@ -89,8 +89,15 @@ def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[F
     return figure, list(grid[:count])
 
 
-def in_groups(items: Sequence[Any], size: int) -> list[Sequence[Any]]:
-    """The items, so many at a time: a figure must fit on a page."""
+def columns_for(count: int) -> int:
+    """Columns of panels that leave few places empty."""
+    return 2 if count in (1, 2, 4) else 3
+
+
+def in_groups(items: Sequence[Any], most: int) -> list[Sequence[Any]]:
+    """The items in groups of nearly one size, each no larger than `most`: a figure must fit on a page."""
+    groups = max(1, -(-len(items) // most))
+    size = max(1, -(-len(items) // groups))
     return [items[k : k + size] for k in range(0, len(items), size)]
 
 
