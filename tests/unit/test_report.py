@@ -250,7 +250,7 @@ def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pyt
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(InputError, match="cannot write .*No space"):
+    with pytest.raises(InputError, match=r"cannot write .*No space"):
         write_report(folder)
     assert (folder / "report.html").read_text() == "old"
     assert not [p for p in folder.rglob("*") if p.name.startswith(".")]
