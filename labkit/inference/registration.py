@@ -6,7 +6,7 @@ Corners are (4, 2) arrays of (row, col) in pixels, pixel centres at integers, in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -45,14 +45,21 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class _Template:
-    """The target rendered on a regular grid, `margin` pixels of its surround with it; corners (4, 2) in the grid."""
+    """The target rendered on a regular grid, and the part of it that is compared; corners (4, 2) in that part's pixels.
+
+    The part holds some of the surround where that is known, and keeps off the target's rim where it is not.
+    """
 
     sharp: Singles
-    inside: tuple[slice, slice]
+    part: tuple[slice, slice]
     corners: Floats
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.sharp[self.part].shape[0], self.sharp[self.part].shape[1]
+
     def blurred(self, sigma: float) -> Singles:
-        return _blur(self.sharp, sigma)
+        return _blur(self.sharp, sigma)[self.part]
 
 
 def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, Agreement]:
@@ -62,19 +69,21 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
     PAMI 30, 2008), against the target at that one of a few blurs which agrees best.
     """
     factor = max(1, round(_side(corners) / WORKING_SIDE))
-    picture, at = _binned(image, factor), (corners + 0.5) / factor - 0.5
+    picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))
-    for blur, light in ((max(BLURS[1], _side(at) / 80), 15), (None, 9), (None, 5)):
-        sigma = _best_blur(picture, template, at) if blur is None else blur
-        at = _ecc(picture, template, at, sigma, light)
-    agreement = _agreement(picture, template, at, _best_blur(picture, template, at))
-    return (at + 0.5) * factor - 0.5, agreement
+    at_first = at.copy()
+    sigma = max(BLURS[1], _side(at) / 80)
+    for light in (15, 9, 5):
+        at = _ecc(picture, _lit(picture, template, at, sigma), at, sigma, light)
+        sigma = _best_blur(picture, template, at)
+    agreement = _agreement(picture, template, at, sigma)
+    return corners + (at - at_first) * factor, agreement
 
 
 def quick_agreement(image: Singles, target: Target, corners: Floats, side: int = 81) -> float:
     """Correlation over the target at a coarse scale, 0 where most of it lies outside the picture."""
     factor = max(1, round(_side(corners) / side))
-    picture, at = _binned(image, factor), (corners + 0.5) / factor - 0.5
+    picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))
     return _agreement(picture, template, at, BLURS[1]).whole
 
@@ -95,7 +104,7 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
             # the large target's corners in the small one's units, which reach from -1 to 1
             large = _mapped(image_from_small, 3 * unit - np.array([row, col]))
             factor = max(1, round(_side(large) / 243))
-            picture, at = _binned(image, factor), (large + 0.5) / factor - 0.5
+            picture, at = binned(image, factor), (large + 0.5) / factor - 0.5
             template = _render(target, _side(at))
             hidden = (corners + 0.5) / factor - 0.5
             best = max(best, _agreement(picture, template, at, BLURS[1], hidden).whole)
@@ -107,30 +116,41 @@ def _side(corners: Floats) -> float:
     return float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
 
 
-def _binned(image: Singles, factor: int) -> Singles:
+def binned(image: Singles, factor: int) -> Singles:
+    """Means over factor × factor pixels; what is left over at the end is dropped."""
     if factor == 1:
         return image
     rows, cols = image.shape[0] // factor, image.shape[1] // factor
-    return cv2.resize(image[: rows * factor, : cols * factor], (cols, rows), interpolation=cv2.INTER_AREA)  # type: ignore[no-any-return]
+    whole = image[: rows * factor, : cols * factor]
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _prepared(image: Singles, corners: Floats, factor: int) -> tuple[Singles, Floats]:
+    """The neighbourhood of a quadrilateral, binned, and the quadrilateral in its pixels."""
+    reach = 0.3 * _side(corners)
+    low = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
+    high = np.maximum(np.ceil(corners.max(axis=0) + reach), low + 2 * factor).astype(int)
+    return binned(image[low[0] : high[0], low[1] : high[1]], factor), (corners - low + 0.5) / factor - 0.5
 
 
 def _render(target: Target, side_px: float) -> _Template:
     height, width = target.size_mm
     spacing = (height + width) / 2 / side_px
     rows, cols = max(9, round(height / spacing)), max(9, round(width / spacing))
-    margin = 0 if target.surround is None else max(4, round(0.06 * side_px))
-    y = (np.arange(-margin, rows + margin) + 0.5) / rows - 0.5
-    x = (np.arange(-margin, cols + margin) + 0.5) / cols - 0.5
-    sharp = target.sample(y * height, x * width, 0.4 / spacing).astype(np.float32)
-    low, high, right = margin - 0.5, margin + rows - 0.5, margin + cols - 0.5
-    corners = np.array([[low, low], [low, right], [high, right], [high, low]])
-    return _Template(sharp, (slice(margin, margin + rows), slice(margin, margin + cols)), corners)
+    rim = max(4, round(0.06 * side_px))
+    y = (np.arange(-rim, rows + rim) + 0.5) / rows - 0.5
+    x = (np.arange(-rim, cols + rim) + 0.5) / cols - 0.5
+    sharp = np.asarray(target.sample(y * height, x * width, 0.4 / spacing), dtype=np.float32)
+    cut = 2 * rim if target.surround is None else 0
+    low, bottom, right = rim - cut - 0.5, rim - cut + rows - 0.5, rim - cut + cols - 0.5
+    corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
+    return _Template(sharp, (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut)), corners)
 
 
 def _homography(source: Floats, destination: Floats) -> Floats:
     """The 3×3 map of (x, y) that takes four (row, col) points to four others."""
-    flip = [np.ascontiguousarray(points[:, ::-1], dtype=np.float32) for points in (source, destination)]
-    return np.asarray(cv2.getPerspectiveTransform(*flip), dtype=np.float64)
+    x_y = [np.ascontiguousarray(points[:, ::-1], dtype=np.float32) for points in (source, destination)]
+    return np.asarray(cv2.getPerspectiveTransform(x_y[0], x_y[1]), dtype=np.float64)
 
 
 def _mapped(homography: Floats, points: Floats) -> Floats:
@@ -140,15 +160,16 @@ def _mapped(homography: Floats, points: Floats) -> Floats:
 
 
 def _blur(image: Singles, sigma: float) -> Singles:
-    return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)  # type: ignore[no-any-return]
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
 
 def _ecc(picture: Singles, template: _Template, corners: Floats, sigma: float, light: int) -> Floats:
     start = _homography(template.corners, corners).astype(np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-6)
     try:
+        everywhere = np.ones(picture.shape, np.uint8)
         _, found = cv2.findTransformECC(
-            template.blurred(sigma), picture, start, cv2.MOTION_HOMOGRAPHY, criteria, None, light
+            template.blurred(sigma), picture, start, cv2.MOTION_HOMOGRAPHY, criteria, everywhere, light
         )
     except cv2.error:  # it did not converge: then the agreement tells
         return corners
@@ -160,17 +181,34 @@ def _ecc(picture: Singles, template: _Template, corners: Floats, sigma: float, l
 def _aligned(picture: Singles, template: _Template, corners: Floats) -> tuple[Singles, NDArray[np.bool_]]:
     """The picture on the template's grid, lightly blurred, and where it has any."""
     image_from_template = _homography(template.corners, corners)
-    size = template.sharp.shape[::-1]
+    size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     seen = cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how) > 0.99
     warped = cv2.warpPerspective(picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return _blur(warped, LIGHT_BLUR), seen
+    return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), seen
+
+
+def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -> _Template:
+    """The template under the light that the picture shows: a plane in row and column, plus a constant."""
+    warped, seen = _aligned(picture, template, corners)
+    expected = template.blurred(sigma)
+    y, x = (
+        np.linspace(-1, 1, n, dtype=np.float32)[span]
+        for n, span in zip(template.sharp.shape, template.part, strict=True)
+    )
+    columns = (expected, expected * y[:, None], expected * x[None, :], np.ones_like(expected))
+    design = np.stack([column[seen] for column in columns], axis=1).astype(np.float64)
+    fitted = np.linalg.lstsq(design.T @ design, design.T @ warped[seen].astype(np.float64), rcond=1e-9)[0]
+    y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in template.sharp.shape)
+    light = fitted[0] + fitted[1] * y[:, None] + fitted[2] * x[None, :]
+    if not light.min() > 0.1 * light.max():  # no light that a lamp could throw: rather none than a wild one
+        return template
+    return replace(template, sharp=(template.sharp * light).astype(np.float32))
 
 
 def _best_blur(picture: Singles, template: _Template, corners: Floats) -> float:
     warped, seen = _aligned(picture, template, corners)
-    light = _blur(template.sharp, LIGHT_BLUR)
-    return max(BLURS, key=lambda sigma: _correlation(warped, _blur(light, sigma), seen))
+    return max(BLURS, key=lambda sigma: _correlation(warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), seen))
 
 
 def _agreement(
@@ -181,8 +219,7 @@ def _agreement(
         at = _mapped(_homography(corners, template.corners), hidden)
         covered = cv2.fillConvexPoly(np.zeros(seen.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1)
         seen &= covered == 0
-    expected = _blur(_blur(template.sharp, LIGHT_BLUR), sigma)
-    warped, seen, expected = (whole[template.inside] for whole in (warped, seen, expected))
+    expected = template.blurred(np.hypot(sigma, LIGHT_BLUR))
     contrast = float(expected.std())
     parts = []
     for rows in np.array_split(np.arange(seen.shape[0]), 3):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from labkit.inference.registration import binned
 from labkit.target import CellTarget, Target
 
 Floats = NDArray[np.float64]
@@ -18,6 +19,9 @@ LEVELS = (0.75, 0.65, 0.55, 0.45, 0.35)
 """Thresholds tried, as fractions of the picture's range."""
 
 LEAST_SIDE_PX = 6.0
+
+SEARCH_SIDE = 1200
+"""A picture of more than twice this many pixels across is binned down before it is searched."""
 
 
 def central_square(target: Target) -> float | None:
@@ -46,10 +50,14 @@ def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
 
     image: (rows, cols), about 0..1. Yields (4, 2) corners (row, col), the order of least rotation.
     """
+    factor = max(1, max(image.shape) // SEARCH_SIDE)
+    image = binned(image, factor)
     quads: list[Floats] = []
     for binary in _thresholded(image):
         contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        quads += [quad for contour in contours if (quad := _quadrilateral(contour)) is not None]
+        quads += [
+            quad for contour in contours if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
+        ]
     quads.sort(key=_area, reverse=True)
     distinct: list[Floats] = []
     for quad in quads:
@@ -60,7 +68,7 @@ def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
         widened = cv2.perspectiveTransform(
             (unit / side_fraction)[None], cv2.getPerspectiveTransform(unit, quad.astype(np.float32))
         )[0]
-        yield widened[:, ::-1].astype(np.float64)
+        yield (widened[:, ::-1].astype(np.float64) + 0.5) * factor - 0.5
 
 
 def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
@@ -68,9 +76,9 @@ def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
     for level in LEVELS:
         yield (smooth > level).astype(np.uint8)
     # uneven light: against the mean of the neighbourhood
-    for divisor in (4, 12):
-        width = max(5.0, min(image.shape) / divisor)
-        yield (smooth > cv2.GaussianBlur(smooth, (0, 0), width) + 0.05).astype(np.uint8)
+    for divisor in (2, 5):
+        width = max(9, min(image.shape) // divisor)
+        yield (smooth > cv2.blur(smooth, (width, width)) + 0.05).astype(np.uint8)
 
 
 def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
@@ -95,7 +103,7 @@ def _fitted_sides(points: Floats, corners: Floats) -> Floats:
     lines = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (points - start) @ (end - start) / np.sum((end - start) ** 2)
-        across = np.abs(np.cross(end - start, points - start)) / np.linalg.norm(end - start)
+        across = np.abs(_cross(end - start, points - start)) / np.linalg.norm(end - start)
         side = points[(along > 0.2) & (along < 0.8) & (across < 0.15 * np.linalg.norm(end - start))]
         if len(side) < 3:
             return corners
@@ -113,10 +121,15 @@ def _fitted_sides(points: Floats, corners: Floats) -> Floats:
 
 def _least_rotation(corners: Floats) -> Floats:
     """Clockwise on the screen (x right, y down), the first side pointing as nearly right as any."""
-    if np.cross(corners[1] - corners[0], corners[2] - corners[1]) < 0:
+    if _cross(corners[1] - corners[0], corners[2] - corners[1]) < 0:
         corners = corners[::-1]
     sides = np.roll(corners, -1, axis=0) - corners
     return np.roll(corners, -int(np.argmax(sides[:, 0] / np.linalg.norm(sides, axis=1))), axis=0)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Third component of the vector product of (..., 2) vectors."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _area(corners: Floats) -> float:
