@@ -22,7 +22,8 @@ from labkit.plan import Plan, load_plan
 from labkit.target import open_target
 
 COLUMNS = ("file", "kind", "range_mm")
-Progress = Callable[[str, int, int], None]
+Progress = Callable[[int, int, str], None]
+"""Told (steps done, steps in all, name of the step)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +39,11 @@ class Row:
 
 
 def import_frames(
-    csv_path: Path, plan_path: Path, session_folder: Path, progress: Progress = lambda what, done, of: None
+    csv_path: Path, plan_path: Path, session_folder: Path, progress: Progress = lambda done, total, step: None
 ) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
-    progress is called with what is being done, how many are done, and of how many. Returns the session, open to read.
+    Returns the session, open to read.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.
     """
@@ -56,7 +57,7 @@ def import_frames(
         with Session.create(beside, plan_path.read_text(encoding="utf-8"), plan_path.parent) as session:
             names = _names(rows)
             for done, (row, name, (exposure_s, iso)) in enumerate(zip(rows, names, mosaics, strict=True)):
-                progress("copying", done, len(rows))
+                progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
                 meta: dict[str, Any] = {"exposure_s": exposure_s, "iso": iso, "origin": row.file}
                 if row.further:
                     meta["columns"] = row.further
@@ -156,7 +157,7 @@ def _check_photographs(
     problems = []
     first: Mosaic | None = None
     for done, row in enumerate(rows):
-        progress("checking", done, len(rows))
+        progress(done, 2 * len(rows), f"checking {row.file}")
         try:
             mosaic = read_raw(row.path, plan.sensor)
         except RawError as error:

@@ -19,7 +19,7 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal, Self, cast
 
 from labkit import __version__
-from labkit.errors import SessionError
+from labkit.errors import PlanError, SessionError
 from labkit.lab.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically
 from labkit.lab.journal import Event, JournalWriter, read_journal
 from labkit.plan import Plan, load_plan, parse_plan
@@ -243,6 +243,30 @@ def refuse_existing(folder: Path) -> None:
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         hint = "; to go on with it, use --resume" if (folder / JOURNAL).exists() else ""
         raise SessionError(f"{folder} is there already: give a new folder{hint}")
+
+
+def begin(plan_path: Path, folder: Path, resume: bool) -> Session:
+    """A session to capture into: a new one, or with `resume` the one in `folder` if there is one.
+
+    Raises SessionError where a session is there unasked, PlanError where it was begun with another plan.
+    """
+    plan = load_plan(plan_path)
+    if not resume or not (folder / JOURNAL).exists():
+        return Session.create(folder, plan_path.read_text(encoding="utf-8"), plan_path.parent)
+    session = Session.append(folder)
+    if changed := _changes(session.plan, plan):
+        session.close()
+        tables = ", ".join(f"[{name}]" for name in changed)
+        raise PlanError(f"plan {plan_path} differs in {tables} from what {folder} was begun with: {folder / PLAN}")
+    return session
+
+
+def _changes(begun: Plan, now: Plan) -> list[str]:
+    """The tables in which two plans differ, a target's picture compared by content."""
+    plans = [begun, now]
+    if begun.target.file and now.target.file and sha256_of(begun.target.file) == sha256_of(now.target.file):
+        plans = [plan.model_copy(update={"target": plan.target.model_copy(update={"file": None})}) for plan in plans]
+    return [name for name in Plan.model_fields if getattr(plans[0], name) != getattr(plans[1], name)]
 
 
 def _changed(path: Path, sha256: str) -> list[str]:

@@ -48,7 +48,8 @@ def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
 def exposure_problem(mosaic: Mosaic, kind: Kind, channels: Iterable[str]) -> str | None:
     """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
-        for row, col in mosaic.places(name):
+        places = mosaic.places(name)
+        for row, col in places if mosaic.cfa != "mono" else places[:1]:
             problem = _plane_problem(mosaic, kind, row, col)
             if problem:
                 return problem if mosaic.cfa == "mono" else f"{problem}, in channel {name}"

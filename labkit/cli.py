@@ -1,0 +1,283 @@
+"""The command line: wiring only. Exit status 0 done, 1 failed, 2 wrong usage or bad input, 130 interrupted."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from labkit import __version__
+from labkit.console import Console, error_line
+from labkit.errors import LabkitError
+
+# What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
+
+GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
+
+app = typer.Typer(
+    help="Measure a camera's optics from photographs of a known target.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+target_app = typer.Typer(help="Targets to print or to show.", no_args_is_help=True)
+app.add_typer(target_app, name="target")
+
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what to do and with what")]
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="the session's folder")]
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(args: Sequence[str]) -> int:
+    """Run a command line; returns the exit status. --debug, --quiet and --json may stand anywhere before a "--"."""
+    end = args.index("--") if "--" in args else len(args)
+    flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
+    rest = [arg for arg in args[:end] if arg not in GLOBAL_FLAGS] + list(args[end:])
+    console = Console()
+    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it logs what it raises as well
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        status = typer.main.get_command(app).main(
+            [*flags, *rest], prog_name="labkit", standalone_mode=False, obj=console
+        )
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # whoever read our output has had enough; Python must not complain about it again on exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except BaseException as error:
+        return _failed(error, console)
+    if status == 130:
+        return _interrupted(console)
+    return status if isinstance(status, int) else 0
+
+
+def _failed(error: BaseException, console: Console) -> int:
+    """Say what went wrong, in one line; returns the exit status."""
+    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
+        return _interrupted(console)
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if console.debug:
+        traceback.print_exception(error)
+    if isinstance(error, TyperException):
+        usage = error.format_message()
+        if "\n" in usage:  # the help that a bare command prints
+            print(usage, file=sys.stderr)
+        else:
+            error_line(f"{usage} See labkit --help.")
+        return error.exit_code
+    if isinstance(error, LabkitError):
+        error_line(error)
+        return error.exit_status
+    if isinstance(error, OSError):
+        error_line(f"{error.filename or 'the system'}: {error.strerror or error}")
+        return 1
+    error_line(f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where")
+    return 1
+
+
+def _interrupted(console: Console) -> int:
+    error_line(f"interrupted{console.hint}")
+    return 130
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"labkit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    ctx: typer.Context,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """Options of every command; they may stand after it too."""
+    ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json
+
+
+@app.command()
+def demo(
+    ctx: typer.Context,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; by default a new labkit-demo.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Which lens, sensor, rail and noise.")] = 1,
+) -> None:
+    """A whole session on simulated devices, to the report; prints the truth beside the estimate."""
+    from labkit.demo import new_folder, run_demo
+
+    console: Console = ctx.obj
+    folder = out or new_folder(Path("labkit-demo"))
+    comparison = run_demo(folder, seed, console.progress)
+    console.table([["quantity", "truth", "estimate", "std. error", "error/std."], *comparison.rows()])
+    console.say(f"report: {comparison.report}")
+    console.answer(comparison.as_json())
+
+
+@app.command()
+def devices(ctx: typer.Context) -> None:
+    """What is connected, and which drivers are installed."""
+    from labkit.lab.connected import look_around
+
+    console: Console = ctx.obj
+    found = look_around()
+    for title, rows in (
+        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in found.usb]),
+        ("Serial ports", [[port.path, port.name] for port in found.serial]),
+        ("Installed drivers", [[device, ", ".join(f"{n}:" for n in names)] for device, names in found.drivers.items()]),
+    ):
+        console.say(title)
+        console.table(rows or [["none"]], indent="  ")
+    for note in found.notes:
+        console.warn(note)
+    console.answer(asdict(found))
+
+
+@target_app.command("render")
+def target_render(
+    ctx: typer.Context,
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="a plan, or sierpinski:order=5,size_mm=46.8")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="what to write: .png or .pdf")],
+    dpi: Annotated[float | None, typer.Option(help="Raster in dots per inch.")] = None,
+    pixels: Annotated[int | None, typer.Option(help="Raster in dots along the height, instead of --dpi.")] = None,
+) -> None:
+    """A target as a picture of its true size."""
+    from labkit.target import open_target
+    from labkit.target_file import read_spec, render_file
+
+    console: Console = ctx.obj
+    made = render_file(open_target(read_spec(spec)), file, dpi=dpi, pixels=pixels)
+    height, width = made.size_mm
+    console.say(f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm")
+    for note in made.notes:
+        console.say(note)
+    console.answer({**asdict(made), "path": str(made.path)})
+
+
+@app.command()
+def capture(
+    ctx: typer.Context,
+    plan: PlanPath,
+    session: SessionPath,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")] = False,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Use simulated devices, whatever the plan names.")
+    ] = False,
+) -> None:
+    """Run a plan: flats and photographs of the target at every range."""
+    from labkit.lab.capture import capture as run_capture
+    from labkit.lab.discover import open_devices
+    from labkit.lab.session import begin
+    from labkit.plan import load_plan
+
+    console: Console = ctx.obj
+    with (
+        open_devices(load_plan(plan), "simulated:" if simulate else None) as bench,
+        begin(plan, session, resume) as opened,
+        console.progress("capturing") as report,
+    ):
+        again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *["--simulate"][: int(simulate)]])
+        console.hint = f"; every photograph so far is safe, go on with: {again}"
+        for warning in opened.warnings:
+            console.warn(warning)
+        run_capture(opened, bench, progress=report, ask=_ask if sys.stdin.isatty() else None)
+        frames = len(opened.frames)
+    console.say(f"{session}: {frames} frames")
+    console.answer({"session": str(session), "frames": frames})
+
+
+def _ask(request: str) -> None:
+    typer.prompt(f"{request}, then press Enter", default="", show_default=False, err=True)
+
+
+@app.command("import")
+def import_(
+    ctx: typer.Context,
+    frames: Annotated[Path, typer.Argument(metavar="FRAMES.csv", help="file,kind,range_mm of each photograph")],
+    plan: PlanPath,
+    session: SessionPath,
+) -> None:
+    """Make a session of photographs taken elsewhere."""
+    from labkit.lab.importing import import_frames
+
+    console: Console = ctx.obj
+    with console.progress("importing") as report:
+        made = import_frames(frames, plan, session, report)
+    kinds = {kind: sum(frame.kind == kind for frame in made.frames) for kind in ("target", "flat", "dark", "bias")}
+    console.say(f"{session}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count))
+    console.answer({"session": str(session), "frames": len(made.frames), "kinds": kinds})
+
+
+@app.command()
+def verify(ctx: typer.Context, session: SessionPath) -> None:
+    """Check every frame against its checksum, and the journal against the folder."""
+    from labkit.lab.session import Session
+    from labkit.lab.session import verify as find_problems
+
+    console: Console = ctx.obj
+    opened = Session.open(session)
+    problems = find_problems(opened)
+    for warning in opened.warnings:
+        console.warn(warning)
+    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems})
+    if problems:
+        raise LabkitError(f"{session}: {'; '.join(problems)}")
+    console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
+
+
+@app.command()
+def fit(
+    ctx: typer.Context,
+    session: SessionPath,
+    range_mm: Annotated[float | None, typer.Option("--range", metavar="MM", help="Only this range.")] = None,
+    channel: Annotated[str | None, typer.Option(metavar="NAME", help="Only this channel.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+) -> None:
+    """Flat field, wavefronts, best focus."""
+    from labkit.lab.session import Session
+    from labkit.products.wavefront import fit_session
+    from labkit.summary import focus_rows, read_results, wavefront_rows
+
+    console: Console = ctx.obj
+    opened = Session.open(session)
+    for warning in opened.warnings:
+        console.warn(warning)
+    with console.progress("fitting") as report:
+        fit_session(opened, range_mm=range_mm, channel=channel, workers=workers, progress=report)
+    results: dict[str, Any] = read_results(opened.results_folder())
+    for warning in results["warnings"]:
+        console.warn(warning)
+    console.table(wavefront_rows(results))
+    console.table(focus_rows(results))
+    console.say(f"results: {opened.results_folder() / 'results.json'}")
+    console.answer(results)
+
+
+@app.command()
+def report(ctx: typer.Context, session: SessionPath) -> None:
+    """The measurement as one HTML page with figures."""
+    from labkit.lab.session import Session
+    from labkit.report.html import write_report
+
+    console: Console = ctx.obj
+    made = write_report(Session.open(session).results_folder())
+    console.say(f"report: {made}")
+    console.answer({"report": str(made)})

@@ -1,0 +1,73 @@
+"""What the command line prints: text or JSON on stdout, errors and progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console as Terminal
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Report = Callable[[int, int, str], None]
+"""Told (steps done, steps in all, name of the step)."""
+
+
+@dataclass(slots=True)
+class Console:
+    """How to speak to whoever ran the command. hint: what to say to someone who pressed Ctrl-C."""
+
+    quiet: bool = False
+    json: bool = False
+    debug: bool = False
+    hint: str = ""
+
+    def say(self, text: str) -> None:
+        """A line for people: not with --quiet or --json."""
+        if not (self.quiet or self.json):
+            print(text)
+
+    def answer(self, data: dict[str, Any]) -> None:
+        """What was asked for, as JSON: only with --json."""
+        if self.json:
+            print(json.dumps(data, indent=1, ensure_ascii=False))
+
+    def warn(self, text: str) -> None:
+        """A line on stderr that does not stop anything: not with --quiet."""
+        if not self.quiet:
+            print(f"labkit: warning: {text}", file=sys.stderr)
+
+    def table(self, rows: Sequence[Sequence[str]], indent: str = "") -> None:
+        """Rows in aligned columns; the first row is the heading."""
+        widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+        for row in rows:
+            cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+            self.say((indent + "  ".join(cells)).rstrip())
+
+    @contextmanager
+    def progress(self, doing: str) -> Iterator[Report]:
+        """A bar with the time left, on a terminal; nothing elsewhere."""
+        terminal = Terminal(stderr=True)
+        if self.quiet or not terminal.is_terminal:
+            yield lambda done, total, step: None
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[step]}"),
+        )
+        with Progress(*columns, console=terminal, transient=True) as bar:
+            task = bar.add_task(doing, total=None, step="")
+            yield lambda done, total, step: bar.update(task, completed=done, total=total, step=step)
+
+
+def error_line(text: object) -> None:
+    """One line on stderr, whatever the message holds."""
+    print(f"labkit: {' '.join(str(text).split())}", file=sys.stderr)

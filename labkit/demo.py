@@ -1,0 +1,157 @@
+"""The main job on simulated devices, and the truth beside the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from labkit.lab.capture import capture
+from labkit.lab.devices import Room
+from labkit.lab.discover import open_devices
+from labkit.lab.session import Session, refuse_existing
+from labkit.plan import parse_plan
+from labkit.products.wavefront import fit_session
+from labkit.report.html import write_report
+from labkit.summary import read_results
+
+PLAN = """\
+# The demo: a 70 mm f/2.8 lens at three ranges, three colours, a carpet of order 5 on a panel.
+[lens]
+focal_length_mm = 70.0
+f_number = 2.8
+
+[sensor]
+pixel_pitch_um = 4.78
+
+[[channel]]
+name = "R"
+wavelength_nm = 650.0
+
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+
+[[channel]]
+name = "B"
+wavelength_nm = 450.0
+
+[target]
+kind = "sierpinski"
+order = 5
+size_mm = 46.8
+
+[fit]
+zernike_noll = [4, 15]
+
+[camera]
+address = "{address}"
+exposure_s = 0.02
+iso = 100
+frames_per_range = 4
+flats_per_range = 8
+darks = 8
+
+[rail]
+address = "{address}"
+ranges_mm = [3000, 3200, 3300]
+range_at_zero_mm = 2950.0
+direction = 1
+settle_s = 1.0
+
+[display]
+address = "{address}"
+panel = "ipad-9.7-retina"
+"""
+
+Report = Callable[[int, int, str], None]
+Progress = Callable[[str], AbstractContextManager[Report]]
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A quantity as it truly is and as it was estimated."""
+
+    quantity: str
+    unit: str
+    truth: float
+    estimate: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What the demo found, and where it is shown."""
+
+    compared: tuple[Compared, ...]
+    report: Path
+
+    def rows(self) -> list[list[str]]:
+        """Quantity, truth, estimate, standard error, error over standard error."""
+        return [
+            [
+                f"{c.quantity} / {c.unit}" if c.unit else c.quantity,
+                f"{c.truth:.4f}",
+                f"{c.estimate:.4f}",
+                f"{c.std:.4f}",
+                f"{(c.estimate - c.truth) / c.std:+.1f}",
+            ]
+            for c in self.compared
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it, for --json."""
+        return {"report": str(self.report), "compared": [asdict(c) for c in self.compared]}
+
+
+def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
+    """Capture, fit and report a session on the simulated bench of that seed.
+
+    progress: makes, for the name of a stage, a context that gives a function to be told (done, total, step).
+    Raises SessionError if `folder` is there already.
+    """
+    refuse_existing(folder)
+    text = PLAN.format(address=f"simulated:seed={seed}")
+    room = Room()
+    with (
+        open_devices(parse_plan(text, Path()), room=room) as devices,
+        Session.create(folder, text, Path()) as session,
+        progress("capturing") as report,
+    ):
+        capture(session, devices, progress=report)
+    session = Session.open(folder)
+    with progress("fitting") as report:
+        fit_session(session, progress=report)
+    results_folder = session.results_folder()
+    # the bench is a driver's: all that is known of it here is that it can tell the truth
+    (bench,) = room.shared.values()
+    compared = tuple(compare(read_results(results_folder), bench.truth))
+    return Comparison(compared, write_report(results_folder))
+
+
+def compare(results: dict[str, Any], truth: Any) -> Iterator[Compared]:
+    """Each estimate of results.json beside its truth: best focus, defocus, magnification, gain, read noise."""
+    focus = results["focus"]
+    for channel, best in (focus or {"best_focus_mm": {}})["best_focus_mm"].items():
+        yield Compared(f"best focus {channel}", "mm", truth.best_focus_mm[channel], best["value"], best["std"])
+    if focus:
+        mp = focus["pupil_magnification"]
+        yield Compared("pupil magnification", "", truth.pupil_magnification, mp["value"], mp["std"])
+    visits = {visit.range_mm: visit for visit in truth.visits}
+    for fit in results["wavefronts"]:
+        if 4 in fit["noll"] and fit["range_mm"] in visits:
+            at = fit["noll"].index(4)
+            true = visits[fit["range_mm"]].defocus_waves[fit["channel"]]
+            name = f"defocus {fit['channel']} at {fit['range_mm']:g} mm"
+            yield Compared(name, "waves RMS", true, fit["waves_rms"][at], fit["std"][at])
+
+
+def new_folder(base: Path) -> Path:
+    """`base`, or the first of base-2, base-3, … that is free: what is there is never overwritten."""
+    number, folder = 1, base
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder
