@@ -137,7 +137,7 @@ class Bench:
             amounts = own * lens.aberration_waves / np.linalg.norm(own)
             self._modes[colour] = dict(zip(FIXED_MODES, amounts.tolist(), strict=True))
         self._tilt_deg = (rng.uniform(-1, 1) * pose.tilt_deg, rng.uniform(-1, 1) * pose.tilt_deg)
-        self._roll_deg = rng.uniform(-1, 1) * pose.roll_deg
+        self._roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
         self._offset_px = tuple(rng.uniform(-pose.offset_px, pose.offset_px, 2))
         self._waves = rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)), rng.uniform(0, 2 * np.pi, 5)
         high, wide = self.settings.panel.pixels

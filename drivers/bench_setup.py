@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from labkit.drivers.bench import Bench
 from labkit.drivers.bench_world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import PlanError
 from labkit.lab.devices import Room, panel_info
-from labkit.plan import Channel, Plan, RailSettings
+from labkit.plan import Plan, RailSettings
 from labkit.target import open_target
 
 MOST_PIXELS = 640
@@ -48,8 +49,11 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
     rng = np.random.default_rng([seed, zlib.crc32(b"plan")])
     glass = panel_info(plan.display)
     rows, cols = _sensor_size(plan, min(plan.rail.ranges_mm))
-    mono = plan.sensor.cfa_pattern == "mono" or (plan.sensor.cfa_pattern is None and len(plan.channel) == 1)
+    mono = plan.sensor.cfa_pattern == "mono"
     usual = TrueSensor()
+    # colours of the mosaic that the plan does not measure need a wavelength all the same
+    wavelength_nm = {} if mono else dict(TrueLens().wavelength_nm)
+    wavelength_nm |= {channel.name: channel.wavelength_nm for channel in plan.channel}
     black, white = plan.sensor.black_level, plan.sensor.white_level
     sensor = TrueSensor(
         rows=rows,
@@ -67,8 +71,8 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
         focal_length_mm=plan.lens.focal_length_mm,
         f_number=plan.lens.f_number,
         pupil_magnification=rng.uniform(0.9, 1.1),
-        wavelength_nm={channel.name: channel.wavelength_nm for channel in plan.channel},
-        best_focus_mm=_best_focus_mm(plan.channel, plan.rail.ranges_mm, rng),
+        wavelength_nm=wavelength_nm,
+        best_focus_mm=_best_focus_mm(wavelength_nm, plan.rail.ranges_mm, rng),
     )
     panel = TruePanel(pixels=glass.pixels, pitch_mm=glass.pitch_mm, gamma=glass.gamma)
     return BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
@@ -97,13 +101,11 @@ def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
     return rows, cols
 
 
-def _best_focus_mm(
-    channels: tuple[Channel, ...], ranges_mm: tuple[float, ...], rng: np.random.Generator
-) -> dict[str, float]:
+def _best_focus_mm(colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np.random.Generator) -> dict[str, float]:
     """Best focus in the nearer half of the ranges, each colour's a few thousandths from the others'."""
     near, far = min(ranges_mm), max(ranges_mm)
     middle = near + (far - near) * rng.uniform(0.05, 0.5)
-    return {channel.name: middle * (1 + rng.uniform(-0.002, 0.002)) for channel in channels}
+    return {colour: middle * (1 + rng.uniform(-0.002, 0.002)) for colour in colours}
 
 
 def _rail(rail: RailSettings) -> TrueRail:

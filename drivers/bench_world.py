@@ -80,7 +80,7 @@ class TrueRail:
 
 @dataclass(frozen=True, slots=True)
 class TruePose:
-    """Largest errors of the camera's aim: each is drawn evenly within plus and minus this."""
+    """Largest errors of the camera's aim, drawn evenly within plus and minus this; the roll is at least half of it."""
 
     tilt_deg: float = 0.3
     roll_deg: float = 1.2

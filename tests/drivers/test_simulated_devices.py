@@ -1,0 +1,221 @@
+"""The simulated devices one by one, and how devices are found by address."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rawpy
+
+from labkit.drivers.bench import Bench
+from labkit.drivers.bench_setup import settings_for
+from labkit.drivers.bench_world import BenchSettings, Fault, TrueLens, TruePanel, TrueSensor
+from labkit.drivers.simulated_camera import SimulatedCamera
+from labkit.drivers.simulated_display import SimulatedDisplay
+from labkit.drivers.simulated_rail import SimulatedRail
+from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
+from labkit.lab.devices import Camera, Coverable, Display, ExposureSettings, Rail, Room
+from labkit.lab.discover import installed, open_camera, open_devices
+from labkit.plan import Plan, parse_plan
+
+TEXT = """
+[lens]
+focal_length_mm = 50.0
+f_number = 8.0
+[sensor]
+pixel_pitch_um = 6.0
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 2
+size_mm = 9.0
+[camera]
+address = "simulated:"
+exposure_s = 0.02
+[rail]
+address = "simulated:"
+ranges_mm = [2000, 2100]
+range_at_zero_mm = 2200.0
+direction = -1
+[display]
+address = "simulated:"
+panel = "ipad-9.7-retina"
+"""
+
+
+def plan(**changes: str) -> Plan:
+    text = TEXT
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    return parse_plan(text, Path())
+
+
+def a_bench(*faults: Fault) -> Bench:
+    sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
+    return Bench(BenchSettings(lens=TrueLens(f_number=8.0), sensor=sensor, panel=panel, halo_um=60.0), faults)
+
+
+@pytest.fixture
+def camera() -> Iterator[SimulatedCamera]:
+    with SimulatedCamera(a_bench()) as camera:
+        camera.configure(ExposureSettings(0.02, 100))
+        yield camera
+
+
+def test_a_photograph_opens_as_any_cameras_raw_file_does(camera: SimulatedCamera, tmp_path: Path) -> None:
+    frame = camera.expose(tmp_path / "a")
+    assert frame.path == tmp_path / "a.dng"
+    with rawpy.imread(str(frame.path)) as raw:
+        assert raw.raw_image.shape == (32, 48)
+        assert raw.other.shutter_speed == pytest.approx(0.02)
+
+
+def test_a_name_with_a_dot_in_it_keeps_it(camera: SimulatedCamera, tmp_path: Path) -> None:
+    assert camera.expose(tmp_path / "flat_3013.2_0").path.name == "flat_3013.2_0.dng"
+
+
+def test_a_photograph_is_never_overwritten(camera: SimulatedCamera, tmp_path: Path) -> None:
+    camera.expose(tmp_path / "a")
+    with pytest.raises(CameraError, match="never overwritten"):
+        camera.expose(tmp_path / "a")
+
+
+def test_a_camera_that_was_not_configured_says_so(tmp_path: Path) -> None:
+    with pytest.raises(CameraError, match="not configured"):
+        SimulatedCamera(a_bench()).expose(tmp_path / "a")
+
+
+def test_a_camera_off_its_cable_stays_away_until_it_is_looked_for(tmp_path: Path) -> None:
+    camera = SimulatedCamera(a_bench(Fault("camera", "unplug", 1)))
+    camera.configure(ExposureSettings(0.02, 100))
+    for words in ("dropped off USB", "not on USB"):
+        with pytest.raises(CameraError, match=words):
+            camera.expose(tmp_path / "a")
+    camera.identify()
+    camera.configure(ExposureSettings(0.02, 100))
+    camera.expose(tmp_path / "a")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.dng"]
+
+
+def test_a_rail_must_be_homed_before_it_moves() -> None:
+    with SimulatedRail(a_bench()) as rail, pytest.raises(RailError, match="home it first"):
+        rail.move_to(10.0)
+
+
+def test_a_stop_outside_the_travel_is_refused() -> None:
+    rail = SimulatedRail(a_bench())
+    rail.home()
+    with pytest.raises(RailLimitError, match=r"500\.001 mm is outside 0\.\.500 mm"):
+        rail.move_to(500.001)
+
+
+@pytest.mark.parametrize("before_mm", [0.0, 400.0])
+def test_a_stop_is_reached_whichever_way_it_comes(before_mm: float) -> None:
+    bench = a_bench()
+    rail = SimulatedRail(bench)
+    rail.home()
+    rail.move_to(before_mm)
+    # scatter has a standard deviation of 0.02 mm, play is 0.15 mm
+    assert rail.move_to(200.0) == pytest.approx(200.0, abs=0.08)
+    assert bench.position_mm == pytest.approx(200.0, abs=0.08)
+
+
+def test_lost_steps_show_on_the_encoder_and_homing_finds_the_place_again() -> None:
+    rail = SimulatedRail(a_bench(Fault("rail", "lost_steps", 1)))
+    rail.home()
+    with pytest.raises(RailError, match="lost steps"):
+        rail.move_to(100.0)
+    with pytest.raises(RailError, match="home it first"):
+        rail.move_to(100.0)
+    rail.home()
+    assert rail.move_to(100.0) == pytest.approx(100.0, abs=0.08)
+
+
+def test_a_display_says_how_large_the_picture_is() -> None:
+    display = SimulatedDisplay(a_bench())
+    assert display.show("white").pixels == (300, 400)
+    assert display.show(np.zeros((20, 30), dtype=np.uint8)).pixels == (20, 30)
+    with pytest.raises(DisplayError, match="larger than the panel"):
+        display.show(np.zeros((20, 401), dtype=np.uint8))
+
+
+def test_the_devices_keep_the_protocols() -> None:
+    bench = a_bench()
+    camera: Camera = SimulatedCamera(bench)
+    rail: Rail = SimulatedRail(bench)
+    display: Display = SimulatedDisplay(bench)
+    assert isinstance(camera, Coverable)
+    assert rail.travel_mm.high_mm == 500
+    assert display.panel.pixels == (300, 400)
+
+
+def test_devices_opened_together_share_one_bench_and_its_clock() -> None:
+    room = Room()
+    with open_devices(plan(), room=room) as devices:
+        (bench,) = room.shared.values()
+        before = bench.clock_s
+        devices.wait(3.0)
+        assert bench.clock_s == before + 3.0
+        devices.rail.home()
+        assert bench.clock_s > before + 3.0
+
+
+def test_one_address_may_take_the_place_of_all_three() -> None:
+    real = plan(**{'"simulated:"': '"nosuch:/dev/tty0"'})
+    room = Room()
+    with open_devices(real, simulated="simulated:seed=3", room=room) as devices:
+        assert devices.camera.identify().serial == "3"
+
+
+def test_two_simulated_worlds_in_one_room_are_refused() -> None:
+    text = TEXT.replace('"simulated:"', '"simulated:seed=2"', 1)
+    with (
+        pytest.raises(PlanError, match="give simulated devices the same address"),
+        open_devices(parse_plan(text, Path())),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("address", ["simulated:seed=x", "simulated:sed=3", "simulated:3", "simulated:seed=-1"])
+def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
+    with pytest.raises(PlanError, match="allowed is simulated: or simulated:seed=N"):
+        open_camera(address, plan(), Room())
+
+
+def test_an_unknown_driver_is_told_with_those_installed() -> None:
+    with pytest.raises(PlanError, match=r'no driver "nosuch" for a camera; installed: .*simulated:'):
+        open_camera("nosuch:/dev/x", plan(), Room())
+    assert "simulated" in installed("rail")
+
+
+def test_a_plan_without_devices_cannot_be_opened() -> None:
+    bare = parse_plan(TEXT[: TEXT.index("[rail]")], Path())
+    with pytest.raises(PlanError, match=r"has no \[rail\], \[display\]"), open_devices(bare):
+        pass
+
+
+def test_a_bench_for_a_plan_has_its_target_in_frame_and_its_ranges_on_the_rail() -> None:
+    settings = settings_for(plan(), 5)
+    per_mm = 50 / (2000 - 50) / 6e-3
+    assert 9.0 * per_mm + 20 < settings.sensor.rows < 9.0 * per_mm + 40
+    assert settings.rail.low_mm < 100 < 200 < settings.rail.high_mm
+    assert all(1990 < focus < 2110 for focus in settings.lens.best_focus_mm.values())
+    assert settings.lens.wavelength_nm["G"] == 550.0
+
+
+def test_a_target_too_large_for_the_simulated_sensor_is_refused() -> None:
+    with pytest.raises(PlanError, match=r"target\.size_mm = 900: .* up to 640; take a smaller target"):
+        settings_for(plan(**{"size_mm = 9.0": "size_mm = 900.0"}), 1)
+
+
+def test_a_sensor_without_colours_writes_tiff(tmp_path: Path) -> None:
+    levels = "pixel_pitch_um = 6.0\ncfa_pattern = 'mono'\nblack_level = 100\nwhite_level = 4095"
+    mono = plan(**{"pixel_pitch_um = 6.0": levels})
+    camera = open_camera("simulated:", mono, Room())
+    camera.configure(ExposureSettings(0.02, 100))
+    assert camera.expose(tmp_path / "a").path.name == "a.tif"

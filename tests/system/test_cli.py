@@ -1,0 +1,241 @@
+"""The command line as a user meets it: exit statuses, one-line errors, JSON, completion, Ctrl-C."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labkit import __version__
+from labkit.cli import run
+from labkit.lab.session import Session
+
+WriteDng = Callable[..., Path]
+
+PLAN = """
+[lens]
+focal_length_mm = 70.0
+f_number = 2.8
+[sensor]
+pixel_pitch_um = 4.78
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 3
+size_mm = 20
+[camera]
+address = "simulated:"
+exposure_s = 0.02
+frames_per_range = 2
+flats_per_range = 2
+darks = 2
+[rail]
+address = "simulated:"
+ranges_mm = [3000, 3100]
+range_at_zero_mm = 2950.0
+settle_s = 0
+[display]
+address = "simulated:"
+panel = "ipad-9.7-retina"
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+@pytest.fixture
+def frames(tmp_path: Path, write_dng: WriteDng) -> Path:
+    light = np.zeros((62, 94))
+    light[20:40, 30:60] = 5000
+    noise = np.random.default_rng(1).normal(600, 3, light.shape)
+    write_dng(tmp_path / "target.dng", np.rint(light + noise).astype(np.uint16))
+    path = tmp_path / "frames.csv"
+    path.write_text("file,kind,range_mm\ntarget.dng,target,3000\n")
+    return path
+
+
+def one_line(text: str) -> str:
+    """The text, if it is one line of plain characters."""
+    assert text.endswith("\n")
+    assert re.fullmatch(r"labkit: [^\x00-\x1f]+", text[:-1])
+    return text
+
+
+def labkit(*args: object) -> list[str]:
+    return [sys.executable, "-c", "from labkit.cli import main; main()", *map(str, args)]
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"labkit {__version__}\n"
+
+
+@pytest.mark.parametrize("args", [["--help"], ["capture", "--help"], ["target", "render", "--help"]])
+def test_help_has_no_control_characters_off_a_terminal(args: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(args) == 0
+    assert re.search(r"[\x00-\x09\x0b-\x1f]", capfd.readouterr().out) is None
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["nonsense"],
+        ["fit"],
+        ["verify", "a", "b"],
+        ["fit", "x", "--workers", "0"],
+        ["fit", "x", "--range", "far"],
+        ["demo", "--sed"],
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(args: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(args) == 2
+    assert "labkit --help" in one_line(capfd.readouterr().err)
+
+
+def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["verify", str(tmp_path)]) == 2
+    out, err = capfd.readouterr()
+    assert "is no session" in one_line(err)
+    assert out == ""
+
+
+@pytest.mark.parametrize("where", [0, 2])
+def test_debug_shows_the_traceback_wherever_it_stands(
+    where: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    args = ["verify", str(tmp_path)]
+    args.insert(where, "--debug")
+    assert run(args) == 2
+    assert "Traceback" in capfd.readouterr().err
+
+
+def test_import_and_verify_answer_in_json(
+    frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["import", str(frames), str(plan), str(session), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["kinds"] == {"target": 1, "flat": 0, "dark": 0, "bias": 0}
+    assert run(["--json", "verify", str(session)]) == 0
+    assert json.loads(capfd.readouterr().out) == {"session": str(session), "frames": 1, "problems": []}
+
+
+def test_quiet_prints_nothing_when_all_is_well(
+    frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["import", "--quiet", str(frames), str(plan), str(tmp_path / "session")]) == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_verify_fails_with_status_1_and_names_the_file(
+    frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["import", str(frames), str(plan), str(session)]) == 0
+    (session / "frames" / "target.dng").write_bytes(b"altered")
+    capfd.readouterr()
+    assert run(["verify", str(session)]) == 1
+    assert "target.dng: does not fit its checksum" in one_line(capfd.readouterr().err)
+
+
+def test_a_torn_journal_is_told_as_a_warning(
+    frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["import", str(frames), str(plan), str(session)]) == 0
+    journal = session / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes()[:-9])
+    capfd.readouterr()
+    assert run(["verify", str(session)]) == 0
+    assert "torn last line" in one_line(capfd.readouterr().err)
+
+
+def test_reporting_before_fitting_says_what_to_do(
+    frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["import", str(frames), str(plan), str(session), "--quiet"]) == 0
+    assert run(["report", str(session)]) == 2
+    assert "fit" in one_line(capfd.readouterr().err)
+
+
+def test_devices_lists_the_simulated_drivers(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["devices", "--json"]) == 0
+    drivers = json.loads(capfd.readouterr().out)["drivers"]
+    assert all("simulated" in drivers[device] for device in ("camera", "rail", "display"))
+
+
+def test_a_target_is_rendered(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "carpet.png"
+    assert run(["target", "render", "sierpinski:order=3,size_mm=20", str(file), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["path"] == str(file)
+    assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plan_for_capture_needs_all_three_devices(
+    plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text(PLAN.partition("[rail]")[0])
+    assert run(["capture", str(plan), str(tmp_path / "session")]) == 2
+    assert "[rail], [display]" in one_line(capfd.readouterr().err)
+    assert not (tmp_path / "session").exists()
+
+
+def test_tab_completes_commands() -> None:
+    environment = {**os.environ, "_LABKIT_COMPLETE": "complete_bash", "COMP_WORDS": "labkit ca", "COMP_CWORD": "1"}
+    done = subprocess.run(labkit(), env=environment, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["capture"]
+
+
+def test_progress_shows_the_time_left_on_a_terminal(frames: Path, plan: Path, tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    command = labkit("import", frames, plan, tmp_path / "session")
+    with subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        out, _ = process.communicate(timeout=60)
+    os.close(theirs)
+    shown = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert "importing" in shown
+    assert "left" in shown
+    assert "\x1b" not in out
+
+
+def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(plan: Path, tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    command = labkit("capture", plan, session)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        # the journal is there before the first photograph, and the capture takes seconds after that
+        while not (session / "journal.jsonl").exists():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert f"labkit capture {plan} {session} --resume" in one_line(err)
+    assert out == ""
+    assert run(["verify", str(session)]) == 0
+    assert run(["capture", str(plan), str(session), "--resume"]) == 0
+    assert len(Session.open(session).frames) == 10
+    assert run(["verify", str(session)]) == 0
+
+
+def test_resuming_with_another_plan_is_refused(
+    plan: Path, frames: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["import", str(frames), str(plan), str(session), "--quiet"]) == 0
+    plan.write_text(PLAN.replace("3100", "3150").replace("550.0", "540.0"))
+    assert run(["capture", str(plan), str(session), "--resume"]) == 2
+    assert "differs in [channel], [rail]" in one_line(capfd.readouterr().err)
