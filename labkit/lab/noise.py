@@ -22,6 +22,10 @@ ROUNDING_VARIANCE = 1.0 / 12.0
 OUTLIER_PROBABILITY = 1e-6
 """Pixels noisier than this leaves to chance are left out: particles, telegraph noise, a light that was switched."""
 
+FLOOR_SHARE = 0.03
+"""Without darks: prior standard deviation of the variance at no light, as a share of that in the brightest flats. One
+level of light alone cannot tell the two apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
@@ -77,7 +81,7 @@ def photon_transfer(flats: Iterable[Scatter], darks: Iterable[Scatter] = ()) -> 
     if not light:
         floor, floor_std = _mean_variance(variance, freedom)
         return NoiseEstimate(None, None, *_root(floor, floor_std))
-    slope, floor, covariance = _line(signal, variance, freedom)
+    slope, floor, covariance = _line(signal, variance, freedom, floor_known=bool(dark))
     gain_std, floor_std = float(np.sqrt(covariance[0, 0])), float(np.sqrt(covariance[1, 1]))
     gain = (slope, gain_std) if slope > 0 else (None, None)
     known = bool(dark) or floor - ROUNDING_VARIANCE > 3 * floor_std
@@ -104,10 +108,10 @@ def _mean_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
     return pooled, pooled * float(np.sqrt(2 / freedom[kept].sum()))
 
 
-def _line(signal: Floats, variance: Floats, freedom: Floats) -> tuple[float, float, Floats]:
+def _line(signal: Floats, variance: Floats, freedom: Floats, *, floor_known: bool) -> tuple[float, float, Floats]:
     """(slope, floor, covariance) of variance on signal, reweighted until it stands."""
     typical = variance / _median_factor(freedom)
-    middle = signal > np.median(signal)
+    middle = signal >= np.median(signal)
     slope = max(float(np.median(typical[middle] / np.maximum(signal[middle], 1e-9))), 1e-9)
     floor, limit = 1.0, chi2.isf(OUTLIER_PROBABILITY, freedom) / freedom
     for _ in range(20):
@@ -115,8 +119,9 @@ def _line(signal: Floats, variance: Floats, freedom: Floats) -> tuple[float, flo
         weight = np.where(variance < limit * expected, freedom / (2 * expected**2), 0.0)
         moments = [float(np.sum(weight * signal**power)) for power in range(3)]
         information = np.array([[moments[2], moments[1]], [moments[1], moments[0]]])
-        # a floor that one level of light cannot tell from the slope is left where it is
-        covariance = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
+        if not floor_known:
+            information[1, 1] += 1 / (FLOOR_SHARE * expected.max()) ** 2
+        covariance = np.linalg.inv(information)
         score = np.array([np.sum(weight * variance * signal), np.sum(weight * variance)])
         before = slope
         slope, floor = (float(value) for value in covariance @ score)
