@@ -8,6 +8,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -184,18 +185,21 @@ def capture(
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.capture import capture as run_capture
+    from labkit.lab.capture import picture_for
     from labkit.lab.discover import open_devices
-    from labkit.lab.session import begin
+    from labkit.lab.session import begin, refuse_existing
     from labkit.plan import load_plan
 
     console: Console = ctx.obj
-    with (
-        open_devices(load_plan(plan), "simulated:" if simulate else None) as bench,
-        begin(plan, session, resume) as opened,
-        console.progress("capturing") as report,
-    ):
-        again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *["--simulate"][: int(simulate)]])
-        console.hint = f"; every photograph so far is safe, go on with: {again}"
+    again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *["--simulate"][: int(simulate)]])
+    console.hint = f"; every photograph so far is safe, go on with: {again}"
+    wanted = load_plan(plan)
+    if not resume:
+        refuse_existing(session)
+    with open_devices(wanted, "simulated:" if simulate else None) as bench, ExitStack() as stack:
+        picture_for(wanted, bench)  # a plan that cannot be run here begins no session
+        opened = stack.enter_context(begin(plan, session, resume))
+        report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)
         run_capture(opened, bench, progress=report, ask=_ask if sys.stdin.isatty() else None)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labkit.errors import DataError, DeviceError, InputError, PlanError, RailLimitError, RawError, SessionError
+from labkit.errors import DataError, DeviceError, InputError, PlanError, RailLimitError, RawError
 from labkit.lab.devices import Coverable, Devices, ExposureSettings, Picture, RawFrame
 from labkit.lab.exposure import exposure_problem
-from labkit.lab.picture import panel_picture
+from labkit.lab.picture import PanelPicture, panel_picture
 from labkit.lab.raw import Mosaic, read_raw
-from labkit.lab.session import JOURNAL, PLAN, Kind, Session
-from labkit.plan import CameraSettings, Plan, RailSettings, Table, parse_plan
+from labkit.lab.session import Kind, Session
+from labkit.plan import CameraSettings, Plan, RailSettings
 from labkit.target import open_target
 
 Result = TypeVar("Result")
@@ -60,29 +60,6 @@ def missing(session: Session) -> tuple[Shot, ...]:
     return tuple(shot for shot in shots(session.plan) if shot.name not in done)
 
 
-def begin(plan_file: Path, folder: Path, resume: bool = False) -> Session:
-    """The session to capture into, open to append: a new one, or with `resume` the one that was begun, if any was.
-
-    Raises PlanError, or SessionError if the folder is not empty without `resume`, is being written by another, or was
-    begun with another plan.
-    """
-    try:
-        text = plan_file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise PlanError(f"plan {plan_file}: {error}") from error
-    if not (resume and (folder / JOURNAL).exists()):
-        return Session.create(folder, text, plan_file.parent)
-    plan = parse_plan(text, plan_file.parent)
-    session = Session.append(folder)
-    if changed := _changed_keys(plan, session.plan):
-        session.close()
-        raise SessionError(
-            f"{folder} was begun with another plan, which differs in {', '.join(changed)}: "
-            f"go on with its own {folder / PLAN}, or begin a new session"
-        )
-    return session
-
-
 def capture(session: Session, devices: Devices, *, progress: Progress | None = None, ask: Ask | None = None) -> None:
     """Take every photograph that the session still lacks. The session is open to append.
 
@@ -116,8 +93,7 @@ class _Capture:
         todo = missing(self._session)
         if not todo:
             return
-        target = panel_picture(open_target(self._session.plan.target), self._devices.display.panel)
-        self._refuse_out_of_reach()
+        target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
         self._try("camera", self._ready_camera, lambda: None)
@@ -133,19 +109,6 @@ class _Capture:
             self._take(target.grey, [shot for shot in here if shot.kind == "target"], meta)
         self._session.log("complete")
 
-    def _refuse_out_of_reach(self) -> None:
-        travel = self._devices.rail.travel_mm
-        for range_mm in self._rail.ranges_mm:
-            position_mm = self._position_mm(range_mm)
-            if not travel.low_mm <= position_mm <= travel.high_mm:
-                raise PlanError(
-                    f"rail.ranges_mm has {range_mm:g} mm, rail position {position_mm:g} mm: "
-                    f"the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
-                )
-
-    def _position_mm(self, range_mm: float) -> float:
-        return (range_mm - self._rail.range_at_zero_mm) * self._rail.direction
-
     def _ready_camera(self) -> None:
         """Find the camera, again if it had dropped off, and set it."""
         info = self._devices.camera.identify()
@@ -154,7 +117,7 @@ class _Capture:
 
     def _go_to(self, range_mm: float) -> dict[str, Any]:
         """Move and settle; what is to be noted of the place."""
-        rail, asked_mm = self._devices.rail, self._position_mm(range_mm)
+        rail, asked_mm = self._devices.rail, _position_mm(self._rail, range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
         self._devices.wait(self._rail.settle_s)
         measured_mm = self._rail.range_at_zero_mm + self._rail.direction * at_mm
@@ -241,6 +204,28 @@ class _Capture:
         raise AssertionError("unreachable: the last attempt returns or raises")
 
 
+def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
+    """The target as the display will show it; to be asked before a session is begun.
+
+    Raises TargetError or PlanError for a plan that these devices cannot run: a target that does not fit the panel, a
+    range that the rail does not reach.
+    """
+    _, rail = _settings(plan)
+    travel = devices.rail.travel_mm
+    for range_mm in rail.ranges_mm:
+        position_mm = _position_mm(rail, range_mm)
+        if not travel.low_mm <= position_mm <= travel.high_mm:
+            raise PlanError(
+                f"rail.ranges_mm has {range_mm:g} mm, rail position {position_mm:g} mm: "
+                f"the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
+            )
+    return panel_picture(open_target(plan.target), devices.display.panel)
+
+
+def _position_mm(rail: RailSettings, range_mm: float) -> float:
+    return (range_mm - rail.range_at_zero_mm) * rail.direction
+
+
 def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
     if plan.camera is None or plan.rail is None:
         raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
@@ -250,27 +235,6 @@ def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
 def _likeness(mosaic: Mosaic) -> str:
     rows, cols = mosaic.counts.shape
     return f"{rows} × {cols} {mosaic.cfa} of {mosaic.camera or 'an unnamed camera'}"
-
-
-def _changed_keys(new: Plan, old: Plan) -> list[str]:
-    """Where two plans differ. A target's picture is compared by its content: a session has its own copy."""
-    keys = []
-    for name in Plan.model_fields:
-        ours, theirs = getattr(new, name), getattr(old, name)
-        if ours == theirs:
-            continue
-        fields = type(ours).model_fields if isinstance(ours, Table) and isinstance(theirs, Table) else {}
-        differing = [key for key in fields if getattr(ours, key) != getattr(theirs, key)]
-        if name == "target" and "file" in differing and _same_picture(new.target.file, old.target.file):
-            differing.remove("file")
-            if not differing:
-                continue
-        keys += [f"{name}.{key}" for key in differing] or [name]
-    return keys
-
-
-def _same_picture(one: Path | None, other: Path | None) -> bool:
-    return one is not None and other is not None and one.read_bytes() == other.read_bytes()
 
 
 def _set_aside(file: Path, folder: Path) -> Path:

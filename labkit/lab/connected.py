@@ -53,7 +53,10 @@ def look_around() -> Connected:
     except usb.core.USBError as error:
         devices = ()
         notes = (f"USB was not looked at: {error}",)
-    ports = tuple(SerialPort(port.device, port.description or "") for port in sorted(list_ports.comports()))
+    ports = tuple(
+        SerialPort(port.device, port.description or "")
+        for port in sorted(list_ports.comports(), key=lambda port: port.device)
+    )
     return Connected(devices, ports, {device: installed(device) for device in GROUPS}, notes)
 
 

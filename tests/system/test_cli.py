@@ -31,7 +31,7 @@ wavelength_nm = 550.0
 [target]
 kind = "sierpinski"
 order = 3
-size_mm = 20
+size_mm = 20.78
 [camera]
 address = "simulated:"
 exposure_s = 0.02
@@ -190,6 +190,15 @@ def test_a_plan_for_capture_needs_all_three_devices(
     plan.write_text(PLAN.partition("[rail]")[0])
     assert run(["capture", str(plan), str(tmp_path / "session")]) == 2
     assert "[rail], [display]" in one_line(capfd.readouterr().err)
+    assert not (tmp_path / "session").exists()
+
+
+def test_a_plan_that_the_devices_cannot_run_begins_no_session(
+    plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text(PLAN.replace("20.78", "20"))
+    assert run(["capture", str(plan), str(tmp_path / "session")]) == 2
+    assert "target.size_mm" in one_line(capfd.readouterr().err)
     assert not (tmp_path / "session").exists()
 
 

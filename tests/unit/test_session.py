@@ -9,7 +9,7 @@ from typing import ParamSpec, TypeVar
 import pytest
 
 from labkit.errors import PlanError, SessionError
-from labkit.lab.session import Session, verify
+from labkit.lab.session import Session, begin, verify
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -202,3 +202,21 @@ def test_a_power_cut_at_any_step_loses_no_committed_frame(
     assert sorted(path.name for path in (session_folder / "frames").iterdir()) == sorted(
         frame.file for frame in Session.open(session_folder).frames
     )
+
+
+def test_capture_goes_on_with_the_same_plan_only(session_folder: Path, tmp_path: Path) -> None:
+    plan_path = tmp_path / "plan.toml"
+    plan_path.write_text(PLAN + "# a comment changes nothing\n")
+    with begin(plan_path, session_folder, resume=True) as session:
+        assert len(session.frames) == 2
+    plan_path.write_text(PLAN.replace("46.8", "23.4"))
+    with pytest.raises(PlanError, match=r"differs in \[target\]"):
+        begin(plan_path, session_folder, resume=True)
+    Session.append(session_folder).close()
+
+
+def test_resuming_what_never_began_begins_it(tmp_path: Path) -> None:
+    plan_path = tmp_path / "plan.toml"
+    plan_path.write_text(PLAN)
+    with begin(plan_path, tmp_path / "new", resume=True) as session:
+        assert session.frames == ()

@@ -1,0 +1,99 @@
+"""Data flows one way: a room imports only from itself and from rooms above it. The imports are read, not run."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+ROOMS = [
+    ["errors"],
+    ["plan"],
+    ["target"],
+    ["target_file"],
+    ["optics"],
+    ["imaging"],
+    ["inference"],
+    ["lab"],
+    ["execute"],
+    ["products"],
+    ["summary", "console", "report"],
+    ["study"],
+    ["demo"],
+    ["cli"],
+]
+"""From top to bottom. Rooms on one line do not see each other."""
+
+LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
+
+FILES_AND_DEVICES = {"csv", "json", "pathlib", "rawpy", "serial", "shutil", "tifffile", "usb"}
+
+
+def modules(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Dotted names of everything a module imports, wherever in it; relative ones are made absolute."""
+    package = path.relative_to(ROOT).parent.parts
+    if package and package[0] in ("drivers", "targets"):
+        package = ("labkit", *package)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            where = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (f"{where}.{alias.name}" for alias in node.names)
+
+
+def room(dotted: str) -> str | None:
+    """The room that a dotted name belongs to, if it is labkit's."""
+    parts = dotted.split(".")
+    known = parts[0] == "labkit" and len(parts) > 1 and parts[1] != "__version__"
+    return parts[1] if known else None
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", modules("labkit"), ids=name)
+def test_a_room_imports_only_from_rooms_above_it(path: Path) -> None:
+    own = path.relative_to(ROOT / "labkit").parts[0].removesuffix(".py")
+    below = [
+        dotted
+        for dotted in imported(path)
+        if (other := room(dotted)) not in (None, own) and LEVEL[str(other)] >= LEVEL[own]
+    ]
+    assert below == []
+
+
+@pytest.mark.parametrize("path", modules("labkit"), ids=name)
+def test_the_core_imports_no_driver_and_no_target(path: Path) -> None:
+    assert [dotted for dotted in imported(path) if room(dotted) in ("drivers", "targets")] == []
+
+
+@pytest.mark.parametrize("path", modules("labkit", "drivers", "targets", "tests", "benchmarks", "examples"), ids=name)
+def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> None:
+    # that would give a second copy of every class in them
+    assert [dotted for dotted in imported(path) if dotted.split(".")[0] in ("drivers", "targets")] == []
+
+
+@pytest.mark.parametrize("path", modules("labkit/optics", "labkit/imaging", "labkit/inference"), ids=name)
+def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
+    assert [dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES] == []
+
+
+@pytest.mark.parametrize("path", modules("targets"), ids=name)
+def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> None:
+    assert {room(dotted) for dotted in imported(path)} <= {None, "errors", "plan", "target", "targets"}
+
+
+@pytest.mark.parametrize("path", modules("drivers"), ids=name)
+def test_a_driver_knows_nothing_of_the_model_that_it_tests(path: Path) -> None:
+    # the simulated bench would agree with any mistake that it shared
+    allowed = {None, "errors", "plan", "target", "lab", "drivers"}
+    assert {room(dotted) for dotted in imported(path)} <= allowed
