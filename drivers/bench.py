@@ -108,6 +108,7 @@ class Bench:
         counts = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
         return np.clip(np.rint(counts), 0, sensor.white_level).astype(np.uint16)
 
+    @property
     def truth(self) -> Truth:
         """What is true of this bench and of the stops at which it took pictures."""
         lens, sensor = self.settings.lens, self.settings.sensor

@@ -118,11 +118,11 @@ def test_the_truth_names_the_stop_by_its_plan_and_by_what_it_was() -> None:
     stop_at(bench, 63.2)
     bench.light(np.full((20, 20), 255, dtype=np.uint8))
     bench.expose(0.02, 100, "a")
-    (visit,) = bench.truth().visits
+    (visit,) = bench.truth.visits
     assert visit.range_mm == 3013.2
     assert visit.actual_range_mm == bench.range_mm != visit.range_mm
     assert set(visit.defocus_waves) == {"R", "G", "B"}
-    np.testing.assert_allclose(np.linalg.norm(list(bench.truth().modes_waves["G"].values())), 0.07)
+    np.testing.assert_allclose(np.linalg.norm(list(bench.truth.modes_waves["G"].values())), 0.07)
 
 
 def test_a_picture_larger_than_the_panel_is_refused() -> None:

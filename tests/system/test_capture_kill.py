@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.lab.capture import begin, capture, missing
+from labkit.lab.capture import capture, missing
 from labkit.lab.devices import Room
 from labkit.lab.discover import open_devices
 from labkit.lab.raw import read_raw
-from labkit.lab.session import Session, verify
+from labkit.lab.session import Session, begin, verify
 
 from .conftest import RoomMaker
 
