@@ -18,20 +18,23 @@ from labkit.report.html import write_report
 from labkit.summary import read_results
 
 PLAN = """\
-# The demo: a 70 mm f/2.8 lens at three ranges, three colours, a carpet of order 5 on a panel.
+# A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.
+# For your own bench change the numbers and the three addresses; `labkit devices` says what is connected.
+
 [lens]
 focal_length_mm = 70.0
 f_number = 2.8
 
 [sensor]
-pixel_pitch_um = 4.78
+pixel_pitch_um = 4.78  # between neighbouring samples of the raw file
+fill_factor = 1.0      # active area over pitch squared
 
 [[channel]]
 name = "R"
 wavelength_nm = 650.0
 
 [[channel]]
-name = "G"
+name = "G"             # both green planes, fitted together
 wavelength_nm = 550.0
 
 [[channel]]
@@ -41,10 +44,10 @@ wavelength_nm = 450.0
 [target]
 kind = "sierpinski"
 order = 5
-size_mm = 46.8
+size_mm = 46.8         # side of the whole carpet
 
 [fit]
-zernike_noll = [4, 15]
+zernike_noll = [4, 15] # first and last mode
 
 [camera]
 address = "{address}"
@@ -57,8 +60,8 @@ darks = 8
 [rail]
 address = "{address}"
 ranges_mm = [3000, 3200, 3300]
-range_at_zero_mm = 2950.0
-direction = 1
+range_at_zero_mm = 2950.0  # range when the rail stands at 0
+direction = 1              # +1: a larger rail position is a longer range
 settle_s = 1.0
 
 [display]
