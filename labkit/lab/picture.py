@@ -11,7 +11,7 @@ from labkit.errors import TargetError
 from labkit.lab.devices import PanelInfo
 from labkit.target import CellTarget, Target
 
-SIZE_TOLERANCE = 0.05
+SIZE_TOLERANCE = 0.02
 """A picture may be this much larger or smaller than the plan's target: the fitted pose takes up a common scale."""
 
 
