@@ -243,6 +243,9 @@ def refuse_existing(folder: Path) -> None:
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         hint = "; to go on with it, use --resume" if (folder / JOURNAL).exists() else ""
         raise SessionError(f"{folder} is there already: give a new folder{hint}")
+    above = next(parent for parent in folder.absolute().parents if parent.exists())
+    if not above.is_dir():
+        raise SessionError(f"{folder} cannot be made: {above} is no folder")
 
 
 def begin(plan_path: Path, folder: Path, resume: bool) -> Session:

@@ -73,6 +73,11 @@ def test_a_session_is_not_made_over_something_else(session_folder: Path, tmp_pat
         Session.create(session_folder, PLAN, tmp_path)
 
 
+def test_a_session_is_not_made_inside_a_file(photo: Path, tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=r"photo\.dng is no folder"):
+        Session.create(photo / "deep" / "session", PLAN, tmp_path)
+
+
 def test_a_frame_is_never_overwritten(session_folder: Path, photo: Path) -> None:
     with Session.append(session_folder) as session, pytest.raises(SessionError, match="never overwritten"):
         session.add_frame(photo, "dark_0.dng", "dark", None)
