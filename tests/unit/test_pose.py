@@ -55,7 +55,7 @@ def corners_of(shot: Shot, aspect: float = 1.0) -> Floats:
 
 
 def photograph(cells: Floats, shot: Shot, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """(picture, true corners): cells looked up at four times the resolution, averaged over pixels, blurred, shaded, noisy."""
+    """(picture, true corners): cells looked up at four times the resolution, averaged, blurred, shaded, noisy."""
     corners, fine = corners_of(shot, cells.shape[1] / cells.shape[0]), 4
     source = UNIT[:, ::-1] * [cells.shape[1], cells.shape[0]] - 0.5
     fine_corners = (corners[:, ::-1] + 0.5) * fine - 0.5
