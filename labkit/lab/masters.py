@@ -135,8 +135,9 @@ def _polynomial(flat: Floats, use: Mask) -> Floats:
     scale, trust = float(mean.max()), weight.ravel().copy()
     coefficients = np.zeros(design.shape[1])
     for _ in range(5):
-        root = np.sqrt(trust)
-        coefficients = np.linalg.lstsq(design * root[:, None], mean.ravel() / scale * root, rcond=None)[0]
+        # Legendre polynomials are nearly orthogonal, so the normal equations do
+        weighed = design.T * trust
+        coefficients = np.linalg.lstsq(weighed @ design, weighed @ mean.ravel() / scale, rcond=None)[0]
         away = np.abs(mean.ravel() / scale - design @ coefficients)
         spread = 1.4826 * float(np.median(away[weight.ravel() > 0]))
         trust = weight.ravel() / np.maximum(1.0, away / max(2 * spread, 1e-12))  # Huber's weights

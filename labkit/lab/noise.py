@@ -102,8 +102,9 @@ def _root(floor: float, floor_std: float) -> tuple[float, float]:
 def _mean_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
     """Pooled variance, outliers left out, and its standard error."""
     pooled = max(float(np.median(variance / _median_factor(freedom))), 1e-3)
+    limit = _limit(freedom)
     for _ in range(5):
-        kept = variance * freedom < chi2.isf(OUTLIER_PROBABILITY, freedom) * pooled
+        kept = variance < limit * pooled
         pooled = float(np.average(variance[kept], weights=freedom[kept]))
     return pooled, pooled * float(np.sqrt(2 / freedom[kept].sum()))
 
@@ -113,7 +114,7 @@ def _line(signal: Floats, variance: Floats, freedom: Floats, *, floor_known: boo
     typical = variance / _median_factor(freedom)
     middle = signal >= np.median(signal)
     slope = max(float(np.median(typical[middle] / np.maximum(signal[middle], 1e-9))), 1e-9)
-    floor, limit = 1.0, chi2.isf(OUTLIER_PROBABILITY, freedom) / freedom
+    floor, limit = 1.0, _limit(freedom)
     for _ in range(20):
         expected = np.maximum(slope * signal + floor, 1e-3)
         weight = np.where(variance < limit * expected, freedom / (2 * expected**2), 0.0)
@@ -132,4 +133,11 @@ def _line(signal: Floats, variance: Floats, freedom: Floats, *, floor_known: boo
 
 def _median_factor(freedom: Floats) -> Floats:
     """Median of a sample variance over its mean."""
-    return np.asarray(chi2.median(freedom) / freedom)
+    few, which = np.unique(freedom, return_inverse=True)
+    return np.asarray((chi2.median(few) / few)[which])
+
+
+def _limit(freedom: Floats) -> Floats:
+    """What a sample variance over its mean exceeds with OUTLIER_PROBABILITY."""
+    few, which = np.unique(freedom, return_inverse=True)
+    return np.asarray((chi2.isf(OUTLIER_PROBABILITY, few) / few)[which])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,7 +139,7 @@ def test_an_oblong_picture_is_found_without_its_scale() -> None:
     assert worst(find_target(picture, target), true) < 0.7
 
 
-NOTHING = {
+NOTHING: dict[str, Callable[[np.random.Generator], Floats]] = {
     "black": lambda rng: np.full((200, 260), 600.0),
     "noise": lambda rng: 600 + rng.standard_normal((200, 260)),
     "flat": lambda rng: (1000 + 5 * np.arange(260.0)) * np.ones((200, 1)) + 20 * rng.standard_normal((200, 260)),
