@@ -1,0 +1,59 @@
+"""The same from Python: examples/measure_lens.py on a small plan, against the simulated bench's truth."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labkit.drivers.bench import Bench
+from labkit.drivers.bench_setup import settings_for
+from labkit.plan import load_plan
+
+ROOT = Path(__file__).parents[2]
+
+PLAN = """
+[lens]
+focal_length_mm = 70.0
+f_number = 4.0
+[sensor]
+pixel_pitch_um = 4.78
+cfa_pattern = "RGGB"
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 4
+size_mm = 15.6
+[fit]
+zernike_noll = [4, 15]
+[camera]
+address = "simulated:"
+exposure_s = 0.02
+frames_per_range = 1
+flats_per_range = 2
+darks = 2
+[rail]
+address = "simulated:"
+ranges_mm = [3000, 3200]
+range_at_zero_mm = 2950.0
+settle_s = 0
+[display]
+address = "simulated:"
+panel = "ipad-9.7-retina"
+"""
+
+
+def test_the_example_measures_a_lens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan_path = tmp_path / "plan.toml"
+    plan_path.write_text(PLAN)
+    measure = runpy.run_path(str(ROOT / "examples" / "measure_lens.py"))["measure"]
+    results = measure(plan_path, tmp_path / "session")
+    truth = Bench(settings_for(load_plan(plan_path), seed=1)).truth
+    assert results.focus is not None
+    # four standard errors, and the rail's scatter, which they do not know of
+    std_mm = np.hypot(results.focus.std[0], settings_for(load_plan(plan_path), seed=1).rail.scatter_mm)
+    assert results.focus.best_focus_mm[0] == pytest.approx(truth.best_focus_mm["G"], abs=4 * std_mm)
+    assert "report.html" in capsys.readouterr().out
+    assert (tmp_path / "session" / "results" / "latest" / "report.html").stat().st_size > 10_000
