@@ -30,7 +30,9 @@ class Blur:
     def _finer(self) -> int:
         ratio = self.torus.spacing_um / self.pupil.spacing_um
         if abs(ratio - round(ratio)) > 1e-9:
-            raise ValueError(f"the torus's spacing, {self.torus.spacing_um:g} um, is no multiple of the PSF's, {self.pupil.spacing_um:g} um")
+            raise ValueError(
+                f"the torus's spacing, {self.torus.spacing_um:g} um, is no multiple of the PSF's, {self.pupil.spacing_um:g} um"
+            )
         return round(ratio)
 
     @cached_property

@@ -83,9 +83,14 @@ class ForwardModel:
     def means(self, waves: Floats, poses: list[Pose], used: list[Bools]) -> list[Floats]:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
         transfer = self.blur.transfer(waves)
-        return [self._sample(self.scene.spectrum(p) * transfer, u, self.scene.surround) for p, u in zip(poses, used, strict=True)]
+        return [
+            self._sample(self.scene.spectrum(p) * transfer, u, self.scene.surround)
+            for p, u in zip(poses, used, strict=True)
+        ]
 
-    def evaluate(self, waves: Floats, poses: list[Pose], used: list[Bools], *, by_waves: bool = True) -> list[Evaluation]:
+    def evaluate(
+        self, waves: Floats, poses: list[Pose], used: list[Bools], *, by_waves: bool = True
+    ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
         by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.

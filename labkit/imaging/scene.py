@@ -11,7 +11,9 @@ from labkit.optics.psf import Complexes
 from labkit.optics.zernike import Floats
 from labkit.target import Target
 
-SUPERSAMPLING = 2.0  # of the raster against the optics' Nyquist rate: there a cubic spline errs below 1e-3 where it matters
+SUPERSAMPLING = (
+    2.0  # of the raster against the optics' Nyquist rate: there a cubic spline errs below 1e-3 where it matters
+)
 MARGIN_NYQUIST = 20  # Nyquist intervals of raster around the target, for the skirts of its low-pass filter
 
 
@@ -74,13 +76,18 @@ class _Raster:
     def draw(cls, target: Target, pixel_per_unit: Floats, cutoff_per_px: float) -> "_Raster":
         half_mm = np.array(target.size_mm) / 2
         pixel_per_mm = float(np.max(pixel_per_unit / half_mm))
-        bandwidth_per_mm = 1.03 * cutoff_per_px * pixel_per_mm  # the margin covers perspective and later changes of scale
+        bandwidth_per_mm = (
+            1.03 * cutoff_per_px * pixel_per_mm
+        )  # the margin covers perspective and later changes of scale
         step_mm = 1 / (2 * bandwidth_per_mm * SUPERSAMPLING)
         counts = np.ceil(half_mm / step_mm + MARGIN_NYQUIST * SUPERSAMPLING).astype(int)
         y_mm, x_mm = (np.arange(-n, n + 1) * step_mm for n in counts)
         values = target.sample(y_mm, x_mm, bandwidth_per_mm) - (target.surround or 0.0)
         return cls(
-            scipy.ndimage.spline_filter(values, order=3, mode="mirror"), pixel_per_unit, -counts * step_mm / half_mm, step_mm / half_mm
+            scipy.ndimage.spline_filter(values, order=3, mode="mirror"),
+            pixel_per_unit,
+            -counts * step_mm / half_mm,
+            step_mm / half_mm,
         )
 
     @property

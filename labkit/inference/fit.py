@@ -3,8 +3,9 @@
 No start is ever at zero: there the likelihood has a saddle, every even mode's derivative vanishes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from time import perf_counter
 
 import numpy as np
@@ -17,9 +18,25 @@ from labkit.inference.verdict import Verdict, judge
 from labkit.optics.zernike import Floats, is_even
 from labkit.target import Target
 
-SKETCH_BAND = 0.2  # share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
-DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # RMS at the light's own wavelength; the twin covers the other sign
+SKETCH_BAND = (
+    0.2  # share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
+)
+DEFOCUS_WAVES = (
+    0.1,
+    0.25,
+    0.45,
+    0.7,
+    1.0,
+    1.4,
+    2.0,
+    2.8,
+    4.0,
+)  # RMS at the light's own wavelength; the twin covers the other sign
 FARTHEST_WAVES = 12.0
+RANDOM_WAVES = (0.1, 0.3)  # RMS of random starts, at the light's own wavelength
+JUMPS = ((4,), (4, 11), (5, 6), (11,), (5, 6, 12, 13))  # modes reversed together
+ENOUGH = 6  # random climbs that come back to the best optimum: then it is returned, accepted or not
+SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less belong to one optimum
 
 Progress = Callable[[str], None]
 
@@ -29,7 +46,7 @@ class WavefrontFit:
     """The wavefront of one channel at one range.
 
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance; state: all
-    parameters; relative: images (pixels,) of the used pixels of each frame; seconds: what it took.
+    parameters; climbs: made to find it; relative: images (pixels,) of the used pixels of each frame; seconds: it took.
     """
 
     noll: tuple[int, ...]
@@ -38,6 +55,7 @@ class WavefrontFit:
     objective: float
     chi2_per_pixel: float
     verdict: Verdict
+    climbs: int
     relative: tuple[Floats, ...]
     seconds: float
 
@@ -74,60 +92,83 @@ def fit_wavefront(
     poses: Sequence[Pose],
     noise: NoisePrior,
     *,
+    rng: np.random.Generator,
     starts: Sequence[Floats] = (),
-    max_starts: int = 8,
+    max_starts: int = 24,
     progress: Progress = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
 
     poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to climb from besides those of
-    the sweep, such as those found at other ranges. max_starts: climbs at most before the best is returned, rejected.
+    the sweep, such as those found at other ranges. rng: for further starts, made while what was found is not accepted.
+    max_starts: climbs at most before the best is returned, rejected.
     Raises FitError where the frames do not determine the parameters.
     """
     began = perf_counter()
     shape = frames[0].counts.shape
-    sketch = Problem(ForwardModel.build(optics, target, shape, band=SKETCH_BAND), tuple(frames[:1]), noise)
+    sketch = Problem(ForwardModel.build(optics, target, shape, band=_sketch_band(optics)), tuple(frames[:1]), noise)
+    whole = Problem(ForwardModel.build(optics, target, shape), tuple(frames), noise)
     progress("defocus sweep")
     swept = sweep(sketch, _first_state(frames[:1], poses[:1], noise, len(optics.noll)), optics)
-    best, queue = swept[0], [s.state for s in swept[:2]]
-    queue += [replace(best.state, waves=np.asarray(w, float)) for w in starts]
-    tried: list[Solution] = []
-    outcome: tuple[Solution, Verdict, list[Floats]] | None = None
-    whole = Problem(ForwardModel.build(optics, target, shape), tuple(frames), noise)
-    while queue and len(tried) < max_starts:
-        progress(f"climb {len(tried) + 1}")
-        tried.append(climb(sketch, queue.pop(0), max_steps=25, tolerance=0.3))
-        top = max(tried, key=lambda s: s.objective)
-        if queue and len(tried) < 2 + len(starts):
-            continue  # the first starts are all made before one is believed
-        if outcome is None or top is tried[-1]:
+    sure = [s.state for s in swept[:2]] + [replace(swept[0].state, waves=np.asarray(w, float)) for w in starts]
+    best, outcome, climbs, again = swept[0], None, 0, 0
+    for start in chain(sure, _more_starts(lambda: best.state, optics, rng)):
+        progress(f"climb {climbs + 1}")
+        found, climbs = _climb_from(sketch, start), climbs + 1
+        if found.objective > best.objective + SAME_OPTIMUM:
+            best, outcome, again = found, None, 0
+        elif found.objective > best.objective - SAME_OPTIMUM:
+            again += climbs > len(sure) + len(JUMPS)  # random starts only: the others lie near the best
+        if climbs >= len(sure) and outcome is None:  # the sure starts are all made before one is believed
             progress("whole band")
-            solution = _finish(whole, top, poses)
+            solution = _finish(whole, best, poses)
             relative = whole.relative(solution.state)
-            outcome = solution, judge(whole, solution.state, relative, len(tried)), relative
-            if outcome[1].accepted:
-                break
-            queue = [replace(top.state, waves=w) for w in _jumps(top.state.waves, optics.noll)]
+            outcome = solution, judge(whole, solution.state, relative), relative
+        if outcome is not None and (outcome[1].accepted or again >= ENOUGH or climbs >= max_starts):
+            break
     assert outcome is not None
     solution, verdict, relative = outcome
-    covariance = solution.covariance()[: len(optics.noll), : len(optics.noll)]
     return WavefrontFit(
         optics.noll,
         solution.state,
-        covariance,
+        solution.covariance()[: len(optics.noll), : len(optics.noll)],
         solution.objective,
         solution.chi2_per_pixel,
-        replace(verdict, starts=len(tried)),
+        verdict,
+        climbs,
         tuple(relative),
         perf_counter() - began,
     )
 
 
+def _sketch_band(optics: Optics) -> float:
+    """Share of the pass band for sketches: never less than half as much again as the pixels' own Nyquist frequency."""
+    return min(1.0, max(SKETCH_BAND, 0.75 / optics.pitch_um * optics.airy_um))
+
+
+def _climb_from(problem: Problem, start: State) -> Solution:
+    """Pose and light first, then everything: freed at once, from a pose a pixel off, an easy frame ended in a wrong minimum."""
+    settled = climb(problem, start, free_waves=False, max_steps=4, tolerance=1.0)
+    return climb(problem, settled.state, max_steps=25, tolerance=0.3)
+
+
+def _more_starts(best: Callable[[], State], optics: Optics, rng: np.random.Generator) -> Iterator[State]:
+    """Where else to look: the best so far with part of its even modes reversed, then at random."""
+    for waves in _jumps(best().waves, optics.noll):
+        yield replace(best(), waves=waves)
+    scale = optics.wavelength_um / optics.reference_um
+    while True:
+        direction = rng.normal(size=len(optics.noll))
+        waves = direction / np.linalg.norm(direction) * rng.uniform(*RANDOM_WAVES) * scale
+        if rng.random() < 0.5:
+            waves[0] = best().waves[0]
+        yield replace(best(), waves=waves)
+
+
 def sweep(problem: Problem, start: State, optics: Optics) -> list[Solution]:
     """Pose, light and noise fitted at each of a row of defocus values, the likeliest first.
 
-    The row goes on outwards while its last value is the likeliest. Everything is freed only afterwards: freed at once, from
-    a pose a pixel off, an easy frame ended in a wrong minimum.
+    The row goes on outwards while its last value is the likeliest.
     """
     scale = optics.wavelength_um / optics.reference_um
     values, found = list(DEFOCUS_WAVES), []
@@ -167,9 +208,7 @@ def _finish(whole: Problem, sketch: Solution, poses: Sequence[Pose]) -> Solution
 def _jumps(waves: Floats, noll: Sequence[int]) -> list[Floats]:
     """Where else to look: the even modes' signs changed in part, which is where wrong optima tend to lie."""
     signs = twin_signs(noll)
-    groups = [np.array([j in group for j in noll]) for group in ({4}, {4, 11}, {5, 6}, {11}, {5, 6, 12, 13})]
-    jumps = [np.where(group & (signs < 0), -waves, waves) for group in groups]
-    return [w for w in jumps if not np.allclose(w, waves)]
+    return [np.where(np.isin(noll, group) & (signs < 0), -waves, waves) for group in JUMPS]
 
 
 def residuals(fit: WavefrontFit, frames: Sequence[FrameData]) -> list[tuple[Floats, Floats]]:

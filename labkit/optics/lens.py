@@ -73,4 +73,6 @@ def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: 
 
 def ground_sample_mm(lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float) -> Floats:
     """What one pixel spans on a target at a range, mm. Thesis (2.35)."""
-    return np.asarray((np.asarray(range_mm, float) - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm)
+    return np.asarray(
+        (np.asarray(range_mm, float) - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm
+    )

@@ -40,7 +40,9 @@ class Pupil:
     def __post_init__(self) -> None:
         nyquist_um = self.wavelength_um * self.f_number / 2
         if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
-            raise ValueError(f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um")
+            raise ValueError(
+                f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
+            )
 
     @property
     def radius(self) -> float:
@@ -74,7 +76,9 @@ class Pupil:
     def _pupil_function(self, waves: Floats) -> Complexes:
         waves = np.asarray(waves, float)
         if waves.shape != (len(self.noll),):
-            raise ValueError(f"waves has shape {waves.shape}; one for each of the {len(self.noll)} modes {self.noll} is needed")
+            raise ValueError(
+                f"waves has shape {waves.shape}; one for each of the {len(self.noll)} modes {self.noll} is needed"
+            )
         phase = 2 * np.pi * self.reference_um / self.wavelength_um * np.tensordot(waves, self.modes, 1)
         return np.asarray(self.amplitude * np.exp(1j * phase))
 

@@ -1,0 +1,217 @@
+"""A session to its results: flat field, target found, wavefronts fitted, signs chosen, focus fitted, all written."""
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labkit.errors import DataError, FitError
+from labkit.execute import default_workers, run_all
+from labkit.imaging.model import Optics
+from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
+from labkit.lab.session import Session
+from labkit.optics.lens import ThinLens
+from labkit.optics.zernike import Floats, is_even
+from labkit.plan import Plan
+from labkit.products.focus import DefocusPoint, FocusFit, choose_signs, fit_focus
+from labkit.products.observe import Observation, observe
+from labkit.products.results import Plane, Results, Wavefront
+from labkit.target import Target, open_target
+
+Progress = Callable[[int, int, str], None]
+
+SEED = 1  # of the further starts: a session fitted twice gives the same results
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit, as it travels to a worker."""
+
+    optics: Optics
+    target: Target
+    observation: Observation
+    starts: tuple[Floats, ...] = ()
+
+    @property
+    def label(self) -> str:
+        where = "" if self.observation.range_mm is None else f" at {self.observation.range_mm:g} mm"
+        return f"{self.observation.channel}{where}"
+
+
+def fit_session(
+    session: Session,
+    *,
+    range_mm: float | None = None,
+    channel: str | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda done, total, step: None,
+    name: str = "latest",
+) -> Results:
+    """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
+
+    range_mm, channel: only these. workers: processes, by default one a processor. Raises DataError for frames that
+    cannot answer what was asked, TargetError for a target that is not in a frame, FitError for a fit that fails.
+    """
+    plan = session.plan
+    target = open_target(plan.target)
+    observations, warnings = observe(session, target, range_mm=range_mm, channel=channel, progress=progress)
+    tasks = [Task(_optics(plan, o.channel), target, o) for o in observations]
+    wavefronts = _fit_all(tasks, workers or default_workers(), progress)
+    wavefronts = _signed(wavefronts, plan)
+    focus, words = _focus(wavefronts, plan)
+    results = Results(
+        hashlib.sha256((session.folder / "plan.toml").read_bytes()).hexdigest(),
+        plan.fit.reference_wavelength_nm,
+        plan.fit.convention,
+        tuple(wavefronts),
+        focus,
+        (*session.warnings, *warnings, *words, *_doubts(wavefronts)),
+    )
+    results.write(session.results_folder(name))
+    return results
+
+
+def fit_task(task: Task) -> WavefrontFit:
+    """Do one fit."""
+    seen = task.observation
+    try:
+        return fit_wavefront(
+            task.optics,
+            task.target,
+            seen.frames,
+            seen.poses,
+            seen.noise,
+            rng=np.random.default_rng(SEED),
+            starts=task.starts,
+        )
+    except FitError as error:
+        raise FitError(f"{task.label}: {error}") from error
+
+
+def _optics(plan: Plan, channel: str) -> Optics:
+    wavelength_nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
+    first, last = plan.fit.zernike_noll
+    return Optics(
+        wavelength_nm * 1e-3,
+        plan.fit.reference_wavelength_nm * 1e-3,
+        plan.lens.f_number,
+        plan.sensor.pixel_pitch_um,
+        plan.sensor.active_um,
+        tuple(range(first, last + 1)),
+    )
+
+
+def _fit_all(tasks: Sequence[Task], workers: int, progress: Progress) -> list[Wavefront]:
+    """All fits; those whose optimum is rejected are tried again from their neighbours' wavefronts."""
+    fits: dict[int, WavefrontFit] = {}
+    progress(0, len(tasks), "fitting")
+    for index, fit in run_all(fit_task, tasks, workers):
+        fits[index] = fit
+        progress(len(fits), len(tasks), tasks[index].label)
+    again = {
+        i: replace(tasks[i], starts=tuple(_neighbours(i, tasks, fits))) for i in fits if not fits[i].verdict.accepted
+    }
+    again = {i: task for i, task in again.items() if task.starts}
+    for place, fit in run_all(fit_task, list(again.values()), workers):
+        index = list(again)[place]
+        if fit.objective > fits[index].objective or fit.verdict.accepted:
+            fits[index] = fit
+    return [_wavefront(task, fits[i]) for i, task in enumerate(tasks)]
+
+
+def _neighbours(index: int, tasks: Sequence[Task], fits: dict[int, WavefrontFit]) -> Iterable[Floats]:
+    """Accepted wavefronts of the same channel with this fit's defocus, of either sign."""
+    own = tasks[index].observation
+    for other, fit in fits.items():
+        if other != index and fit.verdict.accepted and tasks[other].observation.channel == own.channel:
+            for sign in (1.0, -1.0):
+                waves = fit.waves.copy()
+                waves[0] = sign * abs(fits[index].waves[0])
+                yield waves
+
+
+def _wavefront(task: Task, fit: WavefrontFit) -> Wavefront:
+    seen = task.observation
+    planes = []
+    for frame, (mean, std) in zip(seen.frames, residuals(fit, seen.frames), strict=True):
+        data, model, sigma = (np.full(frame.counts.shape, np.nan) for _ in range(3))
+        data[frame.used], model[frame.used], sigma[frame.used] = frame.counts[frame.used], mean, std
+        every = seen.period
+        planes.append(
+            tuple(Plane(*(image[r::every, c::every] for image in (data, model, sigma))) for r, c in seen.places)
+        )
+    return Wavefront(seen.range_mm, seen.channel, task.optics, fit, seen.names, tuple(planes))
+
+
+def _signed(wavefronts: Sequence[Wavefront], plan: Plan) -> list[Wavefront]:
+    """Of each twin the right one: by the range series of its channel where there is one, else by the stated rule."""
+    series = defaultdict(list)
+    for index, w in enumerate(wavefronts):
+        series[w.channel].append(index)
+    result = [replace(w, fit=canonical(w.fit)) for w in wavefronts]
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    for indices in series.values():
+        members = [(i, result[i]) for i in indices if result[i].range_mm is not None and 4 in result[i].fit.noll]
+        if len({w.range_mm for _, w in members}) < 2:
+            continue
+        fits = [w.fit for _, w in members]
+        signs = choose_signs(
+            [w.range_mm for _, w in members if w.range_mm is not None],
+            [f.waves[0] for f in fits],
+            [f.std[0] for f in fits],
+            {j: [f.waves[k] for f in fits] for k, j in enumerate(fits[0].noll) if is_even(j) and j != 4},
+            lens,
+            plan.fit.reference_wavelength_nm,
+        )
+        for (i, w), sign in zip(members, signs, strict=True):
+            result[i] = w if sign > 0 else replace(w, fit=w.fit.twin())
+    return result
+
+
+def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None, list[str]]:
+    points = [
+        DefocusPoint(w.range_mm, w.channel, float(w.fit.waves[0]), float(w.fit.std[0]))
+        for w in wavefronts
+        if w.range_mm is not None and 4 in w.fit.noll
+    ]
+    if not points:
+        return None, [
+            "no best focus: the frames carry no ranges"
+            if 4 in wavefronts[0].fit.noll
+            else "no best focus: defocus was not fitted"
+        ]
+    lens, settings = plan.lens, plan.fit
+    try:
+        focus = fit_focus(
+            points, lens.focal_length_mm, lens.f_number, settings.reference_wavelength_nm, settings.convention
+        )
+    except DataError as error:
+        return None, [f"no best focus: {error}"]
+    words = []
+    if not focus.identifiable:
+        words.append(
+            f"the pupil magnification cannot be told at these ranges: its standard error is {focus.std[-1]:.3f}; "
+            "ranges near the closest focus would tell it"
+        )
+    if focus.chi2_per_freedom is not None and focus.chi2_per_freedom > 4:
+        words.append(
+            f"defocus departs from the lens's curve by {np.sqrt(focus.chi2_per_freedom):.1f} times its standard errors; "
+            "those of best focus and pupil magnification were widened by as much"
+        )
+    return focus, words
+
+
+def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
+    doubts = []
+    for w in wavefronts:
+        where = f"{w.channel}" if w.range_mm is None else f"{w.channel} at {w.range_mm:g} mm"
+        if not w.fit.verdict.accepted:
+            doubts.append(
+                f"{where}: what is left of the data is not noise alone (p = {w.fit.verdict.p_value:.1g}); "
+                "the optimum may be a wrong one, or the model lacks something"
+            )
+        if not 0.9 <= w.fit.chi2_per_pixel <= 1.5:
+            doubts.append(f"{where}: chi2 per pixel is {w.fit.chi2_per_pixel:.2f}, expected is 0.9 to 1.5")
+    return doubts
