@@ -53,9 +53,9 @@ zernike_noll = [4, 15] # first and last mode
 address = "{address}"
 exposure_s = 0.02
 iso = 100
-frames_per_range = 4
-flats_per_range = 8
-darks = 8
+frames_per_range = 2
+flats_per_range = 4
+darks = 4
 
 [rail]
 address = "{address}"

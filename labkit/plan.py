@@ -73,6 +73,9 @@ Name = Annotated[str, _matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters 
 Address = Annotated[str, _matches(r"[a-z][a-z0-9]*:\S*", "driver:where, such as simulated: or grbl:/dev/ttyUSB0")]
 
 
+REFERENCE_NM = 450.0
+
+
 class Table(BaseModel):
     """A table of the plan: frozen, and unknown keys are errors."""
 
@@ -156,7 +159,7 @@ class FitSettings(Table):
     """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model."""
 
     zernike_noll: Annotated[tuple[Count, Count], Field(description=NOLL)] = (4, 15)
-    reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] = 450.0
+    reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
     convention: Literal["corrected", "thesis"] = "corrected"
 
     @field_validator("zernike_noll")
@@ -227,6 +230,13 @@ class Plan(Table):
     camera: CameraSettings | None = None
     rail: RailSettings | None = None
     display: DisplaySettings | None = None
+
+    @property
+    def reference_wavelength_nm(self) -> float:
+        """What waves are counted in: as [fit] says; else 450 nm, or of a single channel its own wavelength."""
+        if self.fit.reference_wavelength_nm is not None:
+            return self.fit.reference_wavelength_nm
+        return self.channel[0].wavelength_nm if len(self.channel) == 1 else REFERENCE_NM
 
     @model_validator(mode="after")
     def _consistent(self) -> Plan:

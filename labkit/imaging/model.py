@@ -84,8 +84,8 @@ class ForwardModel:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
         transfer = self.blur.transfer(waves)
         return [
-            self._sample(self.scene.spectrum(p) * transfer, u, self.scene.surround)
-            for p, u in zip(poses, used, strict=True)
+            self._sample(spectrum * transfer, u, self.scene.surround)
+            for spectrum, u in zip(self.scene.spectra(poses), used, strict=True)
         ]
 
     def evaluate(
@@ -97,7 +97,7 @@ class ForwardModel:
         """
         transfer = self.blur.transfer(waves)
         spread = self.blur.spread(transfer)
-        spectra = [self.scene.spectrum(pose) for pose in poses]
+        spectra = self.scene.spectra(poses)
         slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
         for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
             for spectrum, u, out in zip(spectra, used, slopes, strict=True):

@@ -1,5 +1,6 @@
 """A target on the torus, seen from a pose: rendered from geometry, band-limited, warped (thesis 2.36-2.38)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +31,7 @@ class Scene:
     target: Target
     cutoff_per_um: float
     _raster: "_Raster | None" = field(default=None, repr=False)
+    _drawn: dict[bytes, Complexes] = field(default_factory=dict, repr=False)
 
     @property
     def surround(self) -> float:
@@ -52,9 +54,14 @@ class Scene:
             image[low[0] : high[0], low[1] : high[1]] = raster.at(*onto_torus.to_target(rows, columns))
         return image
 
-    def spectrum(self, pose: Pose) -> Complexes:
-        """Half plane of the DFT of `image`."""
-        return self.torus.half_spectrum(self.image(pose))
+    def spectra(self, poses: Sequence[Pose]) -> list[Complexes]:
+        """Half planes of the DFT of `image` at each pose. Those of the last call are kept: a climb asks for each twice."""
+        keys = [pose.v.tobytes() for pose in poses]
+        self._drawn = {key: self._drawn[key] for key in keys if key in self._drawn}
+        for key, pose in zip(keys, poses, strict=True):
+            if key not in self._drawn:
+                self._drawn[key] = self.torus.half_spectrum(self.image(pose))
+        return [self._drawn[key] for key in keys]
 
     def _raster_for(self, pose: Pose) -> "_Raster":
         scale = np.array(pose.pixel_per_unit())

@@ -141,7 +141,7 @@ class Solution:
 
 
 def climb(
-    problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.02
+    problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.05
 ) -> Solution:
     """Climb to the maximum near a start.
 

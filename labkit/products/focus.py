@@ -14,6 +14,7 @@ TELLING_STD = (
     0.02  # pupil magnifications of real lenses lie between 0.5 and 2: less certain than this, nothing was learnt
 )
 USUAL_MAGNIFICATION_STD = 0.3
+MODEL_FLOOR_WAVES = 5e-4  # what fits of independently simulated frames err by beyond their bounds, all modes together
 SIGN_FLOOR_WAVES = 0.01  # errors below this decide no sign
 
 
@@ -70,7 +71,8 @@ def fit_focus(
             )
     which = np.array([channels.index(p.channel) for p in points])
     ranges = np.array([p.range_mm for p in points])
-    waves, std = np.array([p.waves for p in points]), np.array([p.std for p in points])
+    waves = np.array([p.waves for p in points])
+    std = np.hypot([p.std for p in points], MODEL_FLOOR_WAVES)
 
     def modelled(theta: Floats) -> Floats:
         lens = ThinLens(focal_length_mm, f_number, float(theta[-1]))

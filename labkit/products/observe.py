@@ -35,11 +35,13 @@ Progress = Callable[[int, int, str], None]
 class Observation:
     """The frames of one channel at one range, cut to the target, and where it stands in them.
 
+    range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it said; else the same.
     names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
     each of which repeats every `period` pixels.
     """
 
     range_mm: float | None
+    measured_range_mm: float | None
     channel: str
     names: tuple[str, ...]
     frames: tuple[FrameData, ...]
@@ -126,6 +128,11 @@ def _observation(
     places = ((0, 0),) if period == 1 else mosaic.places(channel)  # the cut begins on an even row and column
     names = tuple(frame.file for frame in group)
     return Observation(group[0].range_mm, channel, names, tuple(frames), poses, _noise(data[0], mosaic), places, period)
+
+
+def _measured(group: Sequence[Frame]) -> float | None:
+    readings = [float(frame.meta["measured_range_mm"]) for frame in group if "measured_range_mm" in frame.meta]
+    return float(np.mean(readings)) if readings else group[0].range_mm
 
 
 def _cut(corners: Sequence[Floats], shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -38,6 +38,7 @@ class Wavefront:
     """A fit with what it was made from. planes: [frame][Bayer plane]."""
 
     range_mm: float | None
+    measured_range_mm: float | None
     channel: str
     optics: Optics
     fit: WavefrontFit
@@ -55,6 +56,7 @@ class Wavefront:
         poses = [[float(x) for x in pose.v] for pose in state.poses]
         return {
             "range_mm": self.range_mm,
+            "measured_range_mm": self.measured_range_mm,
             "channel": self.channel,
             "wavelength_nm": round(self.optics.wavelength_um * 1e3, 6),
             "noll": list(fit.noll),

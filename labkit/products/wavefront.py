@@ -63,7 +63,7 @@ def fit_session(
     focus, words = _focus(wavefronts, plan)
     results = Results(
         hashlib.sha256((session.folder / "plan.toml").read_bytes()).hexdigest(),
-        plan.fit.reference_wavelength_nm,
+        plan.reference_wavelength_nm,
         plan.fit.convention,
         tuple(wavefronts),
         focus,
@@ -95,7 +95,7 @@ def _optics(plan: Plan, channel: str) -> Optics:
     first, last = plan.fit.zernike_noll
     return Optics(
         wavelength_nm * 1e-3,
-        plan.fit.reference_wavelength_nm * 1e-3,
+        plan.reference_wavelength_nm * 1e-3,
         plan.lens.f_number,
         plan.sensor.pixel_pitch_um,
         plan.sensor.active_um,
@@ -142,7 +142,7 @@ def _wavefront(task: Task, fit: WavefrontFit) -> Wavefront:
         planes.append(
             tuple(Plane(*(image[r::every, c::every] for image in (data, model, sigma))) for r, c in seen.places)
         )
-    return Wavefront(seen.range_mm, seen.channel, task.optics, fit, seen.names, tuple(planes))
+    return Wavefront(seen.range_mm, seen.measured_range_mm, seen.channel, task.optics, fit, seen.names, tuple(planes))
 
 
 def _signed(wavefronts: Sequence[Wavefront], plan: Plan) -> list[Wavefront]:
@@ -163,7 +163,7 @@ def _signed(wavefronts: Sequence[Wavefront], plan: Plan) -> list[Wavefront]:
             [f.std[0] for f in fits],
             {j: [f.waves[k] for f in fits] for k, j in enumerate(fits[0].noll) if is_even(j) and j != 4},
             lens,
-            plan.fit.reference_wavelength_nm,
+            plan.reference_wavelength_nm,
         )
         for (i, w), sign in zip(members, signs, strict=True):
             result[i] = w if sign > 0 else replace(w, fit=w.fit.twin())
@@ -172,9 +172,9 @@ def _signed(wavefronts: Sequence[Wavefront], plan: Plan) -> list[Wavefront]:
 
 def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None, list[str]]:
     points = [
-        DefocusPoint(w.range_mm, w.channel, float(w.fit.waves[0]), float(w.fit.std[0]))
+        DefocusPoint(w.measured_range_mm, w.channel, float(w.fit.waves[0]), float(w.fit.std[0]))
         for w in wavefronts
-        if w.range_mm is not None and 4 in w.fit.noll
+        if w.measured_range_mm is not None and 4 in w.fit.noll
     ]
     if not points:
         return None, [
@@ -185,7 +185,7 @@ def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None
     lens, settings = plan.lens, plan.fit
     try:
         focus = fit_focus(
-            points, lens.focal_length_mm, lens.f_number, settings.reference_wavelength_nm, settings.convention
+            points, lens.focal_length_mm, lens.f_number, plan.reference_wavelength_nm, settings.convention
         )
     except DataError as error:
         return None, [f"no best focus: {error}"]

@@ -64,7 +64,7 @@ def test_the_least_plan_takes_the_documented_defaults() -> None:
     assert [channel.name for channel in plan.channel] == ["R", "G"]
     assert plan.fit.zernike_noll == (4, 15)
     assert plan.fit.convention == "corrected"
-    assert plan.fit.reference_wavelength_nm == 450.0
+    assert plan.reference_wavelength_nm == 450.0
     assert (plan.sensor.fill_factor, plan.target.surround) == (1.0, "black")
     assert (plan.camera, plan.rail, plan.display) == (None, None, None)
 
