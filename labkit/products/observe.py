@@ -127,7 +127,17 @@ def _observation(
     period = 1 if len(mosaic.pattern) == 1 else 2
     places = ((0, 0),) if period == 1 else mosaic.places(channel)  # the cut begins on an even row and column
     names = tuple(frame.file for frame in group)
-    return Observation(group[0].range_mm, channel, names, tuple(frames), poses, _noise(data[0], mosaic), places, period)
+    return Observation(
+        group[0].range_mm,
+        _measured(group),
+        channel,
+        names,
+        tuple(frames),
+        poses,
+        _noise(data[0], mosaic),
+        places,
+        period,
+    )
 
 
 def _measured(group: Sequence[Frame]) -> float | None:
