@@ -14,7 +14,7 @@ TELLING_STD = (
     0.02  # pupil magnifications of real lenses lie between 0.5 and 2: less certain than this, nothing was learnt
 )
 USUAL_MAGNIFICATION_STD = 0.3
-MODEL_FLOOR_WAVES = 5e-4  # what fits of independently simulated frames err by beyond their bounds, all modes together
+MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
 SIGN_FLOOR_WAVES = 0.01  # errors below this decide no sign
 
 
