@@ -1,0 +1,119 @@
+"""How well sessions of other lenses, ranges and seeds than the demo's are fitted: `python -m benchmarks.accuracy`.
+
+Each session is captured on the simulated bench and fitted without its truth, which is compared only afterwards. The bench
+turns its pupil by 180 degrees against labkit's (its field is the inverse transform), which changes the sign of odd modes.
+"""
+
+import argparse
+import re
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labkit.demo import PLAN
+from labkit.lab.capture import capture
+from labkit.lab.devices import Room
+from labkit.lab.discover import open_devices
+from labkit.lab.session import Session
+from labkit.optics.zernike import is_even
+from labkit.plan import parse_plan
+from labkit.products.wavefront import fit_session
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A lens at three ranges, seen by one simulated world."""
+
+    focal_mm: float
+    f_number: float
+    ranges_mm: tuple[int, int, int]
+    order: int
+    size_mm: float
+    seed: int
+
+    def plan(self) -> str:
+        """The demo's plan with this case's numbers."""
+        text = PLAN.format(address=f"simulated:seed={self.seed}")
+        changes = {
+            "focal_length_mm": self.focal_mm,
+            "f_number": self.f_number,
+            "order": self.order,
+            "size_mm": self.size_mm,
+            "ranges_mm": list(self.ranges_mm),
+            "range_at_zero_mm": self.ranges_mm[0] - 50.0,
+        }
+        for key, value in changes.items():
+            text = re.sub(rf"(?m)^{key} = [^#\n]*", f"{key} = {value} ", text)
+        return text
+
+
+CASES = (
+    *(Case(70.0, 2.8, (3000, 3200, 3300), 4, 23.4, seed) for seed in (11, 12, 13)),
+    *(Case(50.0, 4.0, (1500, 1560, 1620), 4, 23.4, seed) for seed in (21, 22)),
+    Case(70.0, 2.8, (500, 505, 512), 3, 5.2, 31),
+    Case(70.0, 4.0, (500, 506, 514), 3, 5.2, 32),
+)
+
+
+def run(case: Case, folder: Path) -> list[dict[str, Any]]:
+    """Capture, fit, and compare with the truth; one row a fit, and one for the focus."""
+    text, room = case.plan(), Room()
+    with open_devices(parse_plan(text, Path()), room=room) as devices, Session.create(folder, text, Path()) as session:
+        capture(session, devices)
+    results = fit_session(Session.open(folder))
+    (bench,) = room.shared.values()
+    truth = bench.truth
+    visits = {visit.range_mm: visit for visit in truth.visits}
+    rows: list[dict[str, Any]] = []
+    for w in results.wavefronts:
+        modes = truth.modes_waves[w.channel]
+        true = np.array([modes.get(j, 0.0) * (1 if is_even(j) else -1) for j in w.fit.noll])
+        true[0] = visits[w.range_mm].defocus_waves[w.channel]
+        error = w.fit.waves - true
+        rows.append(
+            {
+                "defocus": abs(error[0]),
+                "rms": float(np.linalg.norm(error)),
+                "z": error / w.fit.std,
+                "chi2": w.fit.chi2_per_pixel,
+                "accepted": w.fit.verdict.accepted,
+                "seconds": w.fit.seconds,
+            }
+        )
+    focus = results.focus
+    assert focus is not None
+    off = [b - truth.best_focus_mm[c] for c, b in zip(focus.channels, focus.best_focus_mm, strict=True)]
+    magnification = focus.pupil_magnification - truth.pupil_magnification
+    z_focus = np.append(off, magnification) / focus.std
+    print(
+        f"{case}: defocus error <= {max(r['defocus'] for r in rows):.4f}, wavefront <= {max(r['rms'] for r in rows):.4f} waves, "
+        f"chi2 {min(r['chi2'] for r in rows):.3f}..{max(r['chi2'] for r in rows):.3f}, "
+        f"accepted {sum(r['accepted'] for r in rows)}/{len(rows)}, best focus error <= {np.abs(off).max():.4f} mm, "
+        f"mp error {magnification:+.4f} +- {focus.std[-1]:.4f}, focus z {np.round(z_focus, 1).tolist()}, "
+        f"{sum(r['seconds'] for r in rows):.0f} s of fitting",
+        flush=True,
+    )
+    return rows
+
+
+def main() -> None:
+    """Run the cases asked for and sum up."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", type=int, help="which of the cases, counted from 0; all by default")
+    chosen = parser.parse_args().cases or range(len(CASES))
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as base:
+        for index in chosen:
+            rows += run(CASES[index], Path(base) / str(index))
+    z = np.concatenate([row["z"] for row in rows])
+    print(
+        f"{len(rows)} fits, {z.size} modes: errors over standard errors have mean {z.mean():+.2f}, std {z.std():.2f}, "
+        f"{np.mean(np.abs(z) > 2):.1%} beyond 2 (4.6 % expected), {np.mean(np.abs(z) > 3):.1%} beyond 3 (0.3 %)"
+    )
+
+
+if __name__ == "__main__":
+    main()
