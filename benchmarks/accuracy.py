@@ -1,7 +1,7 @@
 """How well sessions of other lenses, ranges and seeds than the demo's are fitted: `python -m benchmarks.accuracy`.
 
-Each session is captured on the simulated bench and fitted without its truth, which is compared only afterwards. The bench
-turns its pupil by 180 degrees against labkit's (its field is the inverse transform), which changes the sign of odd modes.
+Each session is captured on the simulated bench and fitted without its truth, which is compared only afterwards. The
+bench turns its pupil by 180 degrees against labkit's (its field is the inverse transform): odd modes change sign.
 """
 
 import argparse
@@ -88,12 +88,18 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     off = [b - truth.best_focus_mm[c] for c, b in zip(focus.channels, focus.best_focus_mm, strict=True)]
     magnification = focus.pupil_magnification - truth.pupil_magnification
     z_focus = np.append(off, magnification) / focus.std
+    chi2 = [row["chi2"] for row in rows]
     print(
-        f"{case}: defocus error <= {max(r['defocus'] for r in rows):.4f}, wavefront <= {max(r['rms'] for r in rows):.4f} waves, "
-        f"chi2 {min(r['chi2'] for r in rows):.3f}..{max(r['chi2'] for r in rows):.3f}, "
-        f"accepted {sum(r['accepted'] for r in rows)}/{len(rows)}, best focus error <= {np.abs(off).max():.4f} mm, "
-        f"mp error {magnification:+.4f} +- {focus.std[-1]:.4f}, focus z {np.round(z_focus, 1).tolist()}, "
-        f"{sum(r['seconds'] for r in rows):.0f} s of fitting",
+        f"{case}:",
+        f"defocus error <= {max(row['defocus'] for row in rows):.4f} waves",
+        f"wavefront error <= {max(row['rms'] for row in rows):.4f} waves",
+        f"chi2 per pixel {min(chi2):.3f} to {max(chi2):.3f}",
+        f"accepted {sum(row['accepted'] for row in rows)} of {len(rows)}",
+        f"best focus error <= {np.abs(off).max():.4f} mm",
+        f"mp error {magnification:+.4f} +- {focus.std[-1]:.4f}",
+        f"errors of focus over standard errors {np.round(z_focus, 1).tolist()}",
+        f"{sum(row['seconds'] for row in rows):.0f} s of fitting",
+        sep="\n  ",
         flush=True,
     )
     return rows
