@@ -1,0 +1,24 @@
+"""A real photograph through import and fit, against what another program finds in it: examples/real_photograph.py.
+
+Skipped where the photograph is not at hand; 30 s, because a real picture's optimum is rejected and sought again.
+"""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "ipol"
+
+
+@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/ipol")
+@pytest.mark.timeout(180)
+def test_a_real_photograph_is_explained(tmp_path: Path) -> None:
+    example = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
+    outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
+    assert outcome.residual < 4.5  # grey levels; the signal's own is 26
+    for axis, theirs in example["DELBRACIO"].items():
+        np.testing.assert_allclose(outcome.mtf[axis], theirs, rtol=0, atol=0.02)
+    assert (tmp_path / "work" / "real_photograph.png").stat().st_size > 10_000
