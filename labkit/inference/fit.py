@@ -35,7 +35,7 @@ DEFOCUS_WAVES = (
 FARTHEST_WAVES = 12.0
 RANDOM_WAVES = (0.1, 0.3)  # RMS of random starts, at the light's own wavelength
 JUMPS = ((4,), (4, 11), (5, 6), (11,), (5, 6, 12, 13))  # modes reversed together
-ENOUGH = 6  # random climbs that come back to the best optimum: then it is returned, accepted or not
+ENOUGH = 3  # random climbs that come back to the best optimum: then it is returned, accepted or not
 SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less belong to one optimum
 
 Progress = Callable[[str], None]
@@ -94,7 +94,7 @@ def fit_wavefront(
     *,
     rng: np.random.Generator,
     starts: Sequence[Floats] = (),
-    max_starts: int = 24,
+    max_starts: int = 14,
     progress: Progress = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
