@@ -121,10 +121,10 @@ class ForwardModel:
         square of blur over distance.
         """
         torus = self.blur.torus
-        rows, columns = np.nonzero(used)
-        motions = pose.jacobian(rows.astype(float), columns.astype(float))
-        one_down = pose.jacobian(rows + 0.5, columns.astype(float)), pose.jacobian(rows - 0.5, columns.astype(float))
-        one_right = pose.jacobian(rows.astype(float), columns + 0.5), pose.jacobian(rows.astype(float), columns - 0.5)
+        rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
+        motions = pose.jacobian(rows, columns)
+        one_down = pose.jacobian(rows + 0.5, columns), pose.jacobian(rows - 0.5, columns)
+        one_right = pose.jacobian(rows, columns + 0.5), pose.jacobian(rows, columns - 0.5)
         result = np.zeros((POSE_SIZE, rows.size))
         for axis, frequency in enumerate((torus.row_frequency, torus.column_frequency)):
             gradient = spectrum * (2j * np.pi * torus.pitch_um * frequency)

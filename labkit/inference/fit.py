@@ -99,23 +99,29 @@ def fit_wavefront(
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
 
-    poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to climb from besides those of
-    the sweep, such as those found at other ranges. rng: for further starts, made while what was found is not accepted.
+    poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to climb from instead of those
+    of the sweep, such as those found at other ranges. rng: for further starts, made while what was found is not accepted.
     max_starts: climbs at most before the best is returned, rejected.
     Raises FitError where the frames do not determine the parameters.
     """
     began = perf_counter()
     shape = frames[0].counts.shape
-    sketch = Problem(ForwardModel.build(optics, target, shape, band=_sketch_band(optics)), tuple(frames[:1]), noise)
+    # starts that are given lie close together, near focus, where only the fine detail tells optima apart
+    band = 1.0 if len(starts) else _sketch_band(optics)
+    sketch = Problem(ForwardModel.build(optics, target, shape, band=band), tuple(frames[:1]), noise)
     whole = Problem(ForwardModel.build(optics, target, shape), tuple(frames), noise)
-    progress("defocus sweep")
-    swept = sweep(sketch, _first_state(frames[:1], poses[:1], noise, len(optics.noll)), optics)
-    sure = [s.state for s in swept[:2]] + [replace(swept[0].state, waves=np.asarray(w, float)) for w in starts]
-    best, outcome, climbs, again = swept[0], None, 0, 0
-    for start in chain(sure, _more_starts(lambda: best.state, optics, rng)):
+    first = _first_state(frames[:1], poses[:1], noise, len(optics.noll))
+    sure = [replace(first, waves=np.asarray(waves, float)) for waves in starts]
+    if not sure:
+        progress("defocus sweep")
+        sure = [solution.state for solution in sweep(sketch, first, optics)[:2]]
+    best: Solution | None = None
+    outcome: tuple[Solution, Verdict, list[Floats]] | None = None
+    climbs = again = 0
+    for start in chain(sure, _more_starts(lambda: best, optics, rng)):
         progress(f"climb {climbs + 1}")
         found, climbs = _climb_from(sketch, start), climbs + 1
-        if found.objective > best.objective + SAME_OPTIMUM:
+        if best is None or found.objective > best.objective + SAME_OPTIMUM:
             best, outcome, again = found, None, 0
         elif found.objective > best.objective - SAME_OPTIMUM:
             again += climbs > len(sure) + len(JUMPS)  # random starts only: the others lie near the best
@@ -152,17 +158,19 @@ def _climb_from(problem: Problem, start: State) -> Solution:
     return climb(problem, settled.state, max_steps=25, tolerance=0.3)
 
 
-def _more_starts(best: Callable[[], State], optics: Optics, rng: np.random.Generator) -> Iterator[State]:
+def _more_starts(best: Callable[[], Solution | None], optics: Optics, rng: np.random.Generator) -> Iterator[State]:
     """Where else to look: the best so far with part of its even modes reversed, then at random."""
-    for waves in _jumps(best().waves, optics.noll):
-        yield replace(best(), waves=waves)
+    found = best()
+    assert found is not None
+    for waves in _jumps(found.state.waves, optics.noll):
+        yield replace(found.state, waves=waves)
     scale = optics.wavelength_um / optics.reference_um
-    while True:
+    while (found := best()) is not None:
         direction = rng.normal(size=len(optics.noll))
         waves = direction / np.linalg.norm(direction) * rng.uniform(*RANDOM_WAVES) * scale
         if rng.random() < 0.5:
-            waves[0] = best().waves[0]
-        yield replace(best(), waves=waves)
+            waves[0] = found.state.waves[0]
+        yield replace(found.state, waves=waves)
 
 
 def sweep(problem: Problem, start: State, optics: Optics) -> list[Solution]:

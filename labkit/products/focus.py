@@ -63,10 +63,10 @@ def fit_focus(
     """
     channels = tuple(dict.fromkeys(p.channel for p in points))
     for name in channels:
-        ranges = {p.range_mm for p in points if p.channel == name}
-        if len(ranges) < 2:
+        own = {p.range_mm for p in points if p.channel == name}
+        if len(own) < 2:
             raise DataError(
-                f"best focus and pupil magnification need at least 2 ranges for each channel; {name} has {len(ranges)}: "
+                f"best focus and pupil magnification need at least 2 ranges for each channel; {name} has {len(own)}: "
                 "photograph the target at more ranges"
             )
     which = np.array([channels.index(p.channel) for p in points])
@@ -90,7 +90,8 @@ def fit_focus(
         ftol=1e-14,
         gtol=1e-14,
     )
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac, hermitian=True)
+    jacobian: Floats = np.asarray(solved.jac, float)  # the stubs allow sparse ones too
+    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     freedom = len(points) - theta0.size
     chi2 = float(2 * solved.cost / freedom) if freedom > 0 else None
     left = waves - modelled(solved.x)

@@ -22,6 +22,8 @@ from labkit.target import Target, open_target
 
 Progress = Callable[[int, int, str], None]
 
+NEAR_FOCUS_WAVES = 0.2  # RMS
+NEAR_STARTS_WAVES = (0.01, 0.06, 0.12)
 SEED = 1  # of the further starts: a session fitted twice gives the same results
 
 
@@ -52,7 +54,7 @@ def fit_session(
     """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
 
     range_mm, channel: only these. workers: processes, by default one a processor. Raises DataError for frames that
-    cannot answer what was asked, TargetError for a target that is not in a frame, FitError for a fit that fails.
+    cannot answer what was asked (too few ranges for a focus: after writing), TargetError for a target that is not in a frame, FitError for a fit that fails.
     """
     plan = session.plan
     target = open_target(plan.target)
@@ -69,7 +71,10 @@ def fit_session(
         focus,
         (*session.warnings, *warnings, *words, *_doubts(wavefronts)),
     )
-    results.write(session.results_folder(name))
+    folder = session.results_folder(name)
+    results.write(folder)
+    if range_mm is None and focus is None and any(w.range_mm is not None and 4 in w.fit.noll for w in wavefronts):
+        raise DataError(f"{'; '.join(words)}; the wavefronts are fitted all the same, their results are in {folder}")
     return results
 
 
@@ -104,32 +109,50 @@ def _optics(plan: Plan, channel: str) -> Optics:
 
 
 def _fit_all(tasks: Sequence[Task], workers: int, progress: Progress) -> list[Wavefront]:
-    """All fits; those whose optimum is rejected are tried again from their neighbours' wavefronts."""
+    """All fits; doubtful ones are made again with their neighbours' wavefronts to start from, the likelier is kept.
+
+    Near best focus wrong optima lie close by and leave little behind, while a defocused neighbour of the same lens, whose
+    other modes are the same, is told without doubt.
+    """
     fits: dict[int, WavefrontFit] = {}
     progress(0, len(tasks), "fitting")
     for index, fit in run_all(fit_task, tasks, workers):
         fits[index] = fit
         progress(len(fits), len(tasks), tasks[index].label)
-    again = {
-        i: replace(tasks[i], starts=tuple(_neighbours(i, tasks, fits))) for i in fits if not fits[i].verdict.accepted
-    }
+    doubtful = [i for i, f in sorted(fits.items()) if not f.verdict.accepted or abs(_defocus(f)) < NEAR_FOCUS_WAVES]
+    again = {i: replace(tasks[i], starts=tuple(_neighbours(i, tasks, fits))) for i in doubtful}
     again = {i: task for i, task in again.items() if task.starts}
     for place, fit in run_all(fit_task, list(again.values()), workers):
         index = list(again)[place]
-        if fit.objective > fits[index].objective or fit.verdict.accepted:
+        progress(len(fits), len(tasks), f"{tasks[index].label} again")
+        if fit.objective > fits[index].objective:
             fits[index] = fit
     return [_wavefront(task, fits[i]) for i, task in enumerate(tasks)]
 
 
+def _defocus(fit: WavefrontFit) -> float:
+    return float(fit.waves[0]) if fit.noll[0] == 4 else np.inf
+
+
 def _neighbours(index: int, tasks: Sequence[Task], fits: dict[int, WavefrontFit]) -> Iterable[Floats]:
-    """Accepted wavefronts of the same channel with this fit's defocus, of either sign."""
-    own = tasks[index].observation
-    for other, fit in fits.items():
-        if other != index and fit.verdict.accepted and tasks[other].observation.channel == own.channel:
-            for sign in (1.0, -1.0):
-                waves = fit.waves.copy()
-                waves[0] = sign * abs(fits[index].waves[0])
-                yield waves
+    """The wavefront of the same channel that is told best, at several values of defocus around none and this fit's own."""
+    channel = tasks[index].observation.channel
+    told = [
+        fit
+        for other, fit in fits.items()
+        if tasks[other].observation.channel == channel
+        and fit.verdict.accepted
+        and abs(_defocus(fit)) >= NEAR_FOCUS_WAVES
+    ]
+    if not told or _defocus(told[0]) == np.inf:
+        return
+    best = min(told, key=lambda fit: float(np.linalg.norm(fit.std)))
+    own = abs(float(fits[index].waves[0]))
+    for defocus in (own, *NEAR_STARTS_WAVES):
+        for sign in (1.0, -1.0):
+            waves = best.waves.copy()
+            waves[0] = sign * defocus
+            yield waves
 
 
 def _wavefront(task: Task, fit: WavefrontFit) -> Wavefront:
@@ -197,7 +220,8 @@ def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None
         )
     if focus.chi2_per_freedom is not None and focus.chi2_per_freedom > 4:
         words.append(
-            f"defocus departs from the lens's curve by {np.sqrt(focus.chi2_per_freedom):.1f} times its standard errors; "
+            f"defocus departs from the lens's curve by {np.sqrt(focus.chi2_per_freedom):.1f} times its standard "
+            "errors; "
             "those of best focus and pupil magnification were widened by as much"
         )
     return focus, words
