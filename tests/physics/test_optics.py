@@ -1,0 +1,132 @@
+"""Zernike modes, pupil, PSF and lens against poppy, closed forms and published values."""
+
+from __future__ import annotations
+
+import astropy.units as u
+import numpy as np
+import poppy
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import j1
+
+from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves
+from labkit.optics.psf import Pupil, diffraction_mtf
+from labkit.optics.pupil import disc_area
+from labkit.optics.zernike import is_even, zernike
+
+EVERY_MODE = tuple(range(4, 16))
+
+
+@pytest.mark.parametrize("j", range(1, 37))
+def test_modes_are_nolls_as_poppy_has_them(j: int) -> None:
+    y, x = np.meshgrid(*2 * [np.linspace(-0.7, 0.7, 31)], indexing="ij")
+    rho, theta = np.hypot(x, y), np.arctan2(y, x)
+    theirs = poppy.zernike.zernike1(j, rho=rho, theta=theta, outside=0.0)
+    np.testing.assert_allclose(zernike(j, rho, theta), theirs, atol=1e-11)
+
+
+@pytest.mark.parametrize("radius", [3.3, 20.0, 57.9])
+def test_a_shaded_disc_has_the_area_of_a_circle(radius: float) -> None:
+    half = int(np.ceil(radius)) + 1
+    assert disc_area(np.arange(-half, half + 1.0), radius).sum() == pytest.approx(np.pi * radius**2, rel=1e-12)
+
+
+def test_each_shaded_sample_holds_the_area_that_a_fine_raster_counts() -> None:
+    radius, many = 4.37, 200
+    fine = (np.arange(11 * many) + 0.5) / many - 5.5
+    inside = np.hypot(fine[:, None], fine) < radius
+    counted = inside.reshape(11, many, 11, many).mean(axis=(1, 3))
+    # a raster errs by less than one fine sample along the edge, which is at most two samples long
+    assert np.abs(disc_area(np.arange(-5.0, 6), radius) - counted).max() < 2 / many
+
+
+def airy_share(spacing: float, reach: int) -> np.ndarray:
+    """Airy's disc, share of the light on each sample; spacing in lambda N."""
+    r = np.hypot(*np.meshgrid(*2 * [np.arange(-reach, reach) * spacing]))
+    r[reach, reach] = 1e-9
+    airy: np.ndarray = (2 * j1(np.pi * r) / (np.pi * r)) ** 2 * np.pi / 4 * spacing**2
+    return airy
+
+
+def test_a_perfect_lens_shows_airys_disc() -> None:
+    pupil = Pupil(0.55, 0.45, 4.0, 0.4 * 2.2, 500, (4,))
+    difference = pupil.psf(np.zeros(1)) - airy_share(0.4, 250)
+    # the energy beyond the window, 100 lambda N, is 0.2 %, and folds back into it
+    assert np.abs(difference).sum() < 4e-3
+
+
+@pytest.mark.parametrize(
+    ("nu", "mtf"), [(0.1, 0.872889), (0.25, 0.685038), (0.5, 0.391002), (0.75, 0.144294), (0.9, 0.037386)]
+)
+def test_a_perfect_lens_has_the_published_mtf(nu: float, mtf: float) -> None:
+    assert diffraction_mtf(np.array([nu]))[0] == pytest.approx(mtf, abs=6e-7)
+
+
+@pytest.mark.parametrize("waves", [0.05, 0.2, 0.5, 1.0])
+def test_the_axis_of_a_defocused_psf_follows_the_squared_sinc(waves: float) -> None:
+    pupil = Pupil(0.45, 0.45, 4.0, 0.72, 600, (4,))
+    strehl = pupil.psf(np.array([waves]))[300, 300] / pupil.psf(np.zeros(1))[300, 300]
+    # peak to valley sqrt(12) RMS; a pupil 240 samples across sums the edge to 1e-4 of the peak
+    assert strehl == pytest.approx(np.sinc(np.sqrt(12) * waves) ** 2, abs=3e-4)
+
+
+def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:
+    waves = {4: 0.6, 5: 0.05, 7: 0.08, 8: -0.05, 9: 0.04, 11: 0.03}
+    pupil = Pupil(0.6, 0.45, 2.8, 0.6, 800, tuple(waves))
+    ours = pupil.psf(np.array(list(waves.values())))[340:461, 340:461]
+    coefficients = [0.0, 0, 0, *(waves.get(j, 0.0) * 450e-9 for j in range(4, 12))]
+    system = poppy.OpticalSystem(npix=1024, oversample=1)
+    system.add_pupil(poppy.CircularAperture(radius=1.0, gray_pixel=True))
+    system.add_pupil(poppy.ZernikeWFE(radius=1.0, coefficients=coefficients))
+    scale = np.degrees(0.6e-6 / (2.8 * 2.0)) * 3600
+    system.add_detector(pixelscale=scale * u.arcsec / u.pixel, fov_pixels=121, oversample=1)
+    # poppy's light goes against the slope of the path (it writes the inverse transform): turn it by 180 degrees
+    theirs = system.calc_psf(wavelength=600e-9)[0].data[::-1, ::-1]
+    assert np.abs(ours / ours.sum() - theirs / theirs.sum()).sum() < 3e-3
+
+
+@pytest.mark.parametrize(("mode", "axis"), [(2, 1), (3, 0)])
+def test_a_path_that_grows_to_the_right_or_down_throws_light_there(mode: int, axis: int) -> None:
+    # Z2 = 2 rho cos(theta) is x, Z3 is y: one wave RMS is four waves across the pupil, 4 lambda N
+    psf = Pupil(0.5, 0.5, 4.0, 1.0, 128, (mode,)).psf(np.array([0.5]))
+    peak = np.array(np.unravel_index(psf.argmax(), psf.shape)) - 64
+    expected = np.zeros(2)
+    expected[axis] = 2 * 0.5 * 4.0 / 1.0
+    np.testing.assert_array_equal(peak, expected)
+
+
+def test_psf_derivatives_are_finite_differences() -> None:
+    pupil = Pupil(0.55, 0.45, 4.0, 1.0, 96, EVERY_MODE)
+    waves = np.random.default_rng(1).normal(0, 0.1, 12)
+    slopes = pupil.psf_jacobian(waves)[1]
+    for k, step in enumerate(1e-5 * np.eye(12)):
+        difference = (pupil.psf(waves + step) - pupil.psf(waves - step)) / 2e-5
+        assert np.abs(slopes[k] - difference).max() < 1e-6 * np.abs(slopes).max()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-0.5, 0.5), min_size=12, max_size=12))
+def test_the_twin_has_the_same_psf(waves: list[float]) -> None:
+    pupil = Pupil(0.5, 0.5, 4.0, 1.0, 64, EVERY_MODE)
+    twin = [-w if is_even(j) else w for j, w in zip(EVERY_MODE, waves, strict=True)]
+    np.testing.assert_allclose(pupil.psf(np.array(twin)), pupil.psf(np.array(waves)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("range_mm", "corrected", "thesis"),
+    [(3013.2, 0.07484, 0.07049), (3200.0, 1.06783, 1.00566), (3300.0, 1.55325, 1.46279)],
+)
+def test_defocus_against_range_has_the_published_values(range_mm: float, corrected: float, thesis: float) -> None:
+    lens = ThinLens(70.0, 2.8, 0.985)
+    assert defocus_waves(lens, range_mm, 3000.0, 450.0) == pytest.approx(corrected, abs=6e-6)
+    assert defocus_waves(lens, range_mm, 3000.0, 450.0, "thesis") == pytest.approx(thesis, abs=6e-6)
+
+
+def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:
+    # transverse ray aberration at the pupil's edge: f/# times the slope of PV rho^2, so diameter = 8 N' PV
+    lens = ThinLens(70.0, 16.0, 0.985)
+    path_mm = defocus_waves(lens, 3050.0, 3000.0, 450.0) * np.sqrt(12) * 450e-6
+    working = lens.pupil_to_image_mm(3000.0) / lens.exit_pupil_mm
+    # corrections: NA^2 and the relative change of the image distance, each about 1e-3
+    assert circle_of_confusion_mm(lens, 3050.0, 3000.0) == pytest.approx(8 * working * path_mm, rel=3e-3)
