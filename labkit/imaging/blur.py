@@ -15,7 +15,8 @@ from labkit.optics.zernike import Floats
 class Blur:
     """Lens and pixel.
 
-    pupil: its PSF's spacing is the torus's, or a whole fraction of it. active_um: width of the pixel's active square, whatever the sampling period.
+    pupil: its PSF's spacing is the torus's, or a whole fraction of it. active_um: width of the pixel's active square,
+    whatever the sampling period.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small

@@ -1,4 +1,4 @@
-"""Where the target stands: the plane homography from the target's millimetres to the sensor's pixels (thesis 2.8, Appendix C)."""
+"""Where the target stands: the homography from its plane to the sensor's pixels (thesis 2.8, Appendix C)."""
 
 from dataclasses import dataclass
 

@@ -118,7 +118,7 @@ def fit_wavefront(
     best: Solution | None = None
     outcome: tuple[Solution, Verdict, list[Floats]] | None = None
     climbs = again = 0
-    for start in chain(sure, _more_starts(lambda: best, optics, rng)):
+    for start in chain(sure, _more_starts(lambda: best, optics, rng)):  # noqa: B023 - the best so far is what is wanted
         progress(f"climb {climbs + 1}")
         found, climbs = _climb_from(sketch, start), climbs + 1
         if best is None or found.objective > best.objective + SAME_OPTIMUM:

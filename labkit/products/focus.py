@@ -81,8 +81,12 @@ def fit_focus(
     start = [_crossing(ranges[which == k], waves[which == k], focal_length_mm) for k in range(len(channels))]
     theta0 = np.array([*start, 1.0])
     shortest = 1.01 * focal_length_mm
+
+    def misfit(theta: Floats) -> Floats:
+        return np.asarray((waves - modelled(theta)) / std)
+
     solved = least_squares(
-        lambda t: (waves - modelled(t)) / std,
+        misfit,
         theta0,
         x_scale=np.array([1e-3 * r for r in start] + [0.01]),
         bounds=([shortest] * len(channels) + [0.05], [np.inf] * len(channels) + [20.0]),
@@ -91,14 +95,14 @@ def fit_focus(
         gtol=1e-14,
     )
     jacobian: Floats = np.asarray(solved.jac, float)  # the stubs allow sparse ones too
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True), float)
     freedom = len(points) - theta0.size
     chi2 = float(2 * solved.cost / freedom) if freedom > 0 else None
     left = waves - modelled(solved.x)
     residuals = {c: [float(v) for v in left[which == k]] for k, c in enumerate(channels)}
-    return FocusFit(
-        channels, solved.x[:-1], float(solved.x[-1]), covariance * max(1.0, chi2 or 1.0), residuals, chi2, convention
-    )
+    best = np.asarray(solved.x, float)
+    widened = covariance * max(1.0, chi2 or 1.0)
+    return FocusFit(channels, best[:-1], float(best[-1]), widened, residuals, chi2, convention)
 
 
 def _crossing(ranges: Floats, waves: Floats, focal_length_mm: float) -> float:

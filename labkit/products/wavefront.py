@@ -53,8 +53,9 @@ def fit_session(
 ) -> Results:
     """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
 
-    range_mm, channel: only these. workers: processes, by default one a processor. Raises DataError for frames that
-    cannot answer what was asked (too few ranges for a focus: after writing), TargetError for a target that is not in a frame, FitError for a fit that fails.
+    range_mm, channel: only these. workers: processes, by default one a processor. Raises DataError for frames that cannot
+    answer what was asked (too few ranges for a focus: after writing), TargetError for a target that is not in a frame,
+    FitError for a fit that fails.
     """
     plan = session.plan
     target = open_target(plan.target)
