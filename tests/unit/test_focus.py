@@ -68,5 +68,5 @@ def test_signs_undo_a_random_choice_of_twins(seed: int) -> None:
     flips = rng.choice([-1, 1], 5)
     spherical, astigmatism = rng.normal(0, 0.002, (2, 5)) + np.array([[0.08], [-0.06]])
     others = {11: list(flips * spherical), 6: list(flips * astigmatism)}
-    found = choose_signs(ranges, flips * truth, [0.002] * 5, others, ThinLens(70.0, 2.8), 450.0)
+    found = choose_signs(list(ranges), list(flips * truth), [0.002] * 5, others, ThinLens(70.0, 2.8), 450.0)
     assert found == list(flips)
