@@ -1,0 +1,94 @@
+"""The likelihood against finite differences and simulated noise; the verdict on pure noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.imaging.model import Evaluation
+from labkit.inference.likelihood import Detector, FrameData, log_likelihood, predict, score
+from labkit.inference.solve import NoisePrior, Problem, State
+from labkit.inference.verdict import SIGNIFICANCE, judge
+
+Floats = NDArray[np.float64]
+DETECTOR = Detector(400.0, 30.0, 0.5, 4.0)
+SHAPE = (12, 15)
+
+
+def case(rng: np.random.Generator) -> tuple[Evaluation, FrameData]:
+    n = SHAPE[0] * SHAPE[1]
+    evaluation = Evaluation(rng.uniform(0.1, 1, n), rng.normal(size=(3, n)), rng.normal(size=(8, n)))
+    frame = FrameData(
+        np.zeros(SHAPE), np.ones(SHAPE, bool), rng.uniform(0.8, 1.2, SHAPE), rng.uniform(0.0, 0.02, SHAPE)
+    )
+    return evaluation, exposed(evaluation.mean, frame, rng)
+
+
+def exposed(relative: Floats, frame: FrameData, rng: np.random.Generator) -> FrameData:
+    """Counts drawn from thesis (3.4), written out here."""
+    mean = frame.illumination * (400.0 * relative.reshape(SHAPE) + 30.0)
+    variance = 0.5 * mean + 4.0 + (frame.relative_std * mean) ** 2
+    return FrameData(rng.normal(mean, np.sqrt(variance)), frame.used, frame.illumination, frame.relative_std)
+
+
+def stepped(evaluation: Evaluation, frame: FrameData, step: Floats) -> float:
+    relative = evaluation.mean + step[:3] @ evaluation.by_waves + step[3:11] @ evaluation.by_pose
+    noise = np.exp(step[13:])
+    own = Detector(400.0 + step[11], 30.0 + step[12], 0.5 * float(noise[0]), 4.0 * float(noise[1]))
+    return log_likelihood(relative, frame, own)
+
+
+def test_the_gradient_is_a_finite_difference() -> None:
+    evaluation, frame = case(np.random.default_rng(6))
+    gradient = score(evaluation, frame, DETECTOR).gradient
+    size = np.array([1e-6] * 11 + [1e-3] * 2 + [1e-5] * 2)
+    found = [
+        (stepped(evaluation, frame, s) - stepped(evaluation, frame, -s)) / (2 * h)
+        for s, h in zip(np.diag(size), size, strict=True)
+    ]
+    np.testing.assert_allclose(gradient, found, rtol=1e-4, atol=1e-4)
+
+
+def test_the_score_scatters_as_the_information_says() -> None:
+    rng = np.random.default_rng(7)
+    evaluation, frame = case(rng)
+    information = score(evaluation, frame, DETECTOR).information
+    draws = [score(evaluation, exposed(evaluation.mean, frame, rng), DETECTOR).gradient for _ in range(3000)]
+    whiten = np.linalg.inv(np.linalg.cholesky(information))
+    covariance = whiten @ np.cov(np.array(draws).T) @ whiten.T
+    # entries of a covariance of 3000 unit normals err by sqrt(2/3000) at most; allow five (225 of them are looked at)
+    assert np.abs(covariance - np.eye(15)).max() < 5 * np.sqrt(2 / 3000)
+
+
+def test_the_variance_follows_the_mean() -> None:
+    evaluation, frame = case(np.random.default_rng(8))
+    mean, variance = predict(evaluation.mean, frame, DETECTOR)
+    expected = 0.5 * mean + 4.0 + (frame.relative_std.ravel() * mean) ** 2
+    np.testing.assert_allclose(variance, expected)
+
+
+@dataclass(frozen=True)
+class NoModel:
+    """Stands where `judge` needs none: the residuals are given."""
+
+
+def verdict_on(rng: np.random.Generator, bump: float = 0.0) -> bool:
+    evaluation, frame = case(rng)
+    frame.counts[4:8, 4:8] += bump
+    prior = NoisePrior(0.5, 0.01, 4.0, 0.01)
+    problem = Problem(NoModel(), (frame,), prior)  # type: ignore[arg-type]
+    state = State(np.zeros(3), (None,), np.array([400.0]), np.array([30.0]), prior.centre)  # type: ignore[arg-type]
+    return judge(problem, state, [evaluation.mean]).accepted
+
+
+def test_pure_noise_is_hardly_ever_rejected() -> None:
+    rejected = sum(not verdict_on(np.random.default_rng(seed)) for seed in range(1500))
+    # 1.5 are expected at the significance of 1e-3; more than 7 come by chance once in 2000 times
+    assert rejected <= 7
+    assert SIGNIFICANCE == 1e-3
+
+
+def test_structure_is_rejected() -> None:
+    assert not any(verdict_on(np.random.default_rng(seed), bump=45.0) for seed in range(20))
