@@ -14,7 +14,7 @@ PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "ipol"
 
 
 @pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/ipol")
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(900)
 def test_a_real_photograph_is_explained(tmp_path: Path) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
     outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
