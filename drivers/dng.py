@@ -17,7 +17,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from labkit import __version__
-from labkit.lab.files import write_atomically
+from labkit.files import write_atomically
 
 COLOURS = {"R": 0, "G": 1, "B": 2}
 CFA_PHOTOMETRIC = 32803

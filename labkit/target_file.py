@@ -6,12 +6,9 @@ For the command line: ``labkit target render SPEC FILE`` is ``render_file(open_t
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import ValidationError
 
-from labkit.errors import InputError, TargetError
+from labkit.errors import TargetError
+from labkit.files import write_atomically
 from labkit.plan import TargetSpec, load_plan
 from labkit.target import CellTarget, Target
 
@@ -84,9 +82,11 @@ def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels:
     grey = np.rint(255 * np.clip(target.radiance(y[:, None], x[None, :]), 0, 1)).astype(np.uint8)
     if path.suffix.lower() == ".png":
         dots = (cols * MM_PER_INCH / width, rows * MM_PER_INCH / height)
-        _write_whole(path, lambda file: Image.fromarray(grey).save(file, format="png", dpi=dots))
+        content = BytesIO()
+        Image.fromarray(grey).save(content, format="png", dpi=dots)
+        write_atomically(path, content.getvalue())
     else:
-        _write_whole(path, lambda file: file.write(_pdf(grey, height, width)))
+        write_atomically(path, _pdf(grey, height, width))
     return Rendering(path, (rows, cols), (height, width), tuple(_notes(target, grey)))
 
 
@@ -132,18 +132,3 @@ def _pdf(grey: NDArray[np.uint8], height_mm: float, width_mm: float) -> bytes:
     content = BytesIO()
     page.savefig(content, format="pdf")
     return content.getvalue()
-
-
-def _write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write beside the path, flush to the disk, then rename."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)

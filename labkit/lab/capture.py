@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 
 from labkit.errors import DataError, DeviceError, InputError, PlanError, RailLimitError, RawError
 from labkit.lab.devices import Coverable, Devices, ExposureSettings, Picture, RawFrame
-from labkit.lab.exposure import exposure_problem
 from labkit.lab.picture import PanelPicture, panel_picture
 from labkit.lab.raw import Mosaic, read_raw
 from labkit.lab.session import Kind, Session
+from labkit.lab.usable import exposure_problem
 from labkit.plan import CameraSettings, Plan, RailSettings
 from labkit.target import open_target
 

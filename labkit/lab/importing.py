@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import DataError, InputError, RawError
-from labkit.lab.files import sync_folder
+from labkit.files import sync_folder
 from labkit.lab.raw import MONO, Mosaic, read_raw
 from labkit.lab.session import KINDS, Kind, Session, refuse_existing
 from labkit.lab.usable import difference, exposure_problem

@@ -20,7 +20,7 @@ from typing import Any, Literal, Self, cast
 
 from labkit import __version__
 from labkit.errors import PlanError, SessionError
-from labkit.lab.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically
+from labkit.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically
 from labkit.lab.journal import Event, JournalWriter, read_journal
 from labkit.plan import Plan, load_plan, parse_plan
 

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 import labkit
+from labkit.files import write_atomically
 from labkit.imaging.model import Optics
 from labkit.inference.fit import WavefrontFit
-from labkit.lab.files import write_atomically
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import Floats
 from labkit.products.focus import FocusFit

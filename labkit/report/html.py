@@ -1,6 +1,5 @@
 """The report: one HTML file that needs nothing else, and its figures as files beside it."""
 
-import os
 from base64 import b64encode
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import InputError
+from labkit.files import write_atomically
 from labkit.plan import Plan, load_plan
 from labkit.report.contents import contents
 from labkit.report.figures import Drawn, draw_figures
@@ -31,13 +31,16 @@ def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
         figures.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {figures}: {error.strerror}") from error
-    for figure in (figure for section in drawn.values() for figure in section):
-        _write_whole(figures / f"{figure.name}.png", figure.png)
-        if figure.svg is not None:
-            _write_whole(figures / f"{figure.name}.svg", figure.svg)
+    files = {f"{f.name}.png": f.png for section in drawn.values() for f in section}
+    files |= {f"{f.name}.svg": f.svg for section in drawn.values() for f in section if f.svg is not None}
+    for name, content in files.items():
+        write_atomically(figures / name, content)
+    for old in figures.glob("*.[ps][nv]g"):
+        if old.name not in files:  # of an earlier fit, with other ranges or channels
+            old.unlink()
     html = _render(contents(measurement, plan, set(drawn)), drawn)
     path = results_folder / "report.html"
-    _write_whole(path, html.encode())
+    write_atomically(path, html.encode())
     return path
 
 
@@ -62,18 +65,3 @@ def _render(words: dict[str, Any], drawn: dict[str, list[Drawn]]) -> str:
 def _data_uri(figure: Drawn) -> str:
     kind, content = ("png", figure.png) if figure.svg is None else ("svg+xml", figure.svg)
     return f"data:image/{kind};base64,{b64encode(content).decode()}"
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Write beside the path, flush to the disk, then rename: a reader sees the old file or the new one."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        beside.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 ROOMS = [
     ["errors"],
+    ["files"],
     ["plan"],
     ["target"],
     ["target_file"],
@@ -95,5 +96,5 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> Non
 @pytest.mark.parametrize("path", modules("drivers"), ids=name)
 def test_a_driver_knows_nothing_of_the_model_that_it_tests(path: Path) -> None:
     # the simulated bench would agree with any mistake that it shared
-    allowed = {None, "errors", "plan", "target", "lab", "drivers"}
+    allowed = {None, "errors", "files", "plan", "target", "lab", "drivers"}
     assert {room(dotted) for dotted in imported(path)} <= allowed

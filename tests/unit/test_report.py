@@ -76,7 +76,7 @@ def results() -> dict[str, Any]:
 def write_results(folder: Path, content: dict[str, Any], residuals: bool = True) -> Path:
     """A session with results of round Gaussian PSFs and residuals of pure noise."""
     results_folder = folder / "session" / "results" / "latest"
-    results_folder.mkdir(parents=True)
+    results_folder.mkdir(parents=True, exist_ok=True)
     (folder / "session" / "plan.toml").write_text(PLAN)
     (results_folder / "results.json").write_text(json.dumps(content))
     rng = np.random.default_rng(1)
@@ -196,6 +196,16 @@ def test_figures_are_files_too(report: Path) -> None:
         "fit_3200_B.png",
         "residuals.svg",
     } <= names
+
+
+def test_figures_of_an_earlier_fit_do_not_stay(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, results())
+    write_report(folder)
+    one = results() | {"wavefronts": results()["wavefronts"][:1], "focus": None}
+    write_report(write_results(tmp_path, one))
+    names = {p.name for p in (folder / "figures").iterdir()}
+    assert "focus.png" not in names
+    assert [n for n in names if n.startswith("fit_")] == ["fit_3000_R.png"]
 
 
 def test_hostile_strings_are_shown_and_not_obeyed(tmp_path: Path) -> None:

@@ -8,18 +8,26 @@ import re
 import shutil
 from pathlib import Path
 
-from labkit.errors import SessionError
+from labkit.errors import InputError, SessionError
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write `content` to `path`, replacing what is there; a crash leaves the old file or the new one."""
-    beside = path.with_name(f".{path.name}.new")
-    with beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    sync_folder(path.parent)
+    """Write `content` to `path`, replacing what is there; a crash leaves the old file or the new one.
+
+    Raises InputError where the disk does not let us.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with beside.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def copy_durably(source: Path, target: Path) -> str:
