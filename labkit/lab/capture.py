@@ -13,8 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labkit.errors import DataError, DeviceError, InputError, PlanError, RailLimitError, RawError
-from labkit.lab.devices import Coverable, Devices, ExposureSettings, Picture, RawFrame
+from labkit.errors import (
+    DataError,
+    DeviceError,
+    DisplayError,
+    InputError,
+    LabkitError,
+    PlanError,
+    RailLimitError,
+    RawError,
+)
+from labkit.lab.devices import Attentive, Coverable, Devices, ExposureSettings, Picture, RawFrame
 from labkit.lab.picture import PanelPicture, panel_picture
 from labkit.lab.raw import Mosaic, read_raw
 from labkit.lab.session import Kind, Session
@@ -72,6 +81,10 @@ def capture(session: Session, devices: Devices, *, progress: Progress | None = N
     except KeyboardInterrupt:
         devices.rail.stop()
         session.log("interrupted")
+        _tell(devices, "interrupted")
+        raise
+    except LabkitError as error:
+        _tell(devices, "stopped", error=str(error))
         raise
     finally:
         shutil.rmtree(session.folder / EXPOSING, ignore_errors=True)
@@ -88,6 +101,7 @@ class _Capture:
         self._camera, self._rail = _settings(session.plan)
         self._total = len(shots(session.plan))
         self._first: Mosaic | None = None
+        self._latest: Mosaic | None = None
 
     def run(self) -> None:
         todo = missing(self._session)
@@ -96,33 +110,36 @@ class _Capture:
         target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
+        self._step("setting the camera")
         self._try("camera", self._ready_camera, lambda: None)
-        self._session.log("began", missing=len(todo), shown_size_mm=target.size_mm)
+        self._note("began", missing=len(todo), shown_size_mm=target.size_mm)
         self._take_darks([shot for shot in todo if shot.kind == "dark"])
         stops = [shot.range_mm for shot in todo if shot.range_mm is not None]
         if stops:
+            self._step("homing the rail")
             self._try("rail", self._devices.rail.home, lambda: None)
         for range_mm in dict.fromkeys(stops):
             here = [shot for shot in todo if shot.range_mm == range_mm]
             meta = self._go_to(range_mm)
             self._take("white", [shot for shot in here if shot.kind == "flat"], meta)
             self._take(target.grey, [shot for shot in here if shot.kind == "target"], meta)
-        self._session.log("complete")
+        self._note("complete")
 
     def _ready_camera(self) -> None:
         """Find the camera, again if it had dropped off, and set it."""
         info = self._devices.camera.identify()
         self._devices.camera.configure(ExposureSettings(self._camera.exposure_s, self._camera.iso))
-        self._session.log("camera", model=info.model, serial=info.serial, driver=info.driver)
+        self._note("camera", model=info.model, serial=info.serial, driver=info.driver)
 
     def _go_to(self, range_mm: float) -> dict[str, Any]:
         """Move and settle; what is to be noted of the place."""
+        self._step(f"moving to {range_mm:g} mm")
         rail, asked_mm = self._devices.rail, _position_mm(self._rail, range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
         self._devices.wait(self._rail.settle_s)
         measured_mm = self._rail.range_at_zero_mm + self._rail.direction * at_mm
         meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
-        self._session.log("moved", range_mm=range_mm, **meta)
+        self._note("moved", range_mm=range_mm, **meta)
         return meta
 
     def _take_darks(self, todo: list[Shot]) -> None:
@@ -149,10 +166,36 @@ class _Capture:
     def _take(self, picture: Picture, todo: list[Shot], meta: dict[str, Any]) -> None:
         if not todo:
             return
-        self._try("display", lambda: self._devices.display.show(picture), lambda: None)
+        self._step("showing " + (picture if isinstance(picture, str) else "the target"))
+        self._show(picture)
         for shot in todo:
-            raw = self._try("camera", lambda shot=shot: self._expose(shot), self._ready_camera)  # type: ignore[misc]
-            self._keep(raw, shot, meta)
+            self._step(f"taking {shot.name}")
+            self._keep(self._photograph(picture, shot), shot, meta)
+
+    def _show(self, picture: Picture) -> None:
+        self._try("display", lambda: self._devices.display.show(picture), lambda: None)
+
+    def _photograph(self, picture: Picture, shot: Shot) -> RawFrame:
+        """Expose, again if the display lost its picture meanwhile."""
+        display = self._devices.display
+        for attempt in range(1, TRIES + 1):
+            raw = self._try("camera", lambda: self._expose(shot), self._ready_camera)
+            if not isinstance(display, Attentive) or self._try("display", display.undisturbed, lambda: None):
+                return raw
+            self._note("trouble", device="display", attempt=attempt, error=f"lost its picture during {shot.name}")
+            self._show(picture)
+        raise DisplayError(f"the display lost its picture during {shot.name}, {TRIES} times in a row; look at it")
+
+    def _note(self, event: str, **fields: Any) -> None:
+        """Into the journal, and to who looks on."""
+        self._session.log(event, **fields)
+        _tell(self._devices, event, **fields)
+
+    def _step(self, doing: str) -> None:
+        """A step begins, unless someone holds it back."""
+        _tell(self._devices, "doing", what=doing)
+        for watcher in self._devices.watchers:
+            watcher.may_go_on()
 
     def _expose(self, shot: Shot) -> RawFrame:
         """Into a folder that is thrown away: only a whole photograph gets into the session."""
@@ -165,19 +208,23 @@ class _Capture:
         """Commit a photograph, or put it aside and raise if it is useless."""
         if problem := self._problem(raw.path, shot):
             aside = _set_aside(raw.path, self._session.folder / REJECTED)
-            self._session.log("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
+            self._note("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
             raise problem
         meta = {**meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
+        done = self._total - len(missing(self._session))
         if self._progress:
-            self._progress(self._total - len(missing(self._session)), self._total, shot.name)
+            self._progress(done, self._total, shot.name)
+        for watcher in self._devices.watchers:
+            assert self._latest is not None
+            watcher.took(shot.name, shot.kind, shot.range_mm, self._latest, done, self._total)
 
     def _problem(self, path: Path, shot: Shot) -> InputError | None:
         """Why a photograph is useless, as the error to raise; None if it is good."""
         plan = self._session.plan
         what = f"{shot.name}, just taken,"
         try:
-            mosaic = read_raw(path, plan.sensor)
+            mosaic = self._latest = read_raw(path, plan.sensor)
             problem = exposure_problem(mosaic, shot.kind, (channel.name for channel in plan.channel))
         except RawError as error:
             return error
@@ -198,7 +245,7 @@ class _Capture:
             except RailLimitError:
                 raise
             except DeviceError as error:
-                self._session.log("trouble", device=device, attempt=attempt, error=str(error))
+                self._note("trouble", device=device, attempt=attempt, error=str(error))
                 if attempt == TRIES:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")
@@ -220,6 +267,11 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
                 f"the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
             )
     return panel_picture(open_target(plan.target), devices.display.panel)
+
+
+def _tell(devices: Devices, event: str, **fields: Any) -> None:
+    for watcher in devices.watchers:
+        watcher.noted(event, **fields)
 
 
 def _position_mm(rail: RailSettings, range_mm: float) -> float:

@@ -8,16 +8,18 @@ wait in them has a time limit, and each device is a context manager that closes 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import PlanError
+from labkit.lab.watch import Watcher
 from labkit.plan import DisplaySettings
 
 Picture = Literal["white", "black"] | NDArray[np.uint8]
@@ -185,23 +187,39 @@ class Display(AbstractContextManager["Display"], Protocol):
         ...
 
 
+@runtime_checkable
+class Attentive(Protocol):
+    """A display that can lose its picture while a photograph is taken, and knows."""
+
+    def undisturbed(self) -> bool:
+        """Whether the picture was on the glass all the time since `show` returned; the display itself is asked."""
+        ...
+
+
 @dataclass(slots=True)
 class Room:
     """What devices that are opened together share.
 
     A driver whose devices depend on each other keeps their common part in `shared`, under its address; the
-    simulated ones keep their bench there, and replace `wait`, for in their world time is not real.
+    simulated ones keep their bench there, and replace `wait`, for in their world time is not real. A driver adds to
+    `watchers` who looks on, tells a person of a page to open by `link` (what it is, its URL) and of a hold-up by
+    `tell`, and puts into `wishes` what a person asked for on a page, such as a picture by name.
     """
 
     shared: dict[str, Any] = field(default_factory=dict)
     wait: Callable[[float], None] = time.sleep
+    watchers: list[Watcher] = field(default_factory=list)
+    link: Callable[[str, str], None] = lambda what, url: None
+    tell: Callable[[str], None] = lambda words: None
+    wishes: SimpleQueue[str] = field(default_factory=SimpleQueue)
 
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """A bench, ready: one camera, one rail, one display, and how to wait (for seconds) beside them."""
+    """A bench, ready: one camera, one rail, one display, how to wait (for seconds) beside them, and who looks on."""
 
     camera: Camera
     rail: Rail
     display: Display
     wait: Callable[[float], None] = time.sleep
+    watchers: Sequence[Watcher] = ()

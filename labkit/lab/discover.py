@@ -56,7 +56,7 @@ def open_devices(plan: Plan, simulated: str | None = None, room: Room | None = N
         camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, room))
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, room))
         display = stack.enter_context(open_display(simulated or plan.display.address, plan, room))
-        yield Devices(camera, rail, display, room.wait)
+        yield Devices(camera, rail, display, room.wait, room.watchers)
 
 
 def _open(device: str, address: str, plan: Plan, room: Room) -> Any:
