@@ -171,24 +171,31 @@ class FitSettings(Table):
 
 
 class CameraSettings(Table):
-    """How to expose."""
+    """How to expose. f_number: what to set on the body, lens.f_number if it is left out."""
 
     address: Address
     exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))]
     iso: Annotated[Count, AfterValidator(Allowed(1, 10_000_000, whole=True))] = 100
+    f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))] | None = None
+    capture_target: Literal["ram", "card"] = "ram"
     frames_per_range: Annotated[Count, AfterValidator(Allowed(1, 10_000, whole=True))] = 4
     flats_per_range: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
     darks: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
 
 
 class RailSettings(Table):
-    """Where to stop: range = range_at_zero_mm + direction * rail position."""
+    """Where to stop: range = range_at_zero_mm + direction * rail position.
+
+    run_up_mm: every stop is approached from below over this way; microstep_um: what a Zaber counts in.
+    """
 
     address: Address
     ranges_mm: Annotated[tuple[Length, ...], Field(min_length=1, description="one or more ranges in mm")]
     range_at_zero_mm: Annotated[Number, AfterValidator(Allowed(-1e6, 1e6))]
     direction: Literal[1, -1] = 1
     settle_s: Annotated[Number, AfterValidator(Allowed(0, 3600))] = 1.0
+    run_up_mm: Annotated[Number, AfterValidator(Allowed(0, 100))] = 1.0
+    microstep_um: Annotated[Number, AfterValidator(Allowed(1e-4, 1e4))] | None = None
 
     @field_validator("ranges_mm")
     @classmethod

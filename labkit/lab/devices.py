@@ -49,11 +49,31 @@ class ExposureSettings:
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """A raw file as it came from the camera: where it lies, and how it was exposed."""
+    """A raw file as it came from the camera: where it lies, how it was exposed, what else the camera said (JSON)."""
 
     path: Path
     exposure_s: float
     iso: int
+    meta: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Something that a camera lets be set, or only read: its value now, and the values it takes if they are listed."""
+
+    name: str
+    label: str
+    value: Any
+    choices: tuple[Any, ...]
+    readonly: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What a device says of itself before a capture: what stands in the way, and what only a person can look at."""
+
+    problems: tuple[str, ...] = ()
+    by_hand: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +162,24 @@ class Coverable(Protocol):
 
     def cover(self, closed: bool) -> None:
         """Close or open what keeps the light out."""
+        ...
+
+
+@runtime_checkable
+class Adjustable(Protocol):
+    """A camera that can say what there is to be set on it."""
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Everything that it offers."""
+        ...
+
+
+@runtime_checkable
+class Checkable(Protocol):
+    """A device that can say whether it is fit for a capture."""
+
+    def check(self, frames: int) -> Check:
+        """Whether that many more photographs can be expected of it."""
         ...
 
 
