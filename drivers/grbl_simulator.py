@@ -1,0 +1,71 @@
+"""A GRBL 1.1 or grblHAL controller without hardware, behind a real pseudo-terminal.
+
+As rail.address = "grbl:simulated" it stands in for a rail; `python -m labkit.drivers.grbl_simulator` serves one to any
+program that speaks GRBL.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+
+from labkit.drivers.bench import Bench
+from labkit.drivers.grbl_controller import GrblController
+from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL, Firmware
+from labkit.drivers.pty_port import LineFault, PtyPort
+from labkit.lab.devices import Room
+from labkit.plan import RailSettings
+
+LEADSCREW = {
+    10: 3, 20: 1, 21: 1, 22: 1, 23: 7, 24: 300, 25: 3000, 27: 2,
+    110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500, 130: 295, 131: 295, 132: 295,
+}  # fmt: skip
+"""Settings of a rail of 295 mm that homes at its low end, 50 mm/s."""
+
+
+def grbl_port(
+    firmware: Firmware = GRBL,
+    settings: Mapping[int, float] | None = None,
+    options: str = "V",
+    faults: Sequence[LineFault] = (),
+) -> PtyPort:
+    """A controller for LEADSCREW, but for the settings given, behind a port of its own."""
+    known = {number: value for number, value in LEADSCREW.items() if number in firmware.defaults}
+    return PtyPort(GrblController(firmware, known | dict(settings or {}), options), faults)
+
+
+def simulated_port(rail: RailSettings, room: Room) -> PtyPort:
+    """A controller whose travel holds the plan's stops; it moves the carriage of the room's simulated bench, if any."""
+    stops_mm = [rail.direction * (range_mm - rail.range_at_zero_mm) for range_mm in rail.ranges_mm]
+    zero_at_home = min(stops_mm) >= 0
+    reach_mm = max(abs(mm) for mm in stops_mm) + 10.0 + rail.run_up_mm
+    port = grbl_port(settings={130: reach_mm, 131: reach_mm, 132: reach_mm}, options="VZ" if zero_at_home else "V")
+    controller = port.controller
+    assert isinstance(controller, GrblController)
+    for bench in room.shared.values():
+        if isinstance(bench, Bench):
+            controller.moved = lambda carriage_mm, bench=bench: _carry(bench, carriage_mm)  # type: ignore[misc]
+    return port
+
+
+def _carry(bench: Bench, carriage_mm: float) -> None:
+    bench.turn_screw(carriage_mm)
+    bench.stand(carriage_mm)
+
+
+def main() -> None:
+    """Serve a controller until Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hal", action="store_true", help="grblHAL instead of GRBL 1.1h")
+    port = grbl_port(GRBL_HAL if parser.parse_args().hal else GRBL)
+    print(f"{port.path}, any baud rate; Ctrl-C ends it", flush=True)
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        port.close()
+
+
+if __name__ == "__main__":
+    main()
