@@ -62,14 +62,21 @@ class ForwardModel:
 
     @classmethod
     def build(
-        cls, optics: Optics, target: Target, frame: tuple[int, int], *, band: float = 1.0, reach_um: float = 0.0
+        cls,
+        optics: Optics,
+        target: Target,
+        frame: tuple[int, int],
+        *,
+        band: float = 1.0,
+        window_airy: float = WINDOW_AIRY,
     ) -> "ForwardModel":
         """A model of frames of a size, (rows, columns).
 
         band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
-        reach_um: how far from its image a point's light matters; never less than WINDOW_AIRY / 2 times lambda N.
+        window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
+        the wavefront.
         """
-        window_um = max(2 * reach_um, WINDOW_AIRY * optics.airy_um)
+        window_um = window_airy * optics.airy_um
         guard_px = math.ceil(window_um / optics.pitch_um)
         cutoff = 1 / optics.airy_um
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)

@@ -2,14 +2,15 @@
 
 Counts d with the black level removed are N(mu, Sigma), independent over pixels,
 
-    mu = V (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2,
+    mu = V (1 + sum_k c_k P_k) (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2,
 
-u the relative image of `labkit.imaging`, V the relative illumination and s its relative standard deviation. Of the five
+u the relative image of `labkit.imaging`, V the relative illumination and s its relative standard deviation; the low orders
+P_k with their unknown c_k stand for what no flat frame told of the illumination. Of the five
 detector numbers of thesis (3.4) only four can be told from frames (the information matrix over all five is exactly
 singular), so the black level is fixed from the raw file and dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,7 +22,8 @@ from labkit.optics.zernike import Floats
 class FrameData:
     """What one frame says about one channel.
 
-    counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s.
+    counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s;
+    departures: (k, rows, columns) P, see `low_orders`; none where flats told V.
     Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
     """
 
@@ -29,33 +31,50 @@ class FrameData:
     used: Bools
     illumination: Floats
     relative_std: Floats
+    departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
         shapes = {np.shape(a) for a in (self.counts, self.used, self.illumination, self.relative_std)}
         if len(shapes) != 1 or len(next(iter(shapes))) != 2:
             raise ValueError(f"counts, used, illumination and relative_std must be one (rows, columns): {shapes}")
+        if len(self.departures) and self.departures.shape[1:] != self.counts.shape:
+            raise ValueError(f"departures are {self.departures.shape}: they must be (k, {self.counts.shape})")
         if not self.used.any():
             raise ValueError("no pixel of the frame is used")
         for name in ("counts", "illumination", "relative_std"):
             if not np.all(np.isfinite(getattr(self, name)[self.used])):
                 raise ValueError(f"{name} has a used pixel that is not finite")
 
+    def light(self, unevenness: Floats) -> Floats:
+        """Relative illumination (pixels,) of the used pixels. unevenness: (k,) c, none of them for none."""
+        known = self.illumination[self.used]
+        return known * (1 + unevenness @ self.departures[:, self.used]) if len(self.departures) else known
+
+
+def low_orders(rows: int, columns: int) -> Floats:
+    """(5, rows, columns) x, y, x^2, xy, y^2 from -1 to 1 over a frame: how light falls off and leans, at its plainest."""
+    y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None, :]
+    one = np.ones((rows, columns))
+    return np.stack([x * one, y * one, x**2 * one, x * y, y**2 * one])
+
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """Of one frame: scale and ambient in counts. Of all frames: gain in counts per electron, read_variance in counts^2."""
+    """Of one frame: scale and ambient in counts. Of all frames: gain in counts per electron, read_variance in counts^2,
+    and the illumination's unevenness (k,) where no flats told it."""
 
     scale: float
     ambient: float
     gain: float
     read_variance: float
+    unevenness: Floats = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
     """Log-likelihood of one frame with its gradient (p,) and Fisher information (p, p).
 
-    Parameters in order: modes, pose (8), scale, ambient, log gain, log read variance.
+    Parameters in order: modes, pose (8), scale, ambient, unevenness (k), log gain, log read variance.
     """
 
     log_likelihood: float
@@ -67,7 +86,7 @@ class Score:
 
 def predict(relative: Floats, data: FrameData, detector: Detector) -> tuple[Floats, Floats]:
     """Mean and variance (pixels,) of the used pixels' counts from their relative image (pixels,)."""
-    mean = data.illumination[data.used] * (detector.scale * relative + detector.ambient)
+    mean = data.light(detector.unevenness) * (detector.scale * relative + detector.ambient)
     spread = data.relative_std[data.used] * mean
     return mean, detector.gain * np.maximum(mean, 0.0) + detector.read_variance + spread**2
 
@@ -80,7 +99,7 @@ def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> flo
 
 def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
     """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19), variance's dependence included."""
-    light = data.illumination[data.used]
+    light = data.light(detector.unevenness)
     mean, variance = predict(evaluation.mean, data, detector)
     residual = data.counts[data.used] - mean
     weight = 1 / variance
@@ -93,6 +112,9 @@ def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
         ]
     )
     slopes *= light
+    if len(data.departures):
+        even = data.illumination[data.used] * (detector.scale * evaluation.mean + detector.ambient)
+        slopes = np.concatenate([slopes, data.departures[:, data.used] * even])
     bend = detector.gain * (mean > 0) + 2 * data.relative_std[data.used] ** 2 * mean  # d variance / d mean
     noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
     variance_slopes = np.concatenate([bend * slopes, noise])

@@ -1,7 +1,7 @@
 """Damped Fisher scoring: from a start to the nearest maximum of the likelihood (Levenberg-Marquardt on thesis 3.15)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
@@ -39,13 +39,15 @@ class NoisePrior:
 
 @dataclass(frozen=True)
 class State:
-    """A point of the parameter space: waves RMS (modes,), and for each frame its pose, scale and ambient light."""
+    """A point of the parameter space: waves RMS (modes,); for each frame its pose, scale and ambient light; for all
+    frames log gain and log read variance, and the illumination's unevenness (k,) where no flats told it."""
 
     waves: Floats
     poses: tuple[Pose, ...]
     scales: Floats
     ambients: Floats
     log_noise: Floats
+    unevenness: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def gain(self) -> float:
@@ -58,19 +60,21 @@ class State:
     def detectors(self) -> list[Detector]:
         gain, read_variance = np.exp(self.log_noise)
         return [
-            Detector(s, a, float(gain), float(read_variance)) for s, a in zip(self.scales, self.ambients, strict=True)
+            Detector(s, a, float(gain), float(read_variance), self.unevenness)
+            for s, a in zip(self.scales, self.ambients, strict=True)
         ]
 
     def moved(self, step: Floats) -> "State":
-        """The state after a step in all parameters: modes, then frame by frame pose, scale, ambient, then the noise."""
-        modes = self.waves.size
-        frames = step[modes:-NOISE].reshape(len(self.poses), PER_FRAME)
+        """The state after a step in all parameters: modes; frame by frame pose, scale, ambient; unevenness; noise."""
+        modes, common = self.waves.size, self.unevenness.size + NOISE
+        frames = step[modes:-common].reshape(len(self.poses), PER_FRAME)
         return State(
             self.waves + step[:modes],
             tuple(p.moved(f[:POSE_SIZE]) for p, f in zip(self.poses, frames, strict=True)),
             self.scales + frames[:, POSE_SIZE],
             self.ambients + frames[:, POSE_SIZE + 1],
             self.log_noise + np.clip(step[-NOISE:], -1.0, 1.0),
+            self.unevenness + step[-common:-NOISE],
         )
 
     def first(self) -> "State":
@@ -101,12 +105,13 @@ class Problem:
             state.waves, list(state.poses), [f.used for f in self.frames], by_waves=by_waves
         )
         modes = state.waves.size
-        size = modes + PER_FRAME * len(self.frames) + NOISE
+        common = state.unevenness.size + NOISE
+        size = modes + PER_FRAME * len(self.frames) + common
         gradient, information = np.zeros(size), np.zeros((size, size))
         scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
         for k, one in enumerate(scores):
             own = np.arange(PER_FRAME) + modes + k * PER_FRAME
-            index = np.concatenate([np.arange(modes if by_waves else 0), own, [size - 2, size - 1]])
+            index = np.concatenate([np.arange(modes if by_waves else 0), own, np.arange(size - common, size)])
             gradient[index] += one.gradient
             information[np.ix_(index, index)] += one.information
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)

@@ -1,7 +1,7 @@
 """What a session's frames say, ready to be fitted: corrected, the target found, cut to what matters."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from labkit.errors import DataError, TargetError
 from labkit.imaging.model import Bools
 from labkit.imaging.warp import Pose
-from labkit.inference.likelihood import FrameData
+from labkit.inference.likelihood import FrameData, low_orders
 from labkit.inference.pose import find_target, grey_image
 from labkit.inference.solve import NoisePrior
 from labkit.lab.flatfield import Calibration, ChannelData, calibrate, channel_data
@@ -120,9 +120,10 @@ def _observation(
             used = used & _inside(pose, used.shape)
         if used.sum() < 100:
             raise DataError(f"{frame.file}: only {used.sum()} usable pixels of channel {channel} on the target")
-        frames.append(
-            FrameData(one.counts[rows, columns], used, one.illumination[rows, columns], one.relative_std[rows, columns])
+        known = FrameData(
+            one.counts[rows, columns], used, one.illumination[rows, columns], one.relative_std[rows, columns]
         )
+        frames.append(known if calibration.illumination else replace(known, departures=low_orders(*used.shape)))
     mosaic = read_raw(group[0].path, plan.sensor)
     period = 1 if len(mosaic.pattern) == 1 else 2
     places = ((0, 0),) if period == 1 else mosaic.places(channel)  # the cut begins on an even row and column
