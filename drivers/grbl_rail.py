@@ -55,7 +55,8 @@ class GrblRail:
     """A Rail. It must be homed before it moves, and again whenever its position is in doubt.
 
     run_up_mm: every stop is approached from below over this way, which takes up the play of the screw.
-    reply_s: longest silence. The controller is woken and checked at once. Raises RailError, DeviceTimeoutError.
+    reply_s: longest silence; back_s: how long a port that was unplugged is waited for. The controller is woken and
+    checked at once. Raises RailError, DeviceTimeoutError.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class GrblRail:
         path: str,
         run_up_mm: float = 1.0,
         reply_s: float = 3.0,
+        back_s: float = 10.0,
         after_close: Callable[[], None] = lambda: None,
     ) -> None:
         self._path = path
@@ -77,7 +79,9 @@ class GrblRail:
         self._at_mm = 0.0
         self._offset_mm: float | None = None
         self._settings: dict[int, float] = {}
+        self._back_s = 0.0
         self._wake()
+        self._back_s = back_s
 
     @property
     def travel_mm(self) -> Travel:
@@ -113,7 +117,7 @@ class GrblRail:
             below_mm = position_mm - self._run_up_mm
             allowed_s = grbl.moving_s(self._settings, abs(below_mm - self._at_mm) + self._run_up_mm)
             moves = [f"G53 G0 X{mm:.4f}" for mm in (below_mm, position_mm)]
-            self._carry_out([*moves, "G4 P0.05"], 2 * allowed_s)
+            self._carry_out([*moves, "G4 P0.01"], 2 * allowed_s)
             at_mm = self._rest()
             if abs(at_mm - position_mm) > TOLERANCE_MM:
                 raise self._lost(f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm")
@@ -177,7 +181,7 @@ class GrblRail:
     def _wake(self) -> None:
         """A controller in a known state, its queue empty, whatever was before."""
         if self._wire is None:
-            self._wire = SerialWire(self._path, BAUD)
+            self._wire = SerialWire(self._path, BAUD, self._back_s)
             try:
                 self._reset()
                 self._get_to_know()

@@ -15,21 +15,32 @@ from labkit.errors import RailError
 GLANCE_S = 0.02
 """Longest single wait inside pyserial; deadlines are kept here."""
 
+AGAIN_S = 0.1
+"""Between two attempts to open a port."""
+
 LONGEST_LINE = 1024
 """More than this without an end of line is noise."""
 
 
 class SerialWire:
-    """A port opened for us alone. Raises RailError: no such port, no permission, held by another program."""
+    """A port opened for us alone. Raises RailError: no such port, no permission, held by another program.
 
-    def __init__(self, path: str, baud: int) -> None:
+    within_s: how long to go on trying, for a port that is being plugged in again.
+    """
+
+    def __init__(self, path: str, baud: int, within_s: float = 0.0) -> None:
         self.path = path
         self._heard = bytearray()
-        try:
-            # on a pseudo-terminal and on some drivers a second open succeeds unless it is exclusive
-            self._port = serial.Serial(path, baud, timeout=GLANCE_S, write_timeout=2.0, exclusive=True)
-        except (serial.SerialException, OSError, ValueError, termios.error) as error:
-            raise RailError(_why_not_open(path, error)) from error
+        deadline_s = time.monotonic() + within_s
+        while True:
+            try:
+                # on a pseudo-terminal and on some drivers a second open succeeds unless it is exclusive
+                self._port = serial.Serial(path, baud, timeout=GLANCE_S, write_timeout=2.0, exclusive=True)
+                return
+            except (serial.SerialException, OSError, ValueError, termios.error) as error:
+                if time.monotonic() >= deadline_s:
+                    raise RailError(_why_not_open(path, error)) from error
+            time.sleep(AGAIN_S)
 
     def send(self, data: bytes) -> None:
         """Write it all. Raises RailError when the line is gone, or takes nothing for two seconds."""

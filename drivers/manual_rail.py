@@ -1,0 +1,99 @@
+"""A rail without a motor: manual: asks the operator to set it, and to type what its scale says.
+
+Questions go to the terminal, or to whatever page has taken over the room's `ask`.
+"""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
+from labkit.lab.devices import Room, Travel
+from labkit.plan import Plan
+
+TRIES = 3
+NEAR_MM = 2.0
+"""A reading farther than this from what was asked is a slip of the hand, or of the keyboard."""
+
+ANSWER_S = 3600.0
+SCALE = Travel(-1e6, 1e6)
+
+
+def open_rail(address: str, plan: Plan, room: Room) -> ManualRail:
+    """The rail of manual:. Raises PlanError."""
+    if plan.rail is None or address != "manual:":
+        raise PlanError(f'rail.address = "{address}": allowed is manual:')
+    return ManualRail(lambda question: (room.ask or ask_at_terminal)(question), plan.rail.run_up_mm)
+
+
+class ManualRail:
+    """A Rail, moved by a person. Positions are what the scale says, in mm.
+
+    ask: puts a question and returns the answer. run_up_mm: every stop is to be approached from below over this way.
+    """
+
+    def __init__(self, ask: Callable[[str], str], run_up_mm: float = 1.0) -> None:
+        self._ask = ask
+        self._run_up_mm = run_up_mm
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Nothing is known of it: the person sees where it ends."""
+        return SCALE
+
+    def home(self) -> None:
+        """A scale has no zero to be found."""
+
+    def move_to(self, position_mm: float) -> float:
+        """Have it set; what the scale says then, in mm.
+
+        Raises RailLimitError outside the travel, RailError without a usable answer, DeviceTimeoutError.
+        """
+        if not SCALE.low_mm <= position_mm <= SCALE.high_mm:
+            raise RailLimitError(f"{position_mm:.3f} mm is outside {SCALE.low_mm:g}..{SCALE.high_mm:g} mm")
+        below_mm = position_mm - self._run_up_mm
+        request = (
+            f"Set the rail to {position_mm:.3f} mm, coming from {below_mm:.3f} mm or less, clamp it, "
+            f"and type what its scale says in mm"
+        )
+        question = request
+        for _ in range(TRIES):
+            answer = self._ask(question).strip().removesuffix("mm").strip().replace(",", ".")
+            try:
+                at_mm = float(answer)
+            except ValueError:
+                question = f'"{answer}" is no number. {request}'
+                continue
+            if abs(at_mm - position_mm) <= NEAR_MM:
+                return at_mm
+            question = f"{at_mm:g} mm is more than {NEAR_MM:g} mm away. {request}"
+        raise RailError(f"nobody set the manual rail to {position_mm:.3f} mm: {question.partition('. ')[0]}")
+
+    def stop(self) -> None:
+        """A person stops by themselves."""
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def ask_at_terminal(question: str) -> str:
+    """A line typed at the terminal within an hour. Raises RailError where there is none, DeviceTimeoutError."""
+    if not sys.stdin.isatty():
+        raise RailError("a manual rail needs someone to set it: run this at a terminal")
+    print(f"{question}:", file=sys.stderr, flush=True)
+    if not select.select([sys.stdin], [], [], ANSWER_S)[0]:
+        raise DeviceTimeoutError(f"nobody set the manual rail within {ANSWER_S / 60:.0f} minutes")
+    answer = sys.stdin.readline()
+    if not answer:
+        raise RailError("the terminal was closed before anyone set the manual rail")
+    return answer
