@@ -6,6 +6,8 @@ let go, looked for again, reset on USB if need be, opened and set as before, a b
 
 from __future__ import annotations
 
+import contextlib
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
@@ -14,19 +16,27 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-import rawpy
-
-from labkit.drivers.gphoto2_link import DIED, HUNG, Link, Trouble
+from labkit.drivers.gphoto2_files import clear_folder, fresh_folder, kept
+from labkit.drivers.gphoto2_link import (
+    BUSY,
+    CLAIM,
+    DIED,
+    FULL,
+    GONE,
+    HUNG,
+    IO,
+    NO_CAMERA,
+    TIMEOUT,
+    UNSUPPORTED,
+    Link,
+    Trouble,
+)
 from labkit.drivers.gphoto2_settings import ISO, SHUTTER, Wanted, number_of, percent_of, seconds_of, wanted
-from labkit.errors import CameraError, DeviceTimeoutError, PlanError, RawError
-from labkit.lab.containers import recognise
+from labkit.errors import CameraError, DeviceTimeoutError, PlanError
 from labkit.lab.devices import CameraInfo, Check, ExposureSettings, RawFrame, Room, Setting
 from labkit.plan import Plan
 
 Result = TypeVar("Result")
-
-UNSUPPORTED, IO, TIMEOUT, FULL, CLAIM, GONE, NO_CAMERA, BUSY = -6, -7, -10, -3, -53, -52, -105, -110
-"""Errors of libgphoto2 and its ports."""
 
 ADVICE = {
     IO: "it does not answer over USB: look at cable and battery, switch it off and on",
@@ -50,17 +60,11 @@ RELEASE_S = 30.0
 LOW_PERCENT, EMPTY_PERCENT = 20.0, 5.0
 """With less charge a capture is not begun; with less than that no photograph is taken."""
 
-SUFFIXES = (
-    (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),
-    (b"IIRO", ".orf"), (b"IIRS", ".orf"), (b"MMOR", ".orf"),
-)  # fmt: skip
-MAKERS = {"nikon": ".nef", "sony": ".arw", "canon": ".cr2", "pentax": ".pef", "ricoh": ".pef", "samsung": ".srw"}
-
 
 def open_camera(address: str, plan: Plan, room: Room) -> Gphoto2Camera:
     """The camera at that address, opened when it is first needed. Raises PlanError."""
     port = address.partition(":")[2]
-    if port and not port.startswith(("usb:", "ptpip:")):
+    if port and not re.fullmatch(r"usb:\d+,\d+", port):
         raise PlanError(f'address "{address}": allowed is gphoto2: for the only camera, or such as gphoto2:usb:001,004')
     if find_spec("gphoto2") is None:
         raise PlanError(f'address "{address}" needs the package gphoto2: pip install gphoto2')
@@ -107,7 +111,7 @@ class Gphoto2Camera:
         """Who it is; finds it again if it had dropped off."""
 
         def ask() -> CameraInfo:
-            self._link.ask("find", ASK_S)
+            self._state()
             assert self._info is not None
             return self._info
 
@@ -164,7 +168,7 @@ class Gphoto2Camera:
                 self._wait(pause_s)
             finally:
                 if folder is not None:
-                    _clear(folder)
+                    clear_folder(folder)
         raise AssertionError("unreachable: the last attempt returns or raises")
 
     def _let_go(self, code: int, attempt: int, at: str) -> None:
@@ -275,7 +279,7 @@ class Gphoto2Camera:
         now, state = self._set_right(), self._state()
         charge = percent_of(state.get("battery"))
         if charge is not None and charge < EMPTY_PERCENT:
-            raise CameraError(f"the camera's battery is at {charge:g} %: charge it, then go on with --resume")
+            raise CameraError(f"the camera's battery is at {charge:g} %: charge it")
         wanted = self._wanted
         exposure_s, iso = self._exposed(now)
         bulb = None
@@ -285,13 +289,13 @@ class Gphoto2Camera:
         answer = self._link.ask(
             "expose",
             wait_s + exposure_s + ASK_S,
-            folder=str(_fresh(path.parent)),
+            folder=str(fresh_folder(path.parent)),
             files=wanted.files if wanted else None,
             wait_s=wait_s,
             keep=self._keep,
             bulb=bulb,
         )
-        made = _kept(answer["files"], path, wait_s)
+        made = kept(answer["files"], path, wait_s)
         meta = {**now, **state, **({"strays": answer["strays"]} if answer["strays"] else {})}
         return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
 
@@ -312,8 +316,8 @@ def _told(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeou
     if trouble.code in ADVICE:
         text = f"{ADVICE[trouble.code]} (libgphoto2: {text})"
     elif trouble.code in (HUNG, DIED):
-        text = f"{text}: switch the camera off and on"
-    line = f"{what} failed {tries} times: {text}; then go on with --resume"
+        text = f"{text}: switch the camera off and on, look at its cable"
+    line = f"{what} failed {tries} times: {text}"
     return DeviceTimeoutError(line) if trouble.code in (TIMEOUT, HUNG) else CameraError(line)
 
 
@@ -325,58 +329,5 @@ def _refuse_other(name: str, asked: Any, is_now: Any) -> None:
 def _unmount() -> None:
     """Ask the desktop's file manager to let cameras go."""
     if gio := shutil.which("gio"):
-        try:
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             subprocess.run([gio, "mount", "-s", "gphoto2"], timeout=10, capture_output=True, check=False)
-        except (OSError, subprocess.TimeoutExpired):
-            pass
-
-
-def _fresh(folder: Path) -> Path:
-    """An empty folder for what comes down the cable."""
-    incoming = folder / ".incoming"
-    shutil.rmtree(incoming, ignore_errors=True)
-    incoming.mkdir()
-    return incoming
-
-
-def _clear(folder: Path) -> None:
-    shutil.rmtree(folder / ".incoming", ignore_errors=True)
-
-
-def _kept(files: list[dict[str, Any]], path: Path, wait_s: float) -> Path:
-    """The one raw file of an exposure, whole, moved to `path` with its suffix. Raises Trouble or CameraError."""
-    for file in files:
-        size = Path(file["path"]).stat().st_size
-        if file["size"] is not None and size != file["size"]:
-            raise Trouble(IO, f"{file['name']} came with {size} of {file['size']} bytes")
-    raws = [Path(file["path"]) for file in files if file["raw"]]
-    if not files:
-        raise Trouble(TIMEOUT, f"no photograph came within {wait_s:g} s")
-    if not raws:
-        raise CameraError(f"the camera sent {files[0]['name']}, a JPEG, and no raw file: set its image quality to raw")
-    if len(raws) > 1:
-        raise Trouble(TIMEOUT, f"{len(raws)} raw files came of one exposure")
-    made = path.with_name(path.name + _checked_suffix(raws[0]))
-    if made.exists():
-        raise CameraError(f"{made} is there already; photographs are never overwritten")
-    raws[0].rename(made)
-    return made
-
-
-def _checked_suffix(raw: Path) -> str:
-    """The suffix of a raw file by its content, whatever the camera calls it. Raises Trouble for a damaged file."""
-    try:
-        container = recognise(raw)
-        with rawpy.imread(str(raw)) as opened:
-            sizes = opened.sizes
-    except (RawError, rawpy.LibRawError) as error:
-        raise Trouble(IO, f"what came is no whole raw file ({error})") from error
-    if not (sizes.raw_width and sizes.raw_height):
-        raise Trouble(IO, "what came holds no picture")
-    with raw.open("rb") as file:
-        head = file.read(32)
-    for mark, suffix in SUFFIXES:
-        if mark in head:
-            return suffix
-    maker = container.camera.partition(" ")[0].lower()
-    return MAKERS.get(maker, ".dng") if head[:4] in (b"II*\0", b"MM\0*") else ".raw"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -15,8 +16,11 @@ from labkit.errors import CameraError
 
 COMMAND = (sys.executable, "-m", "labkit.drivers.gphoto2_worker")
 
+FULL, UNSUPPORTED, IO, TIMEOUT, GONE, CLAIM, NO_CAMERA, BUSY = -3, -6, -7, -10, -52, -53, -105, -110
+"""Codes of libgphoto2 and its ports."""
+
 HUNG, DIED = 1, 2
-"""Codes of troubles that libgphoto2 cannot tell of itself; its own are negative."""
+"""Codes of troubles that libgphoto2 cannot tell of itself."""
 
 KILL_S = 5.0
 """A process that is stuck in the kernel does not even die: then it is left behind."""
@@ -68,19 +72,15 @@ class Link:
             self._channel = None
         if process is not None:
             process.kill()
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(KILL_S)
-            except subprocess.TimeoutExpired:
-                pass
 
     def close(self, limit_s: float) -> None:
         """Let the camera go and end the process; again does nothing."""
         if self._process is None:
             return
-        try:
+        with contextlib.suppress(Trouble):
             self.ask("close", limit_s)
-        except Trouble:
-            pass
         self.kill()
 
     def _open(self) -> Connection:
@@ -104,9 +104,7 @@ class Link:
         process = self._process
         status = None
         if process is not None:
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 status = process.wait(KILL_S)
-            except subprocess.TimeoutExpired:
-                pass
         self.kill()
         return f" (signal {-status})" if status is not None and status < 0 else f" (exit status {status})"

@@ -35,7 +35,7 @@ QUIET_S = 0.25
 DRAIN_S = 2.0
 """Events left over from before are taken for no longer than this."""
 
-SETTLE_S = 2.0
+SETTLE_S = 1.0
 """A body may show a setting's new value a moment later."""
 
 JPEG, HEIF = b"\xff\xd8", b"ftyphei"
