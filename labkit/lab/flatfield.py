@@ -269,7 +269,10 @@ def _mean_ratio(flats: Sequence[_Flat], plane: Plane, name: str, noise: NoiseEst
 
 def _flat_warnings(flats: Mapping[float | None, _Flat], noise: Mapping[str, NoiseEstimate]) -> Iterable[str]:
     if not flats:
-        yield "no flat frames: even illumination and equal pixels are assumed, and gain and read noise are not measured"
+        yield (
+            "no flat frames: light is taken to vary by low orders, which are fitted with gain and read noise, "
+            "and pixels to be equal"
+        )
         return
     for range_mm, flat in flats.items():
         unlit = float(np.mean(np.isnan(flat.illumination)))
