@@ -136,6 +136,7 @@ class GrblController:
     def critical(self, alarm: int) -> None:
         """An alarm after which nothing is answered until a reset."""
         self.state, self.dead = "Alarm", True
+        self._due_s = self._start_s = None
         self.say(f"ALARM:{alarm}")
         self.say("[MSG:Reset to continue]")
 
@@ -210,7 +211,7 @@ class GrblController:
         while True:
             if self.machine.planned and self.machine.motion is None:
                 self._set_out()
-            if self._dwell_s is not None and not self.machine.planned and self._due_s is None:
+            if self._dwell_s is not None and not (self.machine.planned or self._due_s or self.dead):
                 self._due_s = self.now_s + self._dwell_s
             waits = self._dwell_s is not None or (self.state == "Home" and not self.wedged)
             if not self._lines or self.dead or waits or self.state == "Sleep" or not self.has_room():
@@ -221,10 +222,7 @@ class GrblController:
         """Begin the next planned move: at once after another or as a jog, else a moment later."""
         if self.state == "Idle":
             self._start_s = self._start_s or self.now_s + START_S
-            if self.now_s >= self._start_s:
-                self.state = "Run"
-        if self.state in ("Run", "Jog"):
-            self._start_s = None
+        elif self.state in ("Run", "Jog"):
             self.machine.start(self.now_s)
 
     def _answer(self, line: str) -> None:
@@ -249,6 +247,9 @@ class GrblController:
             elif self._dwell_s is not None:
                 self._dwell_s = None
                 self.say("ok")
+        elif self._start_s is not None and self._start_s <= self.now_s:
+            self._start_s = None
+            self.state = "Run" if self.state == "Idle" and self.machine.planned else self.state
         elif (trip_s := self._trip_s()) is not None and trip_s <= self.now_s:
             self.limit()
         elif self.machine.motion is not None and self.machine.motion.end_s <= self.now_s:

@@ -86,8 +86,8 @@ class ZaberController:
         if trouble in ("reboot", "reset"):
             self.power_on()
         elif trouble == "alarm":
+            self.slip += 500 if self._motion else 0
             self.position, self._motion, self._homing = self._place(), None, False
-            self.slip += 500
             self.flag = "FS"
         else:
             self.slip += 6000

@@ -18,7 +18,7 @@ from typer.exceptions import TyperException
 
 from labkit import __version__
 from labkit.console import Console, error_line
-from labkit.errors import LabkitError
+from labkit.errors import LabkitError, PlanError
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -32,6 +32,8 @@ app = typer.Typer(
 )
 target_app = typer.Typer(help="Targets to print or to show.", no_args_is_help=True)
 app.add_typer(target_app, name="target")
+rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
+app.add_typer(rail_app, name="rail")
 
 PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what to do and with what")]
 SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="the session's folder")]
@@ -210,6 +212,39 @@ def capture(
 
 def _ask(request: str) -> None:
     typer.prompt(f"{request}, then press Enter", default="", show_default=False, err=True)
+
+
+@rail_app.command("calibrate")
+def rail_calibrate(
+    ctx: typer.Context,
+    plan: PlanPath,
+    at: Annotated[list[float] | None, typer.Option(metavar="MM", help="A rail position to measure at; again.")] = None,
+) -> None:
+    """Find rail.direction and rail.range_at_zero_mm: the rail moves, you measure."""
+    from labkit.lab.devices import Room
+    from labkit.lab.discover import open_rail
+    from labkit.lab.railzero import find_zero, stops
+    from labkit.plan import load_plan
+
+    console: Console = ctx.obj
+    wanted = load_plan(plan)
+    if wanted.rail is None:
+        raise PlanError("the plan has no [rail]")
+    with open_rail(wanted.rail.address, wanted, Room()) as rail:
+        places = stops(rail.travel_mm, at or [])
+        _ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way")
+        rail.home()
+        positions, ranges = [], []
+        for place in places:
+            positions.append(rail.move_to(place))
+            question = f"The rail stands at {positions[-1]:.3f} mm. Range from the target to the lens, in mm"
+            ranges.append(typer.prompt(question, type=float, err=True))
+    zero = find_zero(positions, ranges)
+    error = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
+    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{error}\ndirection = {zero.direction}")
+    for place, misfit in zip(positions, zero.misfit_mm, strict=True):
+        console.say(f"# at {place:g} mm measured {misfit:+.1f} mm from that")
+    console.answer(asdict(zero))
 
 
 @app.command("import")

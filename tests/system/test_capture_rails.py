@@ -1,0 +1,351 @@
+"""Captures on serial rails in trouble: every fault at every step, on the real drivers, a real pty, simulated controllers.
+
+Whatever happens, each frame in the session was taken with the carriage truly where the plan wants it, and the capture
+either gets over the trouble by itself or ends with one line, after which it can be resumed. The steps are of the talk
+between driver and controller; all faults of a step run side by side, since they mostly wait.
+"""
+
+from __future__ import annotations
+
+import _thread
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from labkit.drivers.grbl_controller import GrblController
+from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL, Firmware
+from labkit.drivers.grbl_rail import GrblRail
+from labkit.drivers.grbl_simulator import grbl_port
+from labkit.drivers.pty_port import Kind, LineFault, PtyPort
+from labkit.drivers.zaber_rail import ZaberRail
+from labkit.drivers.zaber_simulator import ZaberController
+from labkit.errors import LabkitError
+from labkit.lab.capture import capture, missing
+from labkit.lab.devices import (
+    Camera,
+    CameraInfo,
+    Devices,
+    Display,
+    ExposureSettings,
+    PanelInfo,
+    Picture,
+    Rail,
+    RawFrame,
+    Shown,
+)
+from labkit.lab.session import Session, begin, verify
+
+PLAN = """
+[lens]
+focal_length_mm = 50.0
+f_number = 8.0
+[sensor]
+pixel_pitch_um = 6.0
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 2
+size_mm = 9.0
+[camera]
+address = "simulated:"
+exposure_s = 0.02
+frames_per_range = 1
+flats_per_range = 1
+darks = 0
+[rail]
+address = "simulated:"
+ranges_mm = [2100, 2150, 2050]
+range_at_zero_mm = {zero_mm}
+settle_s = 0.0
+[display]
+address = "simulated:"
+pixel_pitch_mm = 0.1
+pixels = [400, 400]
+"""
+
+NEAR_MM = 0.03
+"""Rounding to steps or microsteps, and the driver's own tolerance of 0.02 mm."""
+
+MICROSTEP_MM = 0.5e-3
+FAST = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A kind of rail: its controller with faults, its driver, and where the rail's zero is."""
+
+    zero_mm: float
+    port: Callable[[Sequence[LineFault]], PtyPort]
+    rail: Callable[[PtyPort], Rail]
+    carriage_mm: Callable[[Any], float]
+
+
+def grbl(firmware: Firmware) -> Setup:
+    return Setup(
+        2300.0,
+        lambda faults: grbl_port(firmware, FAST, faults=faults),
+        lambda port: GrblRail(port.path, reply_s=0.4, back_s=0.4),
+        lambda controller: controller.machine.carriage_mm(controller.now_s),
+    )
+
+
+RAILS = {
+    "grbl": grbl(GRBL),
+    "grblhal": grbl(GRBL_HAL),
+    "zaber": Setup(
+        2030.0,
+        lambda faults: PtyPort(ZaberController(speed=2e6, acceleration=2e7), faults),
+        lambda port: ZaberRail(port.path, MICROSTEP_MM, reply_s=0.3, back_s=0.4),
+        lambda controller: controller.carriage * MICROSTEP_MM,
+    ),
+}
+
+GRBL_STEPS: dict[str, tuple[str, int, float]] = {
+    "asking who it is": (r"\$I", 1, 0.0),
+    "asking its settings": (r"\$\$", 1, 0.0),
+    "beginning to home": (r"\$H", 1, 0.0),
+    "homing": (r"\$H", 1, 0.02),
+    "setting the modes": (r"G21.*", 1, 0.0),
+    "beginning the run-up": (r"G53.*", 1, 0.0),
+    "in the run-up": (r"G53.*", 1, 0.05),
+    "in the last millimetre": (r"G53.*", 1, 0.11),
+    "the dwell": (r"G4.*", 1, 0.0),
+    "the end of a move": (r"\$G", 4, 0.0),
+    "where it stands": (r"\?", 5, 0.0),
+    "the second stop": (r"G53.*", 3, 0.0),
+    "moving to the second stop": (r"G53.*", 3, 0.04),
+    "moving to the third stop": (r"G53.*", 5, 0.06),
+    "the end of the last move": (r"\$G", 6, 0.0),
+}
+
+ZABER_STEPS: dict[str, tuple[str, int, float]] = {
+    "asking its limits": (r"get limit.*", 1, 0.0),
+    "beginning to home": (r"home", 1, 0.0),
+    "homing": (r"home", 1, 0.02),
+    "beginning the run-up": (r"move.*", 1, 0.0),
+    "in the run-up": (r"move.*", 1, 0.04),
+    "the last millimetre": (r"move.*", 2, 0.0),
+    "where it stands": (r"get pos", 3, 0.0),
+    "asking whether it moves": (r"", 4, 0.0),
+    "moving to the second stop": (r"move.*", 3, 0.02),
+    "moving to the third stop": (r"move.*", 5, 0.03),
+}
+
+CASES = [
+    *(("grbl", step) for step in GRBL_STEPS),
+    *(("grblhal", step) for step in ("asking its settings", "homing", "in the run-up", "the dwell", "where it stands")),
+    *(("zaber", step) for step in ZABER_STEPS),
+]
+
+FAULTS: dict[str, tuple[Kind, float]] = {
+    "late": ("late", 0.2),
+    "too late": ("late", 0.8),
+    "stale": ("stale", 0.0),
+    "silence": ("silence", 0.2),
+    "long silence": ("silence", 0.8),
+    "garbage": ("garbage", 0.0),
+    "partial": ("partial", 0.1),
+    "torn": ("torn", 0.0),
+    "unplugged": ("unplug", 0.2),
+    "unplugged for good": ("unplug", 1e6),
+    "reboot": ("reboot", 0.0),
+    "reset": ("reset", 0.0),
+    "alarm": ("alarm", 0.0),
+}
+
+OPENING = ("asking who it is", "asking its settings", "asking its limits")
+"""Steps before the capture begins, where nothing is tried again."""
+
+
+class Bench:
+    """A camera and a display that ask nothing, beside a rail; notes where the carriage truly is at each exposure."""
+
+    def __init__(self, frame: bytes, setup: Setup, port: PtyPort) -> None:
+        self.frame = frame
+        self.setup = setup
+        self.port = port
+        self.taken: dict[str, float] = {}
+        self.before_exposure: Callable[[str], None] = lambda name: None
+
+    def carriage_mm(self) -> float:
+        with self.port.lock:
+            return self.setup.carriage_mm(self.port.controller)
+
+    def devices(self, rail: Rail) -> Devices:
+        return Devices(StubCamera(self), rail, StubDisplay())
+
+
+class Stub:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class StubCamera(Stub, Camera):
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+
+    def identify(self) -> CameraInfo:
+        return CameraInfo("stub", "1", "stub")
+
+    def configure(self, settings: ExposureSettings) -> None:
+        pass
+
+    def expose(self, path: Path) -> RawFrame:
+        self.bench.before_exposure(path.name)
+        self.bench.taken[f"{path.name}.dng"] = self.bench.carriage_mm()
+        whole = path.with_name(f"{path.name}.dng")
+        whole.write_bytes(self.bench.frame)
+        return RawFrame(whole, 0.02, 100)
+
+
+class StubDisplay(Stub, Display):
+    @property
+    def panel(self) -> PanelInfo:
+        return PanelInfo((400, 400), 0.1)
+
+    def show(self, picture: Picture) -> Shown:
+        return Shown((400, 400))
+
+
+@pytest.fixture
+def frame(write_dng: Callable[..., Path], tmp_path: Path) -> bytes:
+    """A photograph, evenly lit."""
+    return write_dng(tmp_path / "frame.dng", np.full((32, 32), 6000, dtype=np.uint16)).read_bytes()
+
+
+def run(setup: Setup, bench: Bench, folder: Path, resume: bool = False) -> str | None:
+    """Capture; None if it came to its end, else the line that it ended with."""
+    plan = folder.with_suffix(".toml")
+    plan.write_text(PLAN.format(zero_mm=setup.zero_mm))
+    try:
+        with setup.rail(bench.port) as rail, begin(plan, folder, resume) as session:
+            capture(session, bench.devices(rail))
+    except LabkitError as error:
+        return str(error)
+    return None
+
+
+def wrong_frames(session: Session, bench: Bench, setup: Setup) -> list[str]:
+    """Frames that were taken with the carriage elsewhere than the session says."""
+    found = []
+    for kept in session.frames:
+        assert kept.range_mm is not None
+        off_mm = bench.taken[kept.file] - (kept.range_mm - setup.zero_mm)
+        noted_mm = bench.taken[kept.file] - kept.meta["position_mm"]
+        if max(abs(off_mm), abs(noted_mm)) > NEAR_MM:
+            found.append(f"{kept.file} off by {off_mm:.3f} mm")
+    return found
+
+
+def problems(setup: Setup, step: str, at: tuple[str, int, float], name: str, frame: bytes, folder: Path) -> list[str]:
+    """What goes wrong in a capture with one fault: empty if all is as it should be."""
+    kind, lasts_s = FAULTS[name]
+    command, nth, after_s = at
+    port = setup.port([LineFault(kind, command, nth, after_s=after_s, lasts_s=lasts_s)])
+    found = []
+    bench = Bench(frame, setup, port)
+    try:
+        ended = run(setup, bench, folder)
+        for_good = name == "unplugged for good"
+        if for_good != (ended is not None) and step not in OPENING:
+            found.append(f"{name}: {ended or 'no error, though the rail is gone'}")
+        if ended and "\n" in ended:
+            found.append(f"{name}: more than one line")
+    finally:
+        port.close()
+    if ended:  # with the trouble mended, it goes on
+        again = Bench(frame, setup, setup.port([]))
+        again.taken = bench.taken
+        problem = run(setup, again, folder, resume=True)
+        again.port.close()
+        found += [f"{name}: resumed: {problem}"] if problem else []
+    session = Session.open(folder)
+    found += [f"{name}: {wrong}" for wrong in wrong_frames(session, bench, setup)]
+    found += [f"{name}: {left}" for left in (*missing(session), *verify(session))]
+    return found
+
+
+@pytest.mark.parametrize(("kind", "step"), CASES)
+def test_every_fault_at_every_step_is_got_over_or_told(kind: str, step: str, frame: bytes, tmp_path: Path) -> None:
+    at = (ZABER_STEPS if kind == "zaber" else GRBL_STEPS)[step]
+    folders = {name: tmp_path / name.replace(" ", "_") for name in FAULTS}
+    with ThreadPoolExecutor(len(FAULTS)) as pool:
+        results = pool.map(lambda name: problems(RAILS[kind], step, at, name, frame, folders[name]), FAULTS)
+        assert [problem for found in results for problem in found] == []
+
+
+@pytest.mark.parametrize("kind", RAILS)
+@pytest.mark.parametrize("name", FAULTS)
+def test_trouble_while_exposing_spoils_no_frame(kind: str, name: str, frame: bytes, tmp_path: Path) -> None:
+    setup, port = RAILS[kind], RAILS[kind].port([])
+    bench = Bench(frame, setup, port)
+    trouble, lasts_s = FAULTS[name]
+
+    def strike(what: str) -> None:
+        if what == "flat_2150_0":
+            port.strike(trouble, lasts_s)
+
+    bench.before_exposure = strike
+    try:
+        ended = run(setup, bench, tmp_path / "s")
+    finally:
+        port.close()
+    assert (ended is None) == (name != "unplugged for good")
+    session = Session.open(tmp_path / "s")
+    assert len(session.frames) == (6 if ended is None else 4)
+    assert wrong_frames(session, bench, setup) == []
+
+
+def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(frame: bytes, tmp_path: Path) -> None:
+    # steps alone do not tell: this holds what docs/bench.md says of rails without an encoder
+    port = RAILS["grbl"].port([])
+    controller = port.controller
+    assert isinstance(controller, GrblController)
+    with RAILS["grbl"].rail(port) as rail:
+        rail.home()
+        port.strike("slip")
+        rail.move_to(-100.0)
+        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(-97.0, abs=NEAR_MM)
+        rail.home()
+        rail.move_to(-100.0)
+        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(-100.0, abs=NEAR_MM)
+    port.close()
+
+
+def test_ctrl_c_in_mid_move_stops_the_carriage_and_resume_finishes(frame: bytes, tmp_path: Path) -> None:
+    slow = replace(RAILS["grbl"], port=lambda faults: grbl_port(GRBL, {**FAST, 110: 12_000}, faults=faults))
+    port = slow.port([])
+    bench = Bench(frame, slow, port)
+    controller = port.controller
+    inner = controller.noticed
+
+    def interrupt(command: str) -> None:
+        inner(command)
+        if command.startswith("G53 G0 X-151"):
+            threading.Timer(0.15, _thread.interrupt_main).start()
+
+    controller.noticed = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        run(slow, bench, tmp_path / "s")
+    assert -200.0 <= bench.carriage_mm() < -151.0
+    controller.noticed = inner
+    assert run(slow, bench, tmp_path / "s", resume=True) is None
+    session = Session.open(tmp_path / "s")
+    assert len(session.frames) == 6
+    assert wrong_frames(session, bench, slow) == []
+    port.close()
