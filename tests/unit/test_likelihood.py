@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from labkit.imaging.model import Evaluation
-from labkit.inference.likelihood import Detector, FrameData, log_likelihood, predict, score
+from labkit.inference.likelihood import Detector, FrameData, log_likelihood, low_orders, predict, score
 from labkit.inference.solve import NoisePrior, Problem, State
 from labkit.inference.verdict import SIGNIFICANCE, judge
 
 Floats = NDArray[np.float64]
 DETECTOR = Detector(400.0, 30.0, 0.5, 4.0)
 SHAPE = (12, 15)
+UNEVEN = np.array([0.1, -0.05, 0.02, 0.03, -0.04])
 
 
 def case(rng: np.random.Generator) -> tuple[Evaluation, FrameData]:
@@ -35,15 +37,20 @@ def exposed(relative: Floats, frame: FrameData, rng: np.random.Generator) -> Fra
 
 def stepped(evaluation: Evaluation, frame: FrameData, step: Floats) -> float:
     relative = evaluation.mean + step[:3] @ evaluation.by_waves + step[3:11] @ evaluation.by_pose
-    noise = np.exp(step[13:])
-    own = Detector(400.0 + step[11], 30.0 + step[12], 0.5 * float(noise[0]), 4.0 * float(noise[1]))
+    noise, uneven = np.exp(step[-2:]), UNEVEN[: step.size - 15] + step[13:-2]
+    own = Detector(400.0 + step[11], 30.0 + step[12], 0.5 * float(noise[0]), 4.0 * float(noise[1]), uneven)
     return log_likelihood(relative, frame, own)
 
 
-def test_the_gradient_is_a_finite_difference() -> None:
+@pytest.mark.parametrize("unknown_light", [False, True])
+def test_the_gradient_is_a_finite_difference(unknown_light: bool) -> None:
     evaluation, frame = case(np.random.default_rng(6))
-    gradient = score(evaluation, frame, DETECTOR).gradient
-    size = np.array([1e-6] * 11 + [1e-3] * 2 + [1e-5] * 2)
+    detector, shapes = DETECTOR, 0
+    if unknown_light:
+        frame = replace(frame, departures=low_orders(*SHAPE))
+        detector, shapes = replace(DETECTOR, unevenness=UNEVEN), UNEVEN.size
+    gradient = score(evaluation, frame, detector).gradient
+    size = np.array([1e-6] * 11 + [1e-3] * 2 + [1e-5] * (shapes + 2))
     found = [
         (stepped(evaluation, frame, s) - stepped(evaluation, frame, -s)) / (2 * h)
         for s, h in zip(np.diag(size), size, strict=True)
@@ -60,6 +67,20 @@ def test_the_score_scatters_as_the_information_says() -> None:
     covariance = whiten @ np.cov(np.array(draws).T) @ whiten.T
     # entries of a covariance of 3000 unit normals err by sqrt(2/3000) at most; allow five (225 of them are looked at)
     assert np.abs(covariance - np.eye(15)).max() < 5 * np.sqrt(2 / 3000)
+
+
+def test_light_of_low_order_multiplies_the_illumination() -> None:
+    evaluation, frame = case(np.random.default_rng(9))
+    even, _ = predict(evaluation.mean, frame, DETECTOR)
+    frame = replace(frame, departures=low_orders(*SHAPE))
+    leaning, _ = predict(evaluation.mean, frame, replace(DETECTOR, unevenness=np.array([0.0, 0.2, 0.0, 0.0, 0.0])))
+    np.testing.assert_allclose((leaning / even).reshape(SHAPE)[:, 3], np.linspace(0.8, 1.2, SHAPE[0]))
+
+
+def test_departures_of_another_shape_are_refused() -> None:
+    _, frame = case(np.random.default_rng(9))
+    with pytest.raises(ValueError, match=r"departures are \(5, 3, 4\)"):
+        replace(frame, departures=low_orders(3, 4))
 
 
 def test_the_variance_follows_the_mean() -> None:
