@@ -136,15 +136,22 @@ def demo(
 
 
 @app.command()
-def devices(ctx: typer.Context) -> None:
-    """What is connected, and which drivers are installed."""
-    from labkit.lab.connected import look_around
+def devices(
+    ctx: typer.Context,
+    udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
+) -> None:
+    """What is connected, who holds it, what may not be opened, and which drivers are installed."""
+    from labkit.lab.connected import look_around, udev_rules
 
     console: Console = ctx.obj
     found = look_around()
+    if udev:
+        console.say(udev_rules(found))
+        console.answer({"udev": udev_rules(found)})
+        return
     for title, rows in (
         ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in found.usb]),
-        ("Serial ports", [[port.path, port.name] for port in found.serial]),
+        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in found.serial]),
         ("Installed drivers", [[device, ", ".join(f"{n}:" for n in names)] for device, names in found.drivers.items()]),
     ):
         console.say(title)
