@@ -7,6 +7,7 @@ that was interrupted goes on as if it had not been. Time is a number here: nothi
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections import Counter
 from collections.abc import Sequence
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 from labkit.drivers.bench_optics import Floats, Floats32, defocus_waves, point_spread
 from labkit.drivers.bench_scene import FineGrid, Glass, SceneTransform, carry, photograph, project, render, transform
 from labkit.drivers.bench_world import FIXED_MODES, REFERENCE_NM, BenchSettings, Fault, Truth, Visit
+
+KEPT_PICTURES = 4
+"""White, black and the target at one stop are shown in turn; more than these need not be kept."""
 
 
 class Bench:
@@ -41,7 +45,7 @@ class Bench:
         self._asked_mm = 0.0
         self._visits: dict[float, Visit] = {}
         self._codes = np.zeros(settings.panel.pixels, dtype=np.int16)
-        self._cache: tuple[bytes, Floats32] | None = None
+        self._seen: dict[bytes, Floats32] = {}
         self._draw()
 
     def trouble(self, device: str) -> str | None:
@@ -240,11 +244,12 @@ class Bench:
         )
 
     def _picture(self) -> Floats32:
-        """(rows, cols) what each pixel sees, white = 1, through its own colour; kept until something moves."""
-        key = self._to_pixels().tobytes() + self._codes.tobytes()
-        if self._cache is None or self._cache[0] != key:
-            self._cache = (key, self._uniform() if self._fills_the_view() else self._mosaic())
-        return self._cache[1]
+        """(rows, cols) what each pixel sees, white = 1, through its own colour; the latest few are kept."""
+        key = self._to_pixels().tobytes() + hashlib.sha256(self._codes).digest()
+        if key not in self._seen:
+            self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
+            self._seen[key] = self._uniform() if self._fills_the_view() else self._mosaic()
+        return self._seen[key]
 
     def _mosaic(self) -> Floats32:
         """Each pixel through its own colour; the stop is noted in the truth."""

@@ -25,6 +25,7 @@ from labkit.errors import (
 )
 from labkit.lab.devices import Attentive, Coverable, Devices, ExposureSettings, Picture, RawFrame
 from labkit.lab.picture import PanelPicture, panel_picture
+from labkit.lab.preflight import Hands, preflight
 from labkit.lab.raw import Mosaic, read_raw
 from labkit.lab.session import Kind, Session
 from labkit.lab.usable import exposure_problem
@@ -69,15 +70,24 @@ def missing(session: Session) -> tuple[Shot, ...]:
     return tuple(shot for shot in shots(session.plan) if shot.name not in done)
 
 
-def capture(session: Session, devices: Devices, *, progress: Progress | None = None, ask: Ask | None = None) -> None:
+def capture(
+    session: Session,
+    devices: Devices,
+    *,
+    progress: Progress | None = None,
+    ask: Ask | None = None,
+    warn: Callable[[str], None] | None = None,
+    check: bool = True,
+) -> None:
     """Take every photograph that the session still lacks. The session is open to append.
 
-    ask: how to ask a person for the lens cap, where the camera has none of its own. Device trouble is tried again
+    ask: how to ask a person for the lens cap, where the camera has none of its own; warn: is told what only a person can
+    check; check: look first whether all is right (`preflight`). Device trouble is tried again
     up to three times. Raises DeviceError, DataError for a photograph that is useless (kept in SESSION/rejected),
     TargetError, RawError, PlanError; whatever is raised, Ctrl-C too, calling it again goes on from there.
     """
     try:
-        _Capture(session, devices, progress, ask).run()
+        _Capture(session, devices, progress, ask).run(check, warn)
     except KeyboardInterrupt:
         devices.rail.stop()
         session.log("interrupted")
@@ -102,28 +112,71 @@ class _Capture:
         self._total = len(shots(session.plan))
         self._first: Mosaic | None = None
         self._latest: Mosaic | None = None
+        self._standing: tuple[float, dict[str, Any]] | None = None
 
-    def run(self) -> None:
+    def run(self, check: bool, warn: Callable[[str], None] | None) -> None:
         todo = missing(self._session)
         if not todo:
             return
         target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
-        self._step("setting the camera")
-        self._try("camera", self._ready_camera, lambda: None)
+        darks = [shot for shot in todo if shot.kind == "dark"]
+        stops = list(dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None))
+        if darks:
+            self._refuse_uncapped()
         self._note("began", missing=len(todo), shown_size_mm=target.size_mm)
-        self._take_darks([shot for shot in todo if shot.kind == "dark"])
-        stops = [shot.range_mm for shot in todo if shot.range_mm is not None]
-        if stops:
-            self._step("homing the rail")
-            self._try("rail", self._devices.rail.home, lambda: None)
-        for range_mm in dict.fromkeys(stops):
+        if check:
+            self._look_round(target, stops, len(todo), warn)
+        else:
+            self._ready_camera_patiently()
+            if stops:
+                self._home()
+        self._take_darks(darks)
+        for range_mm in stops:
             here = [shot for shot in todo if shot.range_mm == range_mm]
             meta = self._go_to(range_mm)
             self._take("white", [shot for shot in here if shot.kind == "flat"], meta)
             self._take(target.grey, [shot for shot in here if shot.kind == "target"], meta)
         self._note("complete")
+
+    def _look_round(
+        self, target: PanelPicture, stops: list[float], frames: int, warn: Callable[[str], None] | None
+    ) -> None:
+        """The preflight; ends where the capture begins, if that is at an end of the rail."""
+        ends = sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0]) if stops else []
+        found = preflight(
+            self._session.plan,
+            self._devices,
+            Hands(self._ready_camera_patiently, self._home, self._go_to, self._show, self._photograph_to_look_at),
+            picture=target,
+            ends_mm=ends,
+            frames=frames,
+            folder=self._session.folder,
+        )
+        for words in found.by_hand if warn else ():
+            assert warn is not None
+            warn(f"check by hand: {words}")
+        self._note(
+            "preflight",
+            problems=[str(error) for error in found.problems],
+            by_hand=found.by_hand,
+            measured=found.measured,
+        )
+        found.raise_problems()
+
+    def _photograph_to_look_at(self, name: str, picture: Picture) -> tuple[Path, Mosaic]:
+        self._step(f"taking {name}")
+        path = self._photograph(picture, Shot(name, "target", None)).path
+        return path, read_raw(path, self._session.plan.sensor)
+
+    def _home(self) -> None:
+        self._step("homing the rail")
+        self._try("rail", self._devices.rail.home, lambda: None)
+
+    def _ready_camera_patiently(self) -> None:
+        self._step("setting the camera")
+        self._try("camera", self._ready_camera, lambda: None)
 
     def _ready_camera(self) -> None:
         """Find the camera, again if it had dropped off, and set it."""
@@ -132,7 +185,10 @@ class _Capture:
         self._note("camera", model=info.model, serial=info.serial, driver=info.driver)
 
     def _go_to(self, range_mm: float) -> dict[str, Any]:
-        """Move and settle; what is to be noted of the place."""
+        """Move and settle, unless it stands there; what is to be noted of the place."""
+        if self._standing is not None and self._standing[0] == range_mm:
+            return self._standing[1]
+        self._standing = None
         self._step(f"moving to {range_mm:g} mm")
         rail, asked_mm = self._devices.rail, _position_mm(self._rail, range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
@@ -140,6 +196,7 @@ class _Capture:
         measured_mm = self._rail.range_at_zero_mm + self._rail.direction * at_mm
         meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
         self._note("moved", range_mm=range_mm, **meta)
+        self._standing = range_mm, meta
         return meta
 
     def _take_darks(self, todo: list[Shot]) -> None:
@@ -157,7 +214,9 @@ class _Capture:
             camera.cover(closed)
         elif self._ask is not None:
             self._ask("Put the cap on the lens" if closed else "Take the cap off the lens")
-        else:
+
+    def _refuse_uncapped(self) -> None:
+        if self._ask is None and not isinstance(self._devices.camera, Coverable):
             raise PlanError(
                 f"camera.darks = {self._camera.darks}: dark frames need someone to cap the lens; "
                 f"run this at a terminal, or set camera.darks = 0"
@@ -210,7 +269,7 @@ class _Capture:
             aside = _set_aside(raw.path, self._session.folder / REJECTED)
             self._note("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
             raise problem
-        meta = {**meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
+        meta = {**raw.meta, **meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
         done = self._total - len(missing(self._session))
         if self._progress:
