@@ -327,3 +327,22 @@ def report(ctx: typer.Context, session: SessionPath) -> None:
     made = write_report(Session.open(session).results_folder())
     console.say(f"report: {made}")
     console.answer({"report": str(made)})
+
+
+@app.command()
+def study(
+    ctx: typer.Context,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="which; a wrong one lists them")],
+    quick: Annotated[bool, typer.Option("--quick", help="A few trials: to see that it works.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write its figure, CSV and JSON here.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+) -> None:
+    """An experiment of the thesis; prints its claims beside ours as JSON."""
+    from labkit.execute import default_workers
+    from labkit.study.runner import Setting, run_study
+
+    console: Console = ctx.obj
+    with console.progress(name) as report:
+        summary = run_study(name, Setting(quick, workers or default_workers(), report), out)
+    console.json = True  # its contract: one JSON object, asked for or not
+    console.answer(summary)

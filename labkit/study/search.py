@@ -1,0 +1,140 @@
+"""The global search from nothing against SNR: thesis Figure 4.16; and where it begins to fail."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.errors import LabkitError
+from labkit.execute import run_all
+from labkit.study.conditions import NOLL, WAVES_RMS, draw_trial
+from labkit.study.runner import Claim, Outcome, Setting
+
+FOUND_BOUNDS = 6.0  # an estimate this many times the bound from the truth, or its twin, has found the optimum
+NOLL_22 = tuple(range(4, 26))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is varied. trials: in the full study."""
+
+    snr: float
+    noll: tuple[int, ...] = NOLL
+    waves_rms: float = WAVES_RMS
+    trials: int = 40
+
+    @property
+    def label(self) -> str:
+        return f"{len(self.noll)} modes, {self.waves_rms:g} waves, SNR {self.snr:g}"
+
+
+CONDITIONS = (
+    Condition(10.0),
+    Condition(25.0),
+    Condition(50.0, trials=200),
+    Condition(75.0, trials=60),
+    Condition(75.0, waves_rms=0.35),
+    Condition(75.0, waves_rms=0.5),
+    *(Condition(75.0, NOLL_22, waves_rms, trials=20) for waves_rms in (0.25, 0.35, 0.5)),
+)
+QUICK = (Condition(50.0, trials=3), Condition(75.0, NOLL_22, trials=1))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """found: the true optimum; lost: the target was not found; error, bound: waves RMS."""
+
+    found: bool
+    accepted: bool
+    error: float
+    bound: float
+    climbs: int
+    seconds: float
+    lost: bool = False
+
+
+def work(task: tuple[Condition, int]) -> Answer:
+    """One picture, from nothing."""
+    condition, seed = task
+    rng = np.random.default_rng([seed, round(condition.snr), len(condition.noll), round(100 * condition.waves_rms)])
+    trial = draw_trial(rng, snr=condition.snr, noll=condition.noll, waves_rms=condition.waves_rms)
+    try:
+        fit = trial.fit(rng)
+    except LabkitError:
+        return Answer(False, False, np.nan, np.nan, 0, np.nan, lost=True)
+    error, bound = float(np.linalg.norm(trial.error(fit.waves))), float(np.linalg.norm(fit.std))
+    return Answer(error < FOUND_BOUNDS * bound, fit.verdict.accepted, error, bound, fit.climbs, fit.seconds)
+
+
+def run(setting: Setting) -> Outcome:
+    """How often the search finds the true optimum, whether it knows, and how long it takes."""
+    conditions = QUICK if setting.quick else CONDITIONS
+    tasks = [(condition, seed) for condition in conditions for seed in range(condition.trials)]
+    answers: dict[int, Answer] = {}
+    for index, answer in run_all(work, tasks, setting.workers):
+        answers[index] = answer
+        setting.progress(len(answers), len(tasks), tasks[index][0].label)
+    rows = []
+    for condition in conditions:
+        own = [answers[k] for k, (one, _) in enumerate(tasks) if one is condition]
+        found = [a for a in own if a.found]
+        wrong = [a for a in own if not a.found and not a.lost]
+        seconds = [a.seconds for a in own if not a.lost]
+        rows.append(
+            {
+                "modes": len(condition.noll),
+                "waves_rms": condition.waves_rms,
+                "snr": condition.snr,
+                "trials": len(own),
+                "found": len(found) / len(own),
+                "target_not_found": sum(a.lost for a in own),
+                "rms_error_when_found": _rms([a.error for a in found]),
+                "rms_bound_when_found": _rms([a.bound for a in found]),
+                "found_but_rejected": sum(not a.accepted for a in found),
+                "wrong_but_accepted": sum(a.accepted for a in wrong),
+                "median_climbs": float(np.median([a.climbs for a in own])),
+                "median_seconds": float(np.median(seconds)) if seconds else np.nan,
+                "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
+            }
+        )
+    claims = [
+        claim
+        for condition, row in zip(conditions, rows, strict=True)
+        for claim in (
+            Claim(f"global optimum found from nothing, {condition.label}", None, row["found"], "", row["trials"]),
+            Claim(f"time of a global fit, median, {condition.label}", None, row["median_seconds"], "s", row["trials"]),
+        )
+    ]
+    at = next(row for row in rows if row["snr"] == 50.0)
+    n = at["trials"]
+    claims += [
+        Claim("time of a global fit, 95th percentile, SNR 50", None, at["seconds_95"], "s", n),
+        Claim("true optima rejected, SNR 50", None, at["found_but_rejected"] / n, "", n),
+        Claim("wrong optima accepted, SNR 50", None, float(at["wrong_but_accepted"]), "", n),
+    ]
+
+    def draw() -> Figure:
+        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        twelve = [row for row in rows if row["modes"] == len(NOLL) and row["waves_rms"] == WAVES_RMS]
+        snr = [row["snr"] for row in twelve]
+        left.loglog(snr, [row["rms_error_when_found"] for row in twelve], "o", label="RMS error, optimum found")
+        left.loglog(snr, [row["rms_bound_when_found"] for row in twelve], "-", label="Cramér-Rao bound")
+        left.set(xlabel="SNR", ylabel="waves RMS", title="From nothing, 0.25 waves, 12 modes")
+        for row in twelve:
+            left.annotate(
+                f"{row['found']:.0%}", (row["snr"], row["rms_error_when_found"]), (4, 6), textcoords="offset points"
+            )
+        left.legend()
+        for count, marker in ((12, "o-"), (22, "s-")):
+            own = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
+            right.plot([r["waves_rms"] for r in own], [100 * r["found"] for r in own], marker, label=f"{count} modes")
+        right.set(xlabel="waves RMS", ylabel="optimum found / %", ylim=(0, 103), title="Stronger wavefronts, SNR 75")
+        right.legend()
+        return figure
+
+    return Outcome(claims, rows, draw)
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
