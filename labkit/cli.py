@@ -32,9 +32,12 @@ app = typer.Typer(
 )
 target_app = typer.Typer(help="Targets to print or to show.", no_args_is_help=True)
 app.add_typer(target_app, name="target")
+camera_app = typer.Typer(help="The camera by itself.", no_args_is_help=True)
+app.add_typer(camera_app, name="camera")
 rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
 app.add_typer(rail_app, name="rail")
 
+CameraPlace = Annotated[str, typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="a plan, or such as gphoto2:")]
 PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what to do and with what")]
 SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="the session's folder")]
 
@@ -161,6 +164,48 @@ def devices(
     console.answer(asdict(found))
 
 
+@camera_app.command("settings")
+def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
+    """Everything that a camera lets be set or read."""
+    from labkit.lab.camera_alone import offered, open_alone
+
+    console: Console = ctx.obj
+    alone = open_alone(where)
+    with alone.camera as camera:
+        info, settings = camera.identify(), offered(camera)
+    console.say(f"{info.model}, serial {info.serial}, {info.driver}")
+    rows = [["setting", "now", "allowed"]]
+    for setting in settings:
+        allowed = "read only" if setting.readonly else ", ".join(map(str, setting.choices))
+        rows.append([setting.name, " ".join(str(setting.value).split()), allowed])
+    console.table(rows)
+    console.answer({**asdict(info), "settings": [asdict(setting) for setting in settings]})
+
+
+@camera_app.command("test")
+def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
+    """Take one photograph, keep nothing of it: focus, clipping, noise."""
+    from labkit.lab.camera_alone import open_alone, take_test_frame
+
+    console: Console = ctx.obj
+    alone = open_alone(where)
+    with alone.camera:
+        found = take_test_frame(alone)
+    console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
+    rows = [["colour", "middle", "brightest", "full", "noise"]]
+    for colour in found.colours:
+        full = f"{colour.full_percent:.2g} %"
+        rows.append([colour.name, f"{colour.median:.0f}", f"{colour.brightest:.0f}", full, f"{colour.noise:.1f}"])
+    console.table(rows)
+    if found.edge_px is not None:
+        blur = "" if found.blur_px is None else f"; a point spreads over {found.blur_px:.1f} pixels"
+        console.say(f"focus: the sharpest edges rise over {found.edge_px:.1f} pixels{blur}")
+    console.say(f"target: {found.target}")
+    for words in (*found.problems, *(f"check by hand: {words}" for words in found.by_hand)):
+        console.warn(words)
+    console.answer(asdict(found))
+
+
 @target_app.command("render")
 def target_render(
     ctx: typer.Context,
@@ -191,6 +236,9 @@ def capture(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Use simulated devices, whatever the plan names.")
     ] = False,
+    no_preflight: Annotated[
+        bool, typer.Option("--no-preflight", help="Begin without looking first whether all is right.")
+    ] = False,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.capture import capture as run_capture
@@ -211,7 +259,8 @@ def capture(
         report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)
-        run_capture(opened, bench, progress=report, ask=_ask if sys.stdin.isatty() else None)
+        ask = _ask if sys.stdin.isatty() else None
+        run_capture(opened, bench, progress=report, ask=ask, warn=console.warn, check=not no_preflight)
         frames = len(opened.frames)
     console.say(f"{session}: {frames} frames")
     console.answer({"session": str(session), "frames": frames})

@@ -129,12 +129,12 @@ def _look(plan: Plan, hands: Hands, picture: PanelPicture, range_mm: float, foun
     if shown is None:
         return None
     target = open_target(plan.target)
-    grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
     given = plan.target.corners_px
     scale = float(
         ground_sample_mm(ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), range_mm, plan.sensor.pixel_pitch_um)
     )
     try:
+        grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
         corners = np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
     except TargetError as error:
         found.problems.append(TargetError(f"{at}: {error}"))

@@ -69,13 +69,13 @@ def _plane_problem(mosaic: Mosaic, kind: Kind, row: int, col: int) -> str | None
     if saturated > max(SATURATED_LEAST * plane.size, SATURATED_SHARE * bright):
         percent = 100 * saturated / plane.size
         return f"is overexposed: {percent:.2g} % of its pixels, and most of its bright ones, are full ({white:g})"
-    signal, noise = float(smooth.max()) - black, _pixel_noise(plane)
+    signal, noise = float(smooth.max()) - black, pixel_noise(plane)
     if signal < max(SIGNAL_SIGMAS * noise, SIGNAL_SHARE * (white - black)):
         return f"is black: {signal:.3g} counts of light at most, where the noise of a pixel is {noise:.2g}"
     return None
 
 
-def _pixel_noise(plane: Counts) -> float:
+def pixel_noise(plane: Counts) -> float:
     """Standard deviation of one pixel's noise where the picture is smoothest; never below that of rounding."""
     differences = np.abs(np.diff(plane.astype(np.float64), axis=1))
     rows, cols = (max(1, min(TILES, size // TILE_PX)) for size in differences.shape)
