@@ -125,7 +125,8 @@ class ZaberController:
         verdict, data = self._do(axis, command)
         number = f"{found['id']} " if found["id"] else ""
         state = "IDLE" if self._motion is None else "BUSY"
-        reply = f"@01 {axis} {number}{verdict} {state} {self.flag} {data}"
+        flag = "--" if self._homing else self.flag  # as recorded; a search that is broken off shows it again
+        reply = f"@01 {axis} {number}{verdict} {state} {flag} {data}"
         whole = f"{reply}:{checksum(reply)}\r\n" if colon else f"{reply}\r\n"
         self._said += whole.encode()
         self.stale_reply = whole.encode()
