@@ -1,0 +1,126 @@
+"""Who gets in: the token, the Host and the Origin of every request, and connections that never say anything.
+
+A stranger is a connection that has not yet shown the token. Strangers are shown out after a few seconds, and the
+oldest of them at once when there are many, so a flood of them costs the bench's own pages nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import os
+import re
+import secrets
+import socket
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+STRANGER_S = 5.0
+MOST_STRANGERS = 128
+LET_IN = "labkit.let_in"
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+def kept_token(folder: Path) -> str:
+    """The token of this user on this machine: the same from run to run, so that open pages find back.
+
+    Kept in a file that only the user may read; made anew if there is none, or others can read it.
+    """
+    file = folder / "web-token"
+    try:
+        kept = file.read_text(encoding="ascii").strip()
+        if file.stat().st_mode & 0o077 == 0 and re.fullmatch(r"[A-Za-z0-9_-]{22,64}", kept):
+            return kept
+    except (OSError, UnicodeDecodeError):
+        pass
+    token = secrets.token_urlsafe(16)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as opened:
+            opened.write(token)
+    except OSError:
+        pass  # a token for this run only
+    return token
+
+
+class Guard:
+    """Lets a request through to `app`, its path without the token, or answers that there is nothing."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._token = token.encode()
+        name = socket.gethostname().lower()
+        self._names = {name, f"{name}.local"}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if rest := self._admitted(scope):
+            scope[LET_IN] = True
+            await self._app({**scope, "path": rest}, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            headers = [(b"content-length", b"0"), (b"connection", b"close")]
+            await send({"type": "http.response.start", "status": 404, "headers": headers})
+            await send({"type": "http.response.body", "body": b""})
+
+    def _admitted(self, scope: Scope) -> str | None:
+        """The path after the token, of a request that may come in."""
+        headers: dict[bytes, bytes] = dict(scope["headers"])
+        host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
+        given, _, rest = scope["path"].removeprefix("/").partition("/")
+        right = hmac.compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
+        if not right or not self._is_us(host, scope["server"]):
+            return None
+        # a browser names the page's origin with every WebSocket; to a stranger's page it lends no other
+        if (scope["type"] == "websocket" or origin is not None) and origin != f"http://{host}".encode("latin-1"):
+            return None
+        return f"/{rest}"
+
+    def _is_us(self, host: str, server: tuple[str, int | None]) -> bool:
+        """Whether a Host header names the address that the connection came in by: a rebound name does not."""
+        try:
+            parts = urlsplit(f"//{host}")
+            name, port = (parts.hostname or "").lower(), parts.port or 80
+        except ValueError:
+            return False
+        loopback = server[0] == "::1" or server[0].startswith("127.")
+        return port == server[1] and (name == server[0] or name in self._names or (loopback and name == "localhost"))
+
+
+class Connection(H11Protocol):
+    """A connection that is shown out unless it shows the token soon."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A stranger comes; the oldest goes, if there are too many."""
+        super().connection_made(transport)
+        self.since = self.loop.time()
+        strangers = [one for one in self.connections if isinstance(one, Connection) and one.is_stranger]
+        if len(strangers) > MOST_STRANGERS:
+            min(strangers, key=lambda one: one.since).transport.abort()
+        self.loop.call_later(STRANGER_S, self._show_out)
+
+    @property
+    def is_stranger(self) -> bool:
+        """Whether no request with the token has come."""
+        scope: dict[str, Any] | None = self.scope  # type: ignore[assignment]
+        return scope is None or LET_IN not in scope
+
+    def _show_out(self) -> None:
+        if self.transport.get_protocol() is self and self.is_stranger:
+            self.transport.abort()

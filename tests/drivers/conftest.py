@@ -1,0 +1,131 @@
+"""A web display on localhost, and real Chromium to open it in."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+
+from labkit.drivers.web_display import WebDisplay, open_display
+from labkit.drivers.web_server import WebServer
+from labkit.lab.devices import Room
+from labkit.plan import DisplaySettings, Plan
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+Launch = Callable[[float], Browser]
+
+
+def plan_for(height: int, width: int) -> Plan:
+    """As much of a plan as a display needs."""
+    settings = DisplaySettings(address="web:", pixel_pitch_mm=0.1, pixels=(height, width))
+    return Plan.model_construct(display=settings)
+
+
+@dataclass
+class Lab:
+    """A room with web displays in it, and what they said."""
+
+    room: Room
+    told: list[str]
+    links: dict[str, str]
+
+    def display(self, height: int, width: int, name: str = "screen", hold_s: float = 20.0) -> WebDisplay:
+        port = self.server.port if self.room.shared else 0
+        if self.room.shared:
+            self.room.shared[f"web://127.0.0.1:{port}"] = self.server
+        opened = open_display(f"web://127.0.0.1:{port}/{name}", plan_for(height, width), self.room)
+        opened.hold_s = hold_s
+        return opened
+
+    @property
+    def server(self) -> WebServer:
+        server: WebServer = next(iter(self.room.shared.values()))
+        return server
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
+    """Displays opened in it are closed with it."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    told: list[str] = []
+    links: dict[str, str] = {}
+    made = Lab(Room(tell=told.append, link=links.__setitem__), told, links)
+    yield made
+    for server in set(made.room.shared.values()):
+        server.close()
+
+
+@pytest.fixture(scope="session")
+def playwright() -> Iterator[Playwright]:
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
+    with sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def launch(playwright: Playwright) -> Iterator[Launch]:
+    """Chromium at a device scale, started once for each."""
+    browsers: dict[float, Browser] = {}
+
+    def get(scale: float) -> Browser:
+        if scale not in browsers:
+            flags = ["--no-sandbox", f"--force-device-scale-factor={scale:g}"]
+            browsers[scale] = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        return browsers[scale]
+
+    yield get
+    for browser in browsers.values():
+        browser.close()
+
+
+@dataclass
+class Glass:
+    """A browser tab of so many CSS pixels at a device scale, as a screen."""
+
+    page: Page
+    errors: list[str]
+
+    def __post_init__(self) -> None:
+        self.cdp = self.page.context.new_cdp_session(self.page)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+
+    def resize(self, height: int, width: int) -> None:
+        # scale 0 keeps the browser's own: an emulated one does not reach the canvas
+        metrics: dict[str, Any] = {"width": width, "height": height, "deviceScaleFactor": 0, "mobile": False}
+        self.cdp.send("Emulation.setDeviceMetricsOverride", metrics)
+
+    def seen(self) -> NDArray[np.uint8]:
+        """(height, width, 3) of what is on the glass, in device pixels."""
+        decoded = cv2.imdecode(np.frombuffer(self.page.screenshot(scale="device"), np.uint8), cv2.IMREAD_COLOR)
+        return np.asarray(decoded, dtype=np.uint8)
+
+
+@pytest.fixture
+def glass(launch: Launch) -> Iterator[Callable[..., Glass]]:
+    """Makes a tab: glass(url, height, width, scale). No script of a page may fail."""
+    made: list[Glass] = []
+
+    def make(url: str, height: int = 600, width: int = 800, scale: float = 1, script: str = "") -> Glass:
+        page = launch(scale).new_context(no_viewport=True).new_page()
+        one = Glass(page, [])
+        made.append(one)
+        one.resize(height, width)
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        return one
+
+    yield make
+    for one in made:
+        one.page.context.close()
+    assert [one.errors for one in made if one.errors] == []
