@@ -1,0 +1,224 @@
+"""Looking round before the first frame: whatever is wrong is said, all at once, and nothing is photographed for good."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labkit.drivers.bench_world import Fault
+from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
+from labkit.inference.pose import find_target, grey_image
+from labkit.lab.capture import capture, picture_for
+from labkit.lab.devices import Check, Devices, ExposureSettings, Picture, Shown
+from labkit.lab.discover import open_devices
+from labkit.lab.raw import read_raw
+from labkit.lab.session import Session, begin
+from labkit.lab.sharpness import blur_px, edge_px
+from labkit.optics.lens import ThinLens, circle_of_confusion_mm
+from labkit.plan import load_plan
+from labkit.target import open_target
+
+from .conftest import RoomMaker
+
+
+class Display:
+    """The simulated display with other pictures on its glass than it says."""
+
+    def __init__(self, devices: Devices, turned: int) -> None:
+        self._display = devices.display
+        self._turned = turned
+        self.panel = self._display.panel
+        self.close = self._display.close
+
+    def show(self, picture: Picture) -> Shown:
+        if isinstance(picture, str):
+            return self._display.show(picture)
+        return self._display.show(np.roll(picture, self._turned, axis=1))
+
+
+def problems_of(
+    plan_file: Path,
+    folder: Path,
+    make_room: RoomMaker,
+    faults: Sequence[Fault] = (),
+    light: float = 1.0,
+    turned: int = 0,
+    check: Check | None = None,
+) -> LabkitError:
+    """What a capture with those faults says before its first frame."""
+    room = make_room(plan_file, faults, light)
+    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, room=room) as devices:
+        if check is not None:
+            monitored = SimpleNamespace(check=lambda frames: check)
+            for name in ("identify", "configure", "expose", "cover", "close"):
+                setattr(monitored, name, getattr(devices.camera, name))
+            devices = Devices(monitored, devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
+        display = Display(devices, turned)
+        devices = Devices(devices.camera, devices.rail, display, devices.wait)  # type: ignore[arg-type]
+        with pytest.raises(LabkitError) as caught:
+            capture(session, devices)
+    assert Session.open(folder).frames == ()
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def test_what_is_right_is_noted_with_blur_margin_and_room(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+) -> None:
+    said: list[str] = []
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file)) as devices,
+    ):
+        capture(session, devices, warn=said.append)
+    (noted,) = [event for event in session.events if event["event"] == "preflight"]
+    assert noted["problems"] == []
+    assert said == []
+    assert set(noted["measured"]) == {"2000 mm", "2050.5 mm", "exposure", "frame_bytes", "free_bytes"}
+    assert noted["measured"]["2000 mm"]["margin_px"] > 0
+    assert not (tmp_path / "s" / "rejected").exists()
+
+
+def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+) -> None:
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file)) as devices,
+    ):
+        capture(session, devices)
+    moves = [event["range_mm"] for event in session.events if event["event"] == "moved"]
+    assert moves == [2050.5, 2000, 2050.5]
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (Fault("camera", "card_full", 1, 99), "card is full"),
+        (Fault("camera", "timeout", 1, 99), "no picture came"),
+        (Fault("camera", "unplug", 3, 99), "dropped off USB"),
+        (Fault("rail", "stall", 1, 99), "still not there after 60 s"),
+        (Fault("rail", "limit", 2, 99), "ran onto a limit switch"),
+        (Fault("display", "sleep", 1, 99), "went to sleep"),
+        (Fault("display", "sleep", 4, 99), "went to sleep"),
+    ],
+)
+def test_a_device_that_fails_is_said_before_the_first_frame(
+    fault: Fault, words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker
+) -> None:
+    error = problems_of(plan_file, tmp_path / "s", make_room, [fault])
+    assert isinstance(error, DeviceError)
+    assert words in str(error)
+
+
+@pytest.mark.parametrize(("light", "words"), [(2.5, "is overexposed"), (0.002, "is black")])
+def test_wrong_light_is_said(light: float, words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+    assert words in str(problems_of(plan_file, tmp_path / "s", make_room, light=light))
+
+
+def test_a_target_that_leaves_the_frame_is_said_of_both_ends(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+) -> None:
+    # half of the picture's 90 panel pixels go round to its other side: there is no carpet to be found
+    error = problems_of(plan_file, tmp_path / "s", make_room, turned=45)
+    assert isinstance(error, DataError)
+    assert str(error).startswith("2 things are not right: (1) at 2050.5 mm: ")
+    assert "; (2) at 2000 mm: " in str(error)
+
+
+def test_everything_that_is_wrong_is_said_at_once(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10_000))
+    battery = Check(("the camera's battery is at 9 %: charge it",), ("manual focus",))
+    faults = [Fault("rail", "stall", 1, 3)]
+    error = problems_of(plan_file, tmp_path / "s", make_room, faults, light=2.5, turned=45, check=battery)
+    assert isinstance(error, DeviceError)
+    for words in (
+        "5 things",
+        "battery is at 9 %",
+        "still not there",
+        "is overexposed",
+        "at 2000 mm: ",
+        "11 photographs take",
+    ):
+        assert words in str(error)
+
+
+def test_too_little_room_for_the_whole_plan_is_said(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=50_000))
+    error = problems_of(plan_file, tmp_path / "s", make_room)
+    assert isinstance(error, InputError)
+    assert "11 photographs take" in str(error)
+
+
+def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+    faults = [Fault("camera", "timeout", 2), Fault("rail", "stall", 1), Fault("display", "sleep", 2)]
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file, faults)) as devices,
+    ):
+        capture(session, devices)
+    assert len(session.frames) == 11
+
+
+SHARP = """
+[lens]
+focal_length_mm = 70.0
+f_number = 2.8
+[sensor]
+pixel_pitch_um = 4.78
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 4
+size_mm = 15.6
+[camera]
+address = "simulated:"
+exposure_s = 0.02
+[rail]
+address = "simulated:"
+ranges_mm = [3000, 3400]
+range_at_zero_mm = 2400.0
+[display]
+address = "simulated:"
+panel = "ipad-9.7-retina"
+"""
+
+
+def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(SHARP.replace("[3000, 3400]", "[2600, 3000, 3400]"))
+    plan = load_plan(path)
+    target = open_target(plan.target)
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    with open_devices(plan) as devices:
+        devices.camera.configure(ExposureSettings(0.02, 100))
+        devices.rail.home()
+        devices.display.show(picture_for(plan, devices).grey)
+        truth = devices.camera._bench.truth  # type: ignore[attr-defined]
+        edges = []
+        for range_mm in (2600.0, 3400.0):
+            devices.rail.move_to(range_mm - 2400)
+            mosaic = read_raw(devices.camera.expose(tmp_path / f"{range_mm:g}").path, plan.sensor)
+            grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+            true_px = float(circle_of_confusion_mm(lens, range_mm, truth.best_focus_mm["G"])) / 4.78e-3
+            assert true_px > 4  # well above what lens and pixels do by themselves
+            assert blur_px(grey, target, find_target(grey, target)) == pytest.approx(true_px, rel=0.33)
+            edges.append((true_px, edge_px(grey)))
+    (_, few), (_, many) = sorted(edges)
+    assert few < many
+
+
+def test_no_target_at_all_is_an_error_of_the_target(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+    plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000]"))
+    assert isinstance(problems_of(plan_file, tmp_path / "s", make_room, turned=45), TargetError)
