@@ -268,7 +268,7 @@ class GrblRail:
         deadline_s = time.monotonic() + self._reply_s
         while time.monotonic() < deadline_s:
             report = self._report(self._reply_s, ("Idle",))
-            at_mm = report and self._machine_mm(report)
+            at_mm = self._machine_mm(report) if report else None
             if at_mm is not None and at_mm == before_mm:
                 return at_mm
             before_mm = at_mm

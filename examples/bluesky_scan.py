@@ -40,7 +40,7 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
     ends = sorted(direction * (range_mm - zero_mm) for range_mm in (min(plan.rail.ranges_mm), max(plan.rail.ranges_mm)))
     found: list[tuple[float, str]] = []
 
-    def note(kind: str, document: dict[str, Any]) -> None:
+    def note(kind: str, document: Any) -> None:
         if kind == "event":
             data = document["data"]
             found.append((zero_mm + direction * data["rail"], data["camera_file"]))

@@ -70,12 +70,11 @@ def look_around() -> Connected:
         devices = ()
         notes = (f"USB was not looked at: {error}",)
     ports = tuple(_serial_ports())
-    for device in (*(d for d in devices if d.is_camera), *ports):
-        where = device.path if isinstance(device, SerialPort) else f"usb:{device.where}"
-        if not device.permitted:
-            notes += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
-        if device.holders:
-            notes += (f"{where}: in use by {', '.join(device.holders)}{_advice(device.holders)}",)
+    for device in devices:
+        if device.is_camera:
+            notes += _hindrances(f"usb:{device.where}", device.permitted, device.holders)
+    for port in ports:
+        notes += _hindrances(port.path, port.permitted, port.holders)
     return Connected(devices, ports, {device: installed(device) for device in GROUPS}, notes)
 
 
@@ -132,10 +131,15 @@ def holders(paths: Iterable[str], proc: Path = Path("/proc")) -> dict[str, tuple
     return {path: tuple(sorted(names)) for path, names in found.items()}
 
 
-def _advice(names: tuple[str, ...]) -> str:
-    if any("gvfs" in name for name in names):
-        return "; let it go with: gio mount -s gphoto2"
-    return ""
+def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[str, ...]:
+    """What keeps us from opening a device, in words."""
+    found: tuple[str, ...] = ()
+    if not permitted:
+        found += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
+    if names:
+        advice = "; let it go with: gio mount -s gphoto2" if any("gvfs" in name for name in names) else ""
+        found += (f"{where}: in use by {', '.join(names)}{advice}",)
+    return found
 
 
 def _usb_devices() -> Iterator[UsbDevice]:

@@ -15,7 +15,7 @@ from typing import Any
 from labkit.errors import DeviceTimeoutError
 from labkit.lab.devices import Camera, Rail, RawFrame
 
-Reading = dict[str, dict[str, Any]]
+Reading = dict[str, Any]
 
 
 class Step:

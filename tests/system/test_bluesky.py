@@ -85,19 +85,20 @@ def test_a_rail_in_trouble_fails_the_plan_with_its_own_words() -> None:
 
 def test_a_plan_that_is_aborted_stops_the_rail() -> None:
     import bluesky.plan_stubs as stubs
-    from bluesky.preprocessors import run_decorator
+    from bluesky.preprocessors import run_wrapper
+
+    wrapped: Any = run_wrapper
 
     with a_rail(speed=1200) as (port, rail):
         scanned = ScanRail(rail, settle_s=0.0)
 
-        @run_decorator()
         def plan() -> Iterator[Any]:
             yield from stubs.abs_set(scanned, -20.0, group="way")
             yield from stubs.sleep(0.3)
             raise RuntimeError("enough")
 
         with pytest.raises(RuntimeError, match="enough"):
-            run_engine(plan())
+            run_engine(wrapped(plan()))
         with port.lock:
             controller: Any = port.controller
             assert controller.machine.motion is None
@@ -107,8 +108,16 @@ def test_a_plan_that_is_aborted_stops_the_rail() -> None:
 def test_a_step_tells_its_end_to_all_who_ask() -> None:
     gate, heard = threading.Event(), threading.Event()
     told: list[Step] = []
-    step = Step(lambda: [gate.wait(5), None][1], "step")
-    step.add_callback(lambda over: (told.append(over), heard.set())[0])
+
+    def wait() -> None:
+        gate.wait(5)
+
+    def hear(over: Step) -> None:
+        told.append(over)
+        heard.set()
+
+    step = Step(wait, "step")
+    step.add_callback(hear)
     assert not step.done
     assert not step.success
     with pytest.raises(DeviceTimeoutError, match="still under way after"):
