@@ -61,9 +61,9 @@ class Blur:
         difference = self.pupil.psf(waves) - self._perfect_psf
         return self._perfect + self._centred_pixel * self.torus.half_spectrum_of_window(difference, self._finer)
 
-    def transfer_jacobian(self, waves: Floats) -> Iterator[Complexes]:
-        """Half planes of the transfer function's derivatives by each mode, one at a time to spare memory."""
-        for slope in self.pupil.psf_jacobian(waves)[1]:
+    def transfer_jacobian(self, waves: Floats, only: slice = slice(None)) -> Iterator[Complexes]:
+        """Half planes of the transfer function's derivatives by each mode, or only some, one at a time to spare memory."""
+        for slope in self.pupil.psf_jacobian(waves, only)[1]:
             yield self._centred_pixel * self.torus.half_spectrum_of_window(slope, self._finer)
 
     def spread(self, transfer: Complexes) -> tuple[Complexes, Complexes]:

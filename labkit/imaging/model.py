@@ -115,6 +115,11 @@ class ForwardModel:
             results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
         return results
 
+    def slopes(self, waves: Floats, pose: Pose, used: Bools, only: slice) -> Floats:
+        """(modes, pixels) derivatives by some of the modes, for those who cannot hold all at once."""
+        (spectrum,) = self.scene.spectra([pose])
+        return np.array([self._sample(spectrum * s, used) for s in self.blur.transfer_jacobian(waves, only)])
+
     def _sample(self, spectrum: Complexes, used: Bools, offset: float = 0.0) -> Floats:
         return self.blur.torus.sample(spectrum)[used] + offset
 

@@ -99,13 +99,14 @@ class Pupil:
         """
         return np.asarray(np.abs(self._to_image(self._pupil_function(waves))) ** 2 / self._light)
 
-    def psf_jacobian(self, waves: Floats) -> tuple[Floats, Floats]:
-        """The PSF, and (modes, size, size) its derivatives by each mode, per wave RMS. Thesis (H.7), (H.11)."""
+    def psf_jacobian(self, waves: Floats, only: slice = slice(None)) -> tuple[Floats, Floats]:
+        """The PSF, and (modes, size, size) its derivatives by each mode, or only some, per wave RMS. Thesis (H.7), (H.11)."""
         pupil = self._pupil_function(waves)
         field = self._to_image(pupil)
         factor = 4 * np.pi * self.reference_um / self.wavelength_um / self._light
-        slopes = np.empty((len(self.noll), self.size, self.size))
-        for slope, mode in zip(slopes, self.modes, strict=True):
+        modes = self.modes[only]
+        slopes = np.empty((len(modes), self.size, self.size))
+        for slope, mode in zip(slopes, modes, strict=True):
             np.multiply(-factor, (np.conj(field) * self._to_image(pupil * mode)).imag, out=slope)
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 

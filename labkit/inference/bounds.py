@@ -1,0 +1,226 @@
+"""How well frames can tell: Fisher information, Cramér-Rao bounds and what follows from them (thesis §3.4, §3.5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.fft
+import scipy.linalg
+
+from labkit.imaging.warp import POSE_SIZE
+from labkit.inference.likelihood import FrameData, predict
+from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
+from labkit.optics.psf import Pupil
+from labkit.optics.zernike import NAMES, Floats
+
+SINGULAR = 1e-12  # smallest eigenvalue of the information, scaled to a unit diagonal, that rounding does not explain
+TELLING_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a Fisher information allows.
+
+    names: (p,) of the parameters; covariance: (p, p) of any unbiased estimate, of the determined combinations where some
+    are not; undetermined: those that the data leave open, in words; none where all is determined.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+    undetermined: tuple[str, ...] = ()
+
+    @property
+    def std(self) -> Floats:
+        """(p,) infinite for a parameter that has part in an undetermined combination."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def rms(self, first: int, last: int) -> float:
+        """Root of the trace over a range of parameters: of the wavefront, where these are its modes."""
+        return float(np.linalg.norm(self.std[first:last]))
+
+
+def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
+    """Names of all parameters of a state, in their order."""
+    modes = [NAMES.get(j, f"mode {j}") for j in noll]
+    frames = [
+        f"{name} of frame {k + 1}"
+        for k in range(len(state.poses))
+        for name in (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
+    ]
+    light = [f"unevenness {k + 1}" for k in range(state.unevenness.size)]
+    return (*modes, *frames, *light, "log gain", "log read variance")
+
+
+def bound_of(information: Floats, names: Sequence[str]) -> Bound:
+    """The Cramér-Rao bound of an information matrix (p, p), singular or not.
+
+    Raises ValueError for a matrix that is not square, symmetric and finite, or other than names.
+    """
+    information = np.asarray(information, float)
+    if information.shape != (len(names), len(names)):
+        raise ValueError(f"information is {information.shape}: {len(names)} parameters need a square matrix of as many")
+    if not np.all(np.isfinite(information)) or not np.allclose(information, information.T, rtol=1e-8):
+        raise ValueError("information must be finite and symmetric")
+    diagonal = np.diag(information)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    open_ = values < SINGULAR * len(names) * max(1.0, values[-1])
+    inverse = (vectors[:, ~open_] / values[~open_]) @ vectors[:, ~open_].T
+    covariance = inverse * np.outer(scale, scale)
+    lost = np.flatnonzero(np.abs(vectors[:, open_]).max(axis=1, initial=0.0) > 1e-6)
+    covariance[lost, lost] = np.inf
+    words = tuple(_in_words(vector * scale, names) for vector in vectors[:, open_].T)
+    return Bound(tuple(names), covariance, words)
+
+
+def _in_words(combination: Floats, names: Sequence[str]) -> str:
+    """A direction of the parameter space that changes nothing in the data."""
+    parts = combination / combination[np.argmax(np.abs(combination))]
+    named = [f"{part:+.2g} {name}" for part, name in zip(parts, names, strict=True) if abs(part) > TELLING_SHARE]
+    return " ".join(named)
+
+
+def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:
+    """Information (p, p) over all parameters of all frames, thesis (3.15), (3.19), (3.28).
+
+    Never holds the derivatives of more than twice so many modes of one frame (thesis Figure 3.4); the price is that they
+    are computed more than once. The order of parameters is that of `State.moved`.
+    """
+    modes, common = state.waves.size, state.unevenness.size + NOISE
+    size = modes + PER_FRAME * len(problem.frames) + common
+    total = np.zeros((size, size))
+    blocks = [slice(k, min(k + modes_at_once, modes)) for k in range(0, modes, modes_at_once)]
+    for k, (frame, detector) in enumerate(zip(problem.frames, state.detectors(), strict=True)):
+        own = np.concatenate([np.arange(PER_FRAME) + modes + k * PER_FRAME, np.arange(size - common, size - NOISE)])
+        noise = np.array([size - 2, size - 1])
+        weights = _Weights.of(problem, state, k)
+        rest = weights.rest
+        total[np.ix_(own, own)] += rest * weights.both @ rest.T
+        _add(total, own, noise, rest * weights.cross @ weights.noise.T)
+        total[np.ix_(noise, noise)] += weights.noise * weights.square @ weights.noise.T
+        factor = detector.scale * frame.light(detector.unevenness)
+        for i, rows in enumerate(blocks):
+            here = problem.model.slopes(state.waves, state.poses[k], frame.used, rows) * factor
+            at = np.arange(rows.start, rows.stop)
+            total[np.ix_(at, at)] += here * weights.both @ here.T
+            _add(total, at, own, here * weights.both @ rest.T)
+            _add(total, at, noise, here * weights.cross @ weights.noise.T)
+            for columns in blocks[i + 1 :]:
+                there = problem.model.slopes(state.waves, state.poses[k], frame.used, columns) * factor
+                _add(total, at, np.arange(columns.start, columns.stop), here * weights.both @ there.T)
+    total[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
+    return total
+
+
+def _add(total: Floats, rows: Floats, columns: Floats, block: Floats) -> None:
+    total[np.ix_(rows, columns)] += block
+    total[np.ix_(columns, rows)] += block.T
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """Of one frame's pixels. rest: slopes of the mean by pose, scale, ambient and unevenness; noise: of the variance by the
+    noise's own two; both, cross, square: what a product of two slopes of the mean, of one with one of the variance, and of
+    two of the variance counts."""
+
+    rest: Floats
+    noise: Floats
+    both: Floats
+    cross: Floats
+    square: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, state: State, k: int) -> "_Weights":
+        frame, detector = problem.frames[k], state.detectors()[k]
+        (seen,) = problem.model.evaluate(state.waves, [state.poses[k]], [frame.used], by_waves=False)
+        mean, variance = predict(seen.mean, frame, detector)
+        light, even = frame.light(detector.unevenness), detector.scale * seen.mean + detector.ambient
+        rest = np.concatenate([detector.scale * seen.by_pose, seen.mean[None], np.ones((1, mean.size))]) * light
+        if len(frame.departures):
+            rest = np.concatenate([rest, frame.departures[:, frame.used] * frame.illumination[frame.used] * even])
+        noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
+        bend = detector.gain * (mean > 0) + 2 * frame.relative_std[frame.used] ** 2 * mean
+        square = 0.5 / variance**2
+        return cls(rest, noise, 1 / variance + bend**2 * square, bend * square, square)
+
+
+DETECTOR = ("light c1", "ambient light c2", "gain c3", "black level c4", "read noise")
+
+
+def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
+    """Information (5, 5) of one frame on the thesis's five detector numbers of (3.4), `DETECTOR`: it is singular.
+
+    relative, light: (pixels,) relative image and illumination; c: the five numbers, the last the standard deviation.
+    mu = c3 V (c1 u + c2) + c4, Sigma = c3 (mu - c4) + read_noise^2.
+    """
+    c1, c2, c3, _, read = c
+    bright = light * (c1 * relative + c2)
+    zero, one = np.zeros_like(bright), np.ones_like(bright)
+    means = np.stack([c3 * light * relative, c3 * light, bright, one, zero])
+    variances = np.stack([c3**2 * light * relative, c3**2 * light, 2 * c3 * bright, zero, 2 * read * one])
+    variance = c3**2 * bright + read**2
+    return np.asarray((means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T)
+
+
+def psf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> Floats:
+    """(size, size) standard deviation of the PSF's samples by the delta method. covariance: (modes, modes) of waves."""
+    slopes = pupil.psf_jacobian(waves)[1]
+    factor = _root(covariance)
+    return np.asarray(np.sqrt(np.sum(np.tensordot(factor.T, slopes, 1) ** 2, axis=0)))
+
+
+def mtf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """MTF and its standard deviation by the delta method, (size, size // 2 + 1) at the frequencies of rfft2.
+
+    Where the MTF is zero it has no derivative: there the deviation is that of the transfer function itself.
+    """
+    psf, slopes = pupil.psf_jacobian(waves)
+    transfer = scipy.fft.rfft2(psf)
+    moved = scipy.fft.rfft2(np.tensordot(_root(covariance).T, slopes, 1))
+    mtf = np.abs(transfer)
+    direction = np.divide(np.conj(transfer), mtf, out=np.ones_like(transfer), where=mtf > 0)
+    return mtf, np.asarray(np.sqrt(np.sum((moved * direction).real ** 2, axis=0)))
+
+
+def _root(covariance: Floats) -> Floats:
+    """A matrix A with A A^T = covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(values.clip(0)))
+
+
+def uniform_bound(
+    covariance: Floats, index: int, multipliers: Floats, norm: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """The uniform Cramér-Rao bound of one parameter: (bias-gradient norm delta, bound on the variance), thesis (3.47), (3.48).
+
+    covariance: (p, p) of an unbiased estimate. multipliers: (n,) positive, from large (delta near 0) to small. norm: (p, p) C
+    of the norm ||d||^2 = d^T C d, the identity by default.
+    Raises ValueError for a multiplier that is not positive.
+    """
+    if np.any(multipliers <= 0):
+        raise ValueError("multipliers must be positive")
+    size = len(covariance)
+    root = np.eye(size) if norm is None else np.asarray(scipy.linalg.sqrtm(norm).real)
+    inverse = np.linalg.inv(root)
+    beta, vectors = np.linalg.eigh(inverse @ covariance @ inverse)
+    part = (root[index] @ vectors) ** 2
+    lam = np.asarray(multipliers, float)[:, None]
+    delta = np.sqrt(np.sum((beta / (lam + beta)) ** 2 * part, axis=1))
+    return delta, np.asarray(np.sum(lam**2 * beta / (lam + beta) ** 2 * part, axis=1))
+
+
+def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None) -> float:
+    """Slope of the uniform bound at no bias, in the parameter's unit squared: -2 || row of the covariance ||, thesis §3.5."""
+    row = covariance[index]
+    weighted = row if norm is None else np.linalg.solve(norm, row)
+    return float(-2 * np.sqrt(row @ weighted))
+
+
+def expected(problem: Problem, state: State) -> Problem:
+    """The same problem with its frames as they are expected at a state, without noise."""
+    frames: list[FrameData] = []
+    for frame, detector, seen in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
+        counts = np.zeros(frame.counts.shape)
+        counts[frame.used] = predict(seen, frame, detector)[0]
+        frames.append(replace(frame, counts=counts))
+    return replace(problem, frames=tuple(frames))

@@ -1,0 +1,155 @@
+"""Bounds against the solver's own information, closed forms, finite differences and drawn noise."""
+
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from labkit.inference.bounds import (
+    DETECTOR,
+    bias_sensitivity,
+    bound_of,
+    detector_information,
+    expected,
+    fisher_information,
+    mtf_std,
+    parameter_names,
+    psf_std,
+    uniform_bound,
+)
+from labkit.inference.likelihood import low_orders
+from labkit.inference.solve import Problem
+from labkit.optics.psf import Pupil
+from labkit.optics.zernike import Floats
+from labkit.study.conditions import NOLL, Trial, draw_trial
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    return draw_trial(np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def information(trial: Trial) -> Floats:
+    return fisher_information(trial.problem, trial.state(trial.waves))
+
+
+def test_the_lean_information_is_that_of_the_solver(trial: Trial, information: Floats) -> None:
+    whole = trial.problem.scores(trial.state(trial.waves), by_waves=True)[1]
+    scale = 1 / np.sqrt(np.diag(whole))
+    np.testing.assert_allclose(information * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10)
+
+
+def test_so_it_is_with_several_frames_and_light_unknown(trial: Trial) -> None:
+    shapes = low_orders(*trial.frame.counts.shape)
+    lit = replace(trial.frame, departures=shapes, relative_std=np.full(trial.frame.counts.shape, 0.01))
+    other = replace(lit, counts=trial.frame.counts * 0.9)
+    state = trial.state(trial.waves)
+    state = replace(
+        state,
+        poses=(trial.pose, trial.pose.moved(np.full(8, 1e-3))),
+        scales=np.repeat(state.scales, 2),
+        ambients=np.array([1.0, 2.0]),
+        unevenness=np.array([0.05, -0.02, 0.01, 0.0, 0.03]),
+    )
+    problem = Problem(trial.problem.model, (lit, other), trial.noise)
+    whole = problem.scores(state, by_waves=True)[1]
+    scale = 1 / np.sqrt(np.diag(whole))
+    lean = fisher_information(problem, state, modes_at_once=5)
+    np.testing.assert_allclose(lean * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10)
+    assert len(parameter_names(state, NOLL)) == len(lean)
+
+
+def test_it_needs_less_memory_than_all_derivatives_at_once(trial: Trial) -> None:
+    many = replace(trial, noll=tuple(range(4, 59)))  # 55 modes, as the thesis fitted to an iPad's camera
+    state, problem = many.state(np.full(55, 0.01)), many.problem
+    problem.relative(state)
+
+    def peak(work: Callable[[], object]) -> int:
+        tracemalloc.start()
+        work()
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    assert peak(lambda: fisher_information(problem, state, 5)) < 0.5 * peak(
+        lambda: problem.scores(state, by_waves=True)
+    )
+
+
+def test_the_bound_at_the_thesis_conditions_is_the_published_one(trial: Trial, information: Floats) -> None:
+    bound = bound_of(information, parameter_names(trial.state(trial.waves), NOLL))
+    assert bound.undetermined == ()
+    # an independent calculation gives 0.0014 to 0.0018 waves over wavefronts; read noise is 0.79 here, 0.68 there
+    assert 0.0012 < bound.rms(0, 12) < 0.0022
+
+
+def test_five_detector_numbers_are_one_too_many(trial: Trial) -> None:
+    relative = trial.problem.relative(trial.state(trial.waves))[0]
+    light = np.linspace(0.8, 1.2, relative.size)
+    singular = bound_of(detector_information(relative, light * 0 + 1, np.array([4e5, 2e3, 5e-4, 30.0, 0.8])), DETECTOR)
+    (words,) = singular.undetermined
+    assert "ambient light c2" in words
+    assert np.isinf(singular.std[1])
+    fixed = [0, 1, 2, 4]  # black level known
+    known = detector_information(relative, light, np.array([4e5, 2e3, 5e-4, 30.0, 0.8]))[np.ix_(fixed, fixed)]
+    assert bound_of(known, [DETECTOR[k] for k in fixed]).undetermined == ()
+
+
+def test_a_singular_information_is_told_in_words() -> None:
+    bound = bound_of(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]), ("a", "b", "c"))
+    assert bound.undetermined in (("+1 a -1 b",), ("-1 a +1 b",))
+    np.testing.assert_allclose(bound.std, [np.inf, np.inf, 0.5])
+
+
+@pytest.mark.parametrize("bad", [np.ones((2, 3)), np.full((2, 2), np.nan), np.array([[1.0, 2.0], [0.0, 1.0]])])
+def test_what_is_no_information_is_refused(bad: Floats) -> None:
+    with pytest.raises(ValueError, match="information"):
+        bound_of(bad, ("a", "b"))
+
+
+def test_expected_frames_are_the_mean(trial: Trial) -> None:
+    state = trial.state(trial.waves)
+    mean = expected(trial.problem, state).frames[0].counts
+    misfit = (trial.frame.counts - mean).ravel()
+    assert misfit.std() == pytest.approx(np.sqrt(trial.read_noise**2 + mean.mean() / 2000), rel=0.03)
+
+
+PUPIL = Pupil(0.55, 0.55, 8.0, 2.2, 64, (4, 7, 11))
+WAVES = np.array([0.1, 0.05, -0.04])
+COVARIANCE = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]]) * 1e-8
+
+
+def test_errors_of_psf_and_mtf_are_those_of_drawn_wavefronts() -> None:
+    rng = np.random.default_rng(5)
+    drawn = rng.multivariate_normal(WAVES, COVARIANCE, size=2000)
+    psfs = np.array([PUPIL.psf(w) for w in drawn])
+    mtfs = np.abs(np.fft.rfft2(psfs))
+    std = psf_std(PUPIL, WAVES, COVARIANCE)
+    bright = std > 0.05 * std.max()
+    # a standard deviation of 2000 draws errs by 1/sqrt(4000) = 1.6 %; about 200 of them are looked at
+    np.testing.assert_allclose(std[bright], psfs.std(axis=0)[bright], rtol=0.08)
+    mtf, mtf_error = mtf_std(PUPIL, WAVES, COVARIANCE)
+    np.testing.assert_allclose(mtf, np.abs(np.fft.rfft2(PUPIL.psf(WAVES))))
+    telling = mtf_error > 0.05 * mtf_error.max()
+    np.testing.assert_allclose(mtf_error[telling], mtfs.std(axis=0)[telling], rtol=0.08)
+
+
+@pytest.mark.parametrize("norm", [None, np.diag([1.0, 4.0, 0.5])])
+def test_the_uniform_bound_is_the_least_under_its_constraint(norm: Floats | None) -> None:
+    covariance = COVARIANCE * 1e8
+    weight = np.eye(3) if norm is None else norm
+    (delta,), (least,) = uniform_bound(covariance, 0, np.array([3.0]), norm)
+
+    def variance(d: Floats) -> float:
+        biased = np.array([1.0, 0, 0]) + d
+        return float(biased @ covariance @ biased)
+
+    limit = {"type": "ineq", "fun": lambda d: delta**2 - d @ weight @ d}
+    found = minimize(variance, np.full(3, -0.01), constraints=limit, tol=1e-14)
+    assert found.fun == pytest.approx(least, rel=1e-6)
+    (small,), (near,) = uniform_bound(covariance, 0, np.array([1e6]), norm)
+    assert (near - covariance[0, 0]) / small == pytest.approx(bias_sensitivity(covariance, 0, norm), rel=1e-4)
