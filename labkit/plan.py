@@ -35,6 +35,9 @@ Value = TypeVar("Value", str, float)
 LAST_NOLL = 66
 """The last Zernike mode that can be asked for: all of the tenth radial order."""
 
+NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
+"""Kind of target -> the field that it cannot do without."""
+
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
 
@@ -122,11 +125,18 @@ class Channel(Table):
 
 
 class TargetSpec(Table):
-    """What was photographed. `file` is absolute once a plan is loaded."""
+    """What was photographed. `file` is absolute once a plan is loaded.
+
+    order: of a carpet, or octaves of a tri-bar target; cells: along a side of a checkerboard or of noise, which `seed` draws;
+    angle_deg: by which a slanted edge leans.
+    """
 
     kind: Annotated[str, _matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
     size_mm: Length
     order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
+    cells: Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))] | None = None
+    seed: Annotated[Count, AfterValidator(Allowed(0, 2**32 - 1, whole=True))] = 0
+    angle_deg: Annotated[Number, AfterValidator(Allowed(-45, 45))] = 5.0
     surround: Literal["black", "white", "unknown"] = "black"
     file: Path | None = None
     corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
@@ -146,10 +156,9 @@ class TargetSpec(Table):
 
     @model_validator(mode="after")
     def _complete(self) -> TargetSpec:
-        for kind, key in (("sierpinski", "order"), ("image", "file")):
-            given = getattr(self, key)
-            if self.kind == kind and given is None:
-                raise _problem(f'{key} is missing: kind = "{kind}" needs it')
+        key = NEEDED.get(self.kind)
+        if key is not None and getattr(self, key) is None:
+            raise _problem(f'{key} is missing: kind = "{self.kind}" needs it')
         if self.file is not None and not self.file.is_file():
             raise _problem(f'file = "{self.file}": there is no such file')
         return self

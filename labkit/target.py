@@ -139,7 +139,7 @@ def _blurred_cells(
     """What each group of equal cells of one axis adds to each sample: (m, groups)."""
     at = np.asarray(at_mm, dtype=np.float64)
     edges = (np.arange(group.size + 1) / group.size - 0.5) * side_mm
-    reach, step = _step_response()
+    reach, step = low_pass()
     # only edges between unlike cells matter: a run of equal cells is one wide cell
     keep = np.concatenate(([True], group[1:] != group[:-1], [True]))
     passed = step(np.clip((at[:, None] - edges[keep]) * bandwidth_per_mm, -reach, reach))
@@ -150,8 +150,8 @@ def _blurred_cells(
 
 
 @cache
-def _step_response() -> tuple[float, CubicHermiteSpline]:
-    """(reach, step): integral of the unit-bandwidth low-pass kernel from -reach up to the argument.
+def low_pass() -> tuple[float, CubicHermiteSpline]:
+    """(reach, step): integral of `Target.sample`'s kernel, for a bandwidth of 1, from -reach up to the argument.
 
     A sinc cut off midway between pass band and stop band under a Kaiser window: Kaiser, *Nonrecursive digital
     filter design using the I0-sinh window function*, ISCAS 1974.

@@ -22,6 +22,7 @@ from labkit.plan import TargetSpec, load_plan
 from labkit.target import CellTarget, Target
 
 MM_PER_INCH = 25.4
+PRINT_DPI = 600.0
 MAX_PIXELS = 400_000_000
 EXAMPLE = "an example: sierpinski:order=5,size_mm=46.8"
 
@@ -70,8 +71,8 @@ def _number_or_text(value: str) -> int | float | str:
 def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None) -> Rendering:
     """Write a target as PNG or PDF, as large as it is; the file appears whole or not at all.
 
-    dpi: raster in dots per inch, or pixels: dots along its height; neither: three dots a cell (one in a PDF). Grey
-    levels are linear radiance. Raises TargetError for another suffix or an impossible raster.
+    dpi: raster in dots per inch, or pixels: dots along its height; neither: three dots a cell (one in a PDF), 600 dpi for
+    a target without cells. Grey levels are linear radiance. Raises TargetError for another suffix or an impossible raster.
     """
     if path.suffix.lower() not in (".png", ".pdf"):
         raise TargetError(f"cannot write a target as {path.name!r}: the name must end in .png or .pdf")
@@ -95,9 +96,10 @@ def _raster(target: Target, dpi: float | None, pixels: int | None, default_dots:
     if dpi is not None and pixels is not None:
         raise TargetError("a target's raster is given by dpi or by pixels, not by both")
     if pixels is None and dpi is None:
-        if not isinstance(target, CellTarget):
-            raise TargetError("give dpi or pixels: this target has no cells to go by")
-        pixels = default_dots * target.cells.shape[0]
+        if isinstance(target, CellTarget):
+            pixels = default_dots * target.cells.shape[0]
+        else:
+            dpi = PRINT_DPI
     wanted = float(pixels) if pixels is not None else height / MM_PER_INCH * float(dpi or 0)
     if not (np.isfinite(wanted) and wanted >= 1 and wanted * wanted * width / height <= MAX_PIXELS):
         raise TargetError(f"a raster of {wanted:g} pixels over {height:g} mm: allowed are 1 to {MAX_PIXELS:.0e} in all")

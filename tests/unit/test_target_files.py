@@ -38,7 +38,7 @@ def test_the_plan_opens_its_carpet() -> None:
 
 
 def test_an_unknown_kind_of_target_names_those_installed() -> None:
-    with pytest.raises(TargetError, match=r"'tartan'.*image, sierpinski"):
+    with pytest.raises(TargetError, match=r"'tartan'.*image, noise, sierpinski"):
         open_target(TargetSpec(kind="tartan", size_mm=20.0))
 
 
