@@ -101,7 +101,8 @@ class Gphoto2Camera:
         self._wait = wait
         self._link = link or Link()
         self._release_s = release_s
-        self._at: str | None = None
+        self._is_open = False
+        self._seen_at = ""
         self._exposure: ExposureSettings | None = None
         self._wanted: Wanted | None = None
         self._body: dict[str, Setting] = {}
@@ -144,7 +145,7 @@ class Gphoto2Camera:
 
     def close(self) -> None:
         """Let the camera go; again does nothing."""
-        self._at = None
+        self._is_open = False
         self._link.close(CLOSE_S)
 
     def __enter__(self) -> Self:
@@ -157,37 +158,37 @@ class Gphoto2Camera:
         """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""
         pauses = iter((*PAUSES_S, None))
         for attempt, pause_s in enumerate(pauses, 1):
-            at = self._at or self._port
             try:
                 self._open()
                 return action()
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
                     raise _told(what, trouble, attempt) from trouble
-                self._let_go(trouble.code, attempt, at)
+                self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
             finally:
                 if folder is not None:
                     clear_folder(folder)
         raise AssertionError("unreachable: the last attempt returns or raises")
 
-    def _let_go(self, code: int, attempt: int, at: str) -> None:
+    def _let_go(self, code: int, attempt: int) -> None:
         """Close the camera, and clear what keeps it from being opened again."""
-        self._at = None
+        self._is_open = False
         if code == CLAIM:
             _unmount()
         try:
             self._link.ask("close", CLOSE_S)
-            if at and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT))):
-                self._link.ask("reset", ASK_S, port=at)
+            if self._seen_at and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT))):
+                self._link.ask("reset", ASK_S, port=self._seen_at)
         except Trouble:
             self._link.kill()
 
     def _open(self) -> None:
         """Find and open the camera, and set it as it was before."""
-        if self._at is not None:
+        if self._is_open:
             return
         model, port = self._choose([(model, port) for model, port in self._link.ask("find", ASK_S)])
+        self._seen_at = port
         version = self._link.ask("open", OPEN_S, model=model, port=port)
         try:
             self._list()
@@ -203,7 +204,7 @@ class Gphoto2Camera:
         except CameraError:
             self._link.close(CLOSE_S)
             raise
-        self._at = port
+        self._is_open = True
 
     def _choose(self, found: list[tuple[str, str]]) -> tuple[str, str]:
         """The camera to open: at the port asked for; the only one; or, if it was open before, of the same model."""

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.drivers import gphoto2_camera, gphoto2_worker
+from labkit.drivers import gphoto2_camera
 from labkit.drivers.dng import RawTags, write_raw
 from labkit.drivers.gphoto2_camera import Gphoto2Camera
 from labkit.drivers.gphoto2_link import Link
@@ -327,6 +330,22 @@ def test_it_is_opened_by_address(scene: Scene) -> None:
         open_camera("gphoto2:nikon", parse_plan(PLAN, Path()), Room())
 
 
-def test_the_worker_imports_nothing_heavy() -> None:
-    # it is started again after every hang
-    assert "numpy" not in gphoto2_worker.__dict__
+def test_ctrl_c_in_an_exposure_is_obeyed_at_once_and_leaves_the_camera_usable(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
+    camera = make(files=[], release_s=30.0)
+    camera.identify()
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        camera.expose(tmp_path / "a")
+    assert camera.identify().serial == "0.1"  # the worker gave up waiting for the file when it was asked again
+
+
+def test_the_worker_ends_with_the_pipe() -> None:
+    link = Link()
+    link.ask("close", 10.0)
+    process, channel = link._process, link._channel
+    assert process is not None
+    assert channel is not None
+    channel.close()
+    assert process.wait(10) == 0
