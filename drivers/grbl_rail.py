@@ -9,15 +9,12 @@ dwell before it waits for all motion. Where the carriage stands is taken from tw
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
 
 from labkit.drivers import grbl_protocol as grbl
 from labkit.drivers.grbl_simulator import simulated_port
-from labkit.drivers.serial_wire import SerialWire
+from labkit.drivers.serial_rail import SerialRail
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
 from labkit.lab.devices import Room, Travel
 from labkit.plan import Plan
@@ -51,7 +48,7 @@ def open_rail(address: str, plan: Plan, room: Room) -> GrblRail:
     return GrblRail(port.path, plan.rail.run_up_mm, after_close=port.close)
 
 
-class GrblRail:
+class GrblRail(SerialRail):
     """A Rail. It must be homed before it moves, and again whenever its position is in doubt.
 
     run_up_mm: every stop is approached from below over this way, which takes up the play of the screw.
@@ -67,21 +64,15 @@ class GrblRail:
         back_s: float = 10.0,
         after_close: Callable[[], None] = lambda: None,
     ) -> None:
-        self._path = path
-        self._after_close = after_close
+        super().__init__("the GRBL rail", path, BAUD, back_s, after_close)
         self._run_up_mm = run_up_mm
         self._reply_s = reply_s
-        self._wire: SerialWire | None = None
-        self._lock = threading.RLock()
-        self._homed = False
         self._under_way = False  # lines were sent whose end was not seen
         self._homing = False
         self._at_mm = 0.0
         self._offset_mm: float | None = None
         self._settings: dict[int, float] = {}
-        self._back_s = 0.0
         self._wake()
-        self._back_s = back_s
 
     @property
     def travel_mm(self) -> Travel:
@@ -97,9 +88,10 @@ class GrblRail:
             self._homed = False
             self._wake()
             self._homing = True
-            self._carry_out(["$H"], grbl.homing_s(self._settings), watch=False)  # while homing, ? is not answered
+            self._search()
+            # a stale ok ends the search too soon for us; what follows is done only after it
+            self._carry_out(["G21 G90 G94"], grbl.homing_s(self._settings), watch=False)
             self._homing = False
-            self._carry_out(["G21 G90 G94"], 0.0)
             self._at_mm = self._rest()
             self._homed = True
 
@@ -147,17 +139,7 @@ class GrblRail:
         except (RailError, DeviceTimeoutError):
             pass  # it is being let go because of trouble; that trouble is what gets told
         finally:
-            self._hang_up()
-            self._after_close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-    def __str__(self) -> str:
-        return f"the GRBL rail at {self._path}"
+            super().close()
 
     def _has_braked(self) -> bool:
         """Whether a feed hold has brought it to rest without loss."""
@@ -181,15 +163,25 @@ class GrblRail:
     def _wake(self) -> None:
         """A controller in a known state, its queue empty, whatever was before."""
         if self._wire is None:
-            self._wire = SerialWire(self._path, BAUD, self._back_s)
-            try:
-                self._reset()
-                self._get_to_know()
-            except BaseException:
-                self._hang_up()
-                raise
+            self._open(self._begin)
         else:
             self._reset()
+
+    def _begin(self) -> None:
+        self._reset()
+        self._get_to_know()
+
+    def _search(self) -> None:
+        """Home. Nothing else is sent before its ok: grblHAL may drop what comes meanwhile, and GRBL answers no "?"."""
+        self._under_way = True
+        self._send(b"$H\n")
+        deadline_s = time.monotonic() + grbl.homing_s(self._settings) + self._reply_s
+        while (line := self._line(deadline_s)) != "ok":
+            if line is None:
+                raise DeviceTimeoutError(
+                    f"{self} did not finish homing in time; look whether it can move, then home it"
+                )
+            self._note(line)
 
     def _reset(self) -> None:
         """Soft reset. What was queued, and any reply still on its way, ends with the banner that answers it.
@@ -322,32 +314,3 @@ class GrblRail:
         """Take in what the controller has said by itself."""
         while (line := self._line(0.0)) is not None:
             self._note(line)
-
-    def _lost(self, reason: str) -> RailError:
-        self._homed = False
-        return RailError(f"{self} {reason}; its position is lost: home it")
-
-    def _send(self, data: bytes) -> None:
-        try:
-            self._connected().send(data)
-        except RailError:
-            self._hang_up()
-            raise
-
-    def _line(self, deadline_s: float) -> str | None:
-        try:
-            return self._connected().line(deadline_s)
-        except RailError:
-            self._hang_up()
-            raise
-
-    def _connected(self) -> SerialWire:
-        if self._wire is None:
-            raise RailError(f"{self} is not connected; home it")
-        return self._wire
-
-    def _hang_up(self) -> None:
-        self._homed = self._homing = False
-        if self._wire is not None:
-            self._wire.close()
-        self._wire = None

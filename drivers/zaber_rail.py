@@ -7,13 +7,10 @@ of their command and a checksum, so that late, stale and damaged ones are told a
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
-from labkit.drivers.serial_wire import SerialWire
+from labkit.drivers.serial_rail import SerialRail
 from labkit.drivers.zaber_protocol import FLAGS, REASONS, SPEED_UNIT, Reply, command_line, read_reply
 from labkit.drivers.zaber_simulator import simulated_port
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
@@ -48,7 +45,7 @@ def open_rail(address: str, plan: Plan, room: Room) -> ZaberRail:
     return ZaberRail(port.path, microstep_mm, plan.rail.run_up_mm, after_close=port.close)
 
 
-class ZaberRail:
+class ZaberRail(SerialRail):
     """A Rail. It must be homed before it moves, and again whenever its position is in doubt.
 
     run_up_mm: every stop is approached from below over this way. reply_s: longest silence; back_s: how long a port
@@ -64,22 +61,16 @@ class ZaberRail:
         back_s: float = 10.0,
         after_close: Callable[[], None] = lambda: None,
     ) -> None:
-        self._path = path
+        super().__init__("the Zaber", path, BAUD, back_s, after_close)
         self._microstep_mm = microstep_mm
         self._run_up_mm = run_up_mm
         self._reply_s = reply_s
-        self._after_close = after_close
-        self._wire: SerialWire | None = None
-        self._lock = threading.RLock()
         self._number = 0
-        self._homed = False
         self._stopping = False
         self._at_mm = 0.0
         self._reach = Travel(0.0, 1.0)
         self._speed_mm_per_s = 1.0
-        self._back_s = 0.0
-        self._connect()
-        self._back_s = back_s
+        self._open(self._get_to_know)
 
     @property
     def travel_mm(self) -> Travel:
@@ -91,7 +82,7 @@ class ZaberRail:
         with self._lock:
             self._homed = self._stopping = False
             if self._wire is None:
-                self._connect()
+                self._open(self._get_to_know)
             self._ask("stop")
             self._await_rest(HOMING_S, stale_faults=True)
             self._ask("warnings clear")
@@ -145,31 +136,17 @@ class ZaberRail:
         if self._wire is not None:
             with contextlib.suppress(RailError):
                 self._send(command_line(DEVICE, AXIS, NOBODY, "stop"))
-        self._hang_up()
-        self._after_close()
+        super().close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-    def __str__(self) -> str:
-        return f"the Zaber at {self._path}"
-
-    def _connect(self) -> None:
-        self._wire = SerialWire(self._path, BAUD, self._back_s)
+    def _get_to_know(self) -> None:
+        """Limits and speed. Raises RailError for limits that leave no room."""
+        low, high, speed = (self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed"))
+        self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:
-            low, high, speed = (self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed"))
             self._reach = Travel(low * self._microstep_mm, high * self._microstep_mm)
             Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
-            self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         except ValueError as error:
-            self._hang_up()
             raise RailError(f"{self} has limits that leave no room to move; check rail.microstep_um") from error
-        except BaseException:
-            self._hang_up()
-            raise
 
     def _number_of(self, setting: str) -> float:
         return float(self._ask(f"get {setting}").data)
@@ -227,32 +204,3 @@ class ZaberRail:
             if reply and (reply.device, reply.axis, reply.number) == (DEVICE, AXIS, number):
                 return reply
         return None
-
-    def _lost(self, reason: str) -> RailError:
-        self._homed = False
-        return RailError(f"{self} {reason}; its position is lost: home it")
-
-    def _send(self, data: bytes) -> None:
-        try:
-            self._connected().send(data)
-        except RailError:
-            self._hang_up()
-            raise
-
-    def _line(self, deadline_s: float) -> str | None:
-        try:
-            return self._connected().line(deadline_s)
-        except RailError:
-            self._hang_up()
-            raise
-
-    def _connected(self) -> SerialWire:
-        if self._wire is None:
-            raise RailError(f"{self} is not connected; home it")
-        return self._wire
-
-    def _hang_up(self) -> None:
-        self._homed = False
-        if self._wire is not None:
-            self._wire.close()
-        self._wire = None
