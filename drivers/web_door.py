@@ -117,9 +117,9 @@ class Connection(H11Protocol):
 
     @property
     def is_stranger(self) -> bool:
-        """Whether no request with the token has come."""
+        """Whether no request with the token has come; one that has been shown out is none."""
         scope: dict[str, Any] | None = self.scope  # type: ignore[assignment]
-        return scope is None or LET_IN not in scope
+        return not self.transport.is_closing() and (scope is None or LET_IN not in scope)
 
     def _show_out(self) -> None:
         if self.transport.get_protocol() is self and self.is_stranger:

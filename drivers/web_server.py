@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import socket
@@ -134,7 +135,7 @@ class WebServer:
         self._server.run(sockets=[self._socket])
 
     def _app(self) -> Starlette:
-        return Starlette(
+        app = Starlette(
             routes=[
                 Route("/page/{file}", self._file, methods=["GET"]),
                 Route("/monitor", self._monitor_page, methods=["GET"]),
@@ -145,6 +146,8 @@ class WebServer:
                 WebSocketRoute("/{screen}/socket", self._screen_socket),
             ],
         )
+        app.router.redirect_slashes = False
+        return app
 
     async def _file(self, request: Request) -> Response:
         name = request.path_params["file"]
@@ -219,10 +222,8 @@ class _Alarm:
         self._event = asyncio.Event()
 
     def ring(self) -> None:
-        try:
+        with contextlib.suppress(RuntimeError):  # the server has stopped
             self._loop.call_soon_threadsafe(self._event.set)
-        except RuntimeError:
-            pass  # the server has stopped
 
     async def wait(self, at_most_s: float) -> None:
         try:
