@@ -26,6 +26,7 @@ STUDIES = {
     "minima": "minima",
     "annealing": "annealing",
     "psf-accuracy": "pupil_size",
+    "targets": "targets",
 }
 """Name of a study -> the module of this room that does it, by its function `run`."""
 
