@@ -379,6 +379,31 @@ def report(ctx: typer.Context, session: SessionPath) -> None:
 
 
 @app.command()
+def advise(
+    ctx: typer.Context,
+    plan: PlanPath,
+    ranges_mm: Annotated[
+        list[float] | None, typer.Option("--range", metavar="MM", help="Instead of the plan's; once for each.")
+    ] = None,
+    electrons: Annotated[float, typer.Option(metavar="N", help="At white, in one photograph.")] = 20_000,
+    want: Annotated[float | None, typer.Option(metavar="WAVES", help="A wavefront error to be reached.")] = None,
+) -> None:
+    """Before capture: what the target, the light and the ranges of a plan will tell."""
+    from labkit.plan import load_plan
+    from labkit.products.advise import advise as advise_on
+    from labkit.summary import advice_rows
+
+    console: Console = ctx.obj
+    advice = advise_on(load_plan(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
+    told, focus = advice_rows(advice)
+    console.table(told)
+    console.table(focus)
+    for note in advice.notes:
+        console.say(note)
+    console.answer(advice.as_json())
+
+
+@app.command()
 def study(
     ctx: typer.Context,
     name: Annotated[str, typer.Argument(metavar="NAME", help="which; a wrong one lists them")],

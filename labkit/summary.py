@@ -1,4 +1,4 @@
-"""results.json as rows of text, for the command line."""
+"""Results and advice as rows of text, for the command line."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import DataError
+from labkit.products.advise import Advice
 
 
 def read_results(folder: Path) -> dict[str, Any]:
@@ -48,6 +49,42 @@ def focus_rows(results: dict[str, Any]) -> list[list[str]]:
     told = "" if magnification["identifiable"] else " (cannot be told at these ranges)"
     rows.append(["pupil magnification", f"{magnification['value']:.4f} ± {magnification['std']:.4f}{told}"])
     return rows
+
+
+def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
+    """A heading and a row for each range; then what the ranges tell together."""
+    rows = [
+        ["range/mm", "target/px", "cell/Airy radii", "best order", "defocus/waves", "std. error", "whole wavefront"]
+    ]
+    for one in advice.ranges:
+        cell = "" if one.cell_airy is None else f"{one.cell_airy:.2f}"
+        rows.append(
+            [
+                f"{one.range_mm:g}",
+                f"{one.size_px:.0f}",
+                cell,
+                f"{one.order}",
+                f"{one.defocus_waves:+.2f}",
+                f"{one.std_defocus_waves:.5f}",
+                f"{one.std_wavefront_waves:.5f}",
+            ]
+        )
+    light = f"channel {advice.channel}, {advice.electrons:g} electrons at white, focus in the middle of the ranges"
+    together = [["quantity", light]]
+    if advice.best_focus_std_mm is None or advice.magnification_std is None:
+        together.append(["best focus", "needs at least two ranges, and mode 4 among the fitted ones"])
+    else:
+        told = "can be told" if advice.told else "cannot be told at these ranges"
+        together.append(["best focus", f"± {advice.best_focus_std_mm:.2g} mm"])
+        together.append(["pupil magnification", f"± {advice.magnification_std:.2g}: {told}"])
+    if not advice.told and advice.telling_std is not None:
+        ranges = ", ".join(f"{r:g}" for r in advice.telling_ranges_mm)
+        together.append(
+            ["", f"± {advice.telling_std:.2g} from ranges such as {ranges} mm, the lens focused among them"]
+        )
+    if advice.frames is not None:
+        together.append(["photographs", f"{advice.frames} for each range, so exposed, for the error wanted"])
+    return rows, together
 
 
 def _range(range_mm: float | None) -> str:
