@@ -150,6 +150,8 @@ class WebDisplay:
                     return report
                 screen.changed.wait(0.2)
             self._refuse_abort()
+            if self._close is None:
+                raise DisplayError(f'display "{screen.name}" was closed')
             waited_s = time.monotonic() - since
             problem = screen.problem or "its page has not confirmed the picture"
             if waited_s > self.hold_s:

@@ -8,7 +8,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -227,6 +227,34 @@ def target_render(
     console.answer({**asdict(made), "path": str(made.path)})
 
 
+@target_app.command("serve")
+def target_serve(
+    ctx: typer.Context,
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="a plan, or sierpinski:order=5,size_mm=46.8")],
+    panel: Annotated[
+        list[str] | None, typer.Option(help="The display's panel; again for each further one. By default the plan's.")
+    ] = None,
+    listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="0.0.0.0:8642 to be reached from other machines.")
+    ] = "127.0.0.1:8642",
+) -> None:
+    """A target on an iPad or any browser, until Ctrl-C; other pictures by the operator's page."""
+    from labkit.lab.devices import Room
+    from labkit.lab.discover import open_display
+    from labkit.lab.serving import panel_plans, serve_target
+    from labkit.target import open_target
+    from labkit.target_file import read_spec
+
+    console: Console = ctx.obj
+    target = open_target(read_spec(spec))
+    room = Room(link=console.link, tell=console.warn)
+    with ExitStack() as stack:
+        plans = panel_plans(spec, panel or [], listen)
+        displays = [stack.enter_context(open_display(address, plan, room)) for address, plan in plans]
+        with suppress(KeyboardInterrupt):  # the way to end it
+            serve_target(target, displays, room)
+
+
 @app.command()
 def capture(
     ctx: typer.Context,
@@ -243,6 +271,7 @@ def capture(
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.capture import capture as run_capture
     from labkit.lab.capture import picture_for
+    from labkit.lab.devices import Room
     from labkit.lab.discover import open_devices
     from labkit.lab.session import begin, refuse_existing
     from labkit.plan import load_plan
@@ -253,7 +282,8 @@ def capture(
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
-    with open_devices(wanted, "simulated:" if simulate else None) as bench, ExitStack() as stack:
+    room = Room(link=console.link, tell=console.warn)
+    with open_devices(wanted, "simulated:" if simulate else None, room) as bench, ExitStack() as stack:
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
         opened = stack.enter_context(begin(plan, session, resume))
         report = stack.enter_context(console.progress("capturing"))

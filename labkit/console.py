@@ -7,8 +7,10 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import StringIO
 from typing import Any
 
+import segno
 from rich.console import Console as Terminal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -39,6 +41,16 @@ class Console:
         """A line on stderr that does not stop anything: not with --quiet."""
         if not self.quiet:
             print(f"labkit: warning: {text}", file=sys.stderr)
+
+    def link(self, what: str, url: str) -> None:
+        """A page to open, on stderr; with its QR code on a terminal. Not with --quiet."""
+        if self.quiet:
+            return
+        print(f"{what}: {url}", file=sys.stderr)
+        if sys.stderr.isatty():
+            code = StringIO()
+            segno.make(url, micro=False).terminal(code, border=2, compact=True)
+            print(code.getvalue(), file=sys.stderr)
 
     def table(self, rows: Sequence[Sequence[str]], indent: str = "") -> None:
         """Rows in aligned columns; the first row is the heading."""

@@ -1,0 +1,86 @@
+"""Shows a target on displays until Ctrl-C, or whatever else a person picks on the operator's page."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from labkit.errors import DisplayError, PlanError
+from labkit.lab.devices import PANELS, Display, Picture, Room
+from labkit.lab.patterns import PATTERNS, pattern
+from labkit.lab.picture import panel_picture
+from labkit.plan import DisplaySettings, Plan, load_plan
+from labkit.target import Target
+
+TARGET = "target"
+CHOICES = (TARGET, *PATTERNS)
+
+
+def serve_target(
+    target: Target, displays: Sequence[Display], room: Room, going: Callable[[], bool] = lambda: True
+) -> None:
+    """Show the target on every display, then whatever room.wishes asks for of CHOICES, while `going`.
+
+    A display that is not right is waited for, without end. Raises TargetError for a panel that it does not fit.
+    """
+    pictures = {name: [_picture(name, target, display) for display in displays] for name in CHOICES}
+    queues: list[SimpleQueue[Picture]] = [SimpleQueue() for _ in displays]
+    for display, queue in zip(displays, queues, strict=True):
+        threading.Thread(target=_keep_showing, args=(display, queue, room, going), daemon=True).start()
+    picked = TARGET
+    while going():
+        for watcher in room.watchers:
+            watcher.noted("serving", choices=CHOICES, picked=picked)
+        for queue, picture in zip(queues, pictures[picked], strict=True):
+            queue.put(picture)
+        picked = _next_wish(room, going) or picked
+
+
+def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str, Plan]]:
+    """(address, plan) of each display: the named panels on HOST:PORT, or the display of the plan file `spec`.
+
+    Of these plans only [display] is there. Raises PlanError.
+    """
+    if not panels and spec.endswith(".toml"):
+        settings = load_plan(Path(spec)).display
+        if settings is None:
+            raise PlanError(f"plan {spec}: it has no [display]; add one, or give --panel")
+        return [(settings.address, Plan.model_construct(display=settings))]
+    if not panels:
+        raise PlanError(f"which panel? Give --panel, one of {', '.join(sorted(PANELS))}; or a plan with [display]")
+    found = []
+    for number, panel in enumerate(panels, 1):
+        address = f"web://{listen}" + (f"/{number}" if len(panels) > 1 else "")
+        found.append((address, Plan.model_construct(display=DisplaySettings(address=address, panel=panel))))
+    return found
+
+
+def _picture(name: str, target: Target, display: Display) -> Picture:
+    return panel_picture(target, display.panel).grey if name == TARGET else pattern(name, display.panel)
+
+
+def _next_wish(room: Room, going: Callable[[], bool]) -> str | None:
+    while going():
+        try:
+            wish = room.wishes.get(timeout=0.2)
+        except Empty:
+            continue
+        if wish in CHOICES:
+            return wish
+    return None
+
+
+def _keep_showing(display: Display, queue: SimpleQueue[Picture], room: Room, going: Callable[[], bool]) -> None:
+    while going():
+        try:
+            picture = queue.get(timeout=0.2)
+        except Empty:
+            continue
+        try:
+            display.show(picture)
+        except DisplayError as error:
+            if going():
+                room.tell(str(error))
+                queue.put(picture)
