@@ -10,6 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 WIDTH_IN = 9.0  # of a figure across the page
 DPI = 200
@@ -87,6 +88,20 @@ def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[F
     for unused in grid[count:]:
         unused.set_visible(False)
     return figure, list(grid[:count])
+
+
+def plain_logs(figure: Figure) -> None:
+    """Numbers of logarithmic axes without formulas, which the house's style leaves unset."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log":
+                low, high = axis.get_view_interval()
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(_twos_and_fives if high < 1000 * low else NullFormatter())
+
+
+def _twos_and_fives(value: float, _: object) -> str:
+    return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
 
 
 def columns_for(count: int) -> int:

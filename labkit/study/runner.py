@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from labkit.errors import InputError
 from labkit.files import write_atomically
-from labkit.report.style import png, styled
+from labkit.report.style import plain_logs, png, styled
 
 Progress = Callable[[int, int, str], None]
 """Told (steps done, steps in all, name of the step)."""
@@ -84,6 +84,7 @@ def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[s
         writer.writerows(outcome.rows)
         with styled():
             figure = outcome.draw()
+            plain_logs(figure)
         write_atomically(folder / f"{name}.csv", table.getvalue().encode())
         write_atomically(folder / f"{name}.png", png(figure))
         write_atomically(folder / f"{name}.json", json.dumps(summary, indent=1).encode() + b"\n")

@@ -31,7 +31,7 @@ def test_where_read_noise_rules_the_bound_is_as_large_as_it() -> None:
 def test_the_study_says_how_each_target_compares(tmp_path: Path) -> None:
     summary = run_study("targets", Setting(quick=True, workers=1), tmp_path)
     assert [claim["measured"] > 0 for claim in summary["claims"]] == [True] * len(SPECS)
-    rows = list(csv.DictReader((tmp_path / "targets.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "targets.csv").read_text().splitlines()))
     for name in SPECS:
         own = [float(row["rms_bound_waves"]) for row in rows if row["target"] == name]
         assert len(own) == len(READ_NOISES)
