@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-Kind = Literal[
-    "late", "stale", "silence", "garbage", "partial", "torn", "unplug", "reboot", "reset", "alarm", "slip"
-]
+Kind = Literal["late", "stale", "silence", "garbage", "partial", "torn", "unplug", "reboot", "reset", "alarm", "slip"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +67,7 @@ class Controller(Protocol):
 class PtyPort:
     """Serves a controller at `path`, which stays the same when the port is unplugged and comes back.
 
-    `lock` guards the controller against the thread that serves it.
+    `lock` guards the controller against the thread that serves it; `struck` counts the faults that were set off.
     """
 
     def __init__(self, controller: Controller, faults: Sequence[LineFault] = ()) -> None:
@@ -77,6 +75,7 @@ class PtyPort:
         self.lock = threading.RLock()
         self._faults = tuple(faults)
         self._met: Counter[LineFault] = Counter()
+        self.struck = 0
         self._folder = Path(tempfile.mkdtemp(prefix="labkit-rail-"))
         self.path = str(self._folder / "port")
         self._ends: tuple[int, int] | None = None
@@ -176,6 +175,7 @@ class PtyPort:
             if re.fullmatch(fault.command, command):
                 self._met[fault] += 1
                 if fault.nth <= self._met[fault] < fault.nth + fault.times:
+                    self.struck += 1
                     self._later(fault.after_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
 
     def _later(self, seconds: float, action: Callable[[], None]) -> None:

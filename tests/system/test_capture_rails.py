@@ -119,12 +119,12 @@ GRBL_STEPS: dict[str, tuple[str, int, float]] = {
     "in the run-up": (r"G53.*", 1, 0.05),
     "in the last millimetre": (r"G53.*", 1, 0.11),
     "the dwell": (r"G4.*", 1, 0.0),
-    "the end of a move": (r"\$G", 4, 0.0),
+    "the end of a move": (r"\$G", 3, 0.0),
     "where it stands": (r"\?", 5, 0.0),
     "the second stop": (r"G53.*", 3, 0.0),
     "moving to the second stop": (r"G53.*", 3, 0.04),
     "moving to the third stop": (r"G53.*", 5, 0.06),
-    "the end of the last move": (r"\$G", 6, 0.0),
+    "the end of the last move": (r"\$G", 5, 0.0),
 }
 
 ZABER_STEPS: dict[str, tuple[str, int, float]] = {
@@ -264,6 +264,8 @@ def problems(setup: Setup, step: str, at: tuple[str, int, float], name: str, fra
         for_good = name == "unplugged for good"
         if for_good != (ended is not None) and step not in OPENING:
             found.append(f"{name}: {ended or 'no error, though the rail is gone'}")
+        if not port.struck:
+            found.append(f"{name}: the step never came")
         if ended and "\n" in ended:
             found.append(f"{name}: more than one line")
     finally:
