@@ -1,0 +1,277 @@
+"""The operator's page in real Chromium, clicked through while simulated captures run; a capture through the glass."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit.drivers.bench import Bench
+from labkit.drivers.bench_setup import settings_for
+from labkit.drivers.web_display import WebDisplay
+from labkit.drivers.web_monitor import BINS, Monitor, exposure, histogram, levels, sharpness
+from labkit.lab.capture import capture
+from labkit.lab.devices import Devices, Picture, Room, Shown
+from labkit.lab.discover import open_camera, open_rail
+from labkit.lab.raw import Mosaic, read_raw
+from labkit.lab.serving import CHOICES, serve_target
+from labkit.lab.session import Session, begin
+from labkit.plan import TargetSpec, load_plan
+from labkit.target import open_target
+
+from .conftest import Glass, Lab
+
+OpenGlass = Callable[..., Glass]
+
+PLAN = """
+[lens]
+focal_length_mm = 50.0
+f_number = 8.0
+[sensor]
+pixel_pitch_um = 6.0
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 2
+size_mm = 9.0
+[camera]
+address = "simulated:seed=7"
+exposure_s = 0.02
+frames_per_range = 2
+flats_per_range = 2
+darks = 1
+[rail]
+address = "simulated:seed=7"
+ranges_mm = [2000, 2050.5]
+range_at_zero_mm = 1950.0
+[display]
+address = "web:"
+pixel_pitch_mm = 0.1
+pixels = [400, 400]
+"""
+
+
+class LitDisplay:
+    """The web display, whose glass lights the simulated bench: what Chromium shows is what is photographed."""
+
+    def __init__(self, web: WebDisplay, tab: Glass, bench: Bench) -> None:
+        self._web, self._tab, self._bench = web, tab, bench
+        self.panel, self.close, self.shows = web.panel, web.close, 0
+
+    def show(self, picture: Picture) -> Shown:
+        shown = self._web.show(picture)
+        self.shows += 1
+        self._bench.light(self._tab.seen()[:, :, 0])
+        return shown
+
+    def undisturbed(self) -> bool:
+        return self._web.undisturbed()
+
+    def __enter__(self) -> LitDisplay:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Table:
+    """A bench whose target is in a browser, and an operator's page."""
+
+    def __init__(self, lab: Lab, glass: OpenGlass, folder: Path) -> None:
+        self.plan_file = folder / "plan.toml"
+        self.plan_file.write_text(PLAN)
+        plan = load_plan(self.plan_file)
+        bench = Bench(settings_for(plan, 7))
+        self.room = Room({"simulated:seed=7": bench}, bench.wait)
+        web = lab.display(400, 400)
+        self.tab = glass(web.url, 400, 400)
+        self.display = LitDisplay(web, self.tab, bench)
+        self.monitor = lab.server.monitor
+        camera, rail = open_camera("simulated:seed=7", plan, self.room), open_rail("simulated:seed=7", plan, self.room)
+        self.devices = Devices(camera, rail, self.display, bench.wait, [self.monitor, self])
+        self.operator = glass(lab.server.url("monitor"), 800, 1280)
+        self.on_step: dict[str, Callable[[], Any]] = {}
+
+    def noted(self, event: str, **fields: Any) -> None:
+        """A watcher too: does to the bench what the test asks at a step."""
+        if event == "doing" and fields["what"] in self.on_step:
+            self.on_step.pop(fields["what"])()
+
+    def took(self, *_: Any) -> None:
+        """Nothing to do."""
+
+    def may_go_on(self) -> None:
+        """Lets it."""
+
+    def capture(self, folder: Path, resume: bool = False) -> Session:
+        with begin(self.plan_file, folder, resume) as session:
+            capture(session, self.devices, check=False)
+        return session
+
+    def reads(self, element: str, words: str) -> None:
+        """Wait until the operator's page says so."""
+        self.operator.page.wait_for_function(
+            "([id, words]) => document.getElementById(id).textContent.includes(words)",
+            arg=[element, words],
+            timeout=20_000,
+        )
+
+
+@pytest.fixture
+def table(lab: Lab, glass: OpenGlass, tmp_path: Path) -> Table:
+    return Table(lab, glass, tmp_path)
+
+
+def test_a_capture_through_the_glass_is_seen_by_the_operator(table: Table, tmp_path: Path) -> None:
+    session = table.capture(tmp_path / "s")
+    assert len(session.frames) == 9
+    table.reads("phase", "Complete")
+    table.reads("count", "9 of 9")
+    table.reads("frame-name", "target_2050.5_1 · 2050.5 mm")
+    page = table.operator.page
+    assert float(page.inner_text("#sharpness")) > 0
+    assert page.inner_text("#clipped").endswith("%")
+    width = read_raw(session.frames[-1].path, session.plan.sensor).counts.shape[1]
+    assert page.evaluate("document.getElementById('preview').naturalWidth") == width // 2
+    assert page.locator("#histogram rect").count() == BINS
+    assert "simulated" in page.inner_text("#log-list")
+    assert "at 2050" in page.inner_text("#device-list")
+    assert not page.is_visible("#actions")
+
+
+def test_a_photograph_taken_while_the_page_was_reloaded_is_taken_again(table: Table, tmp_path: Path) -> None:
+    table.on_step["taking target_2000_1"] = table.tab.page.reload
+
+    def turn() -> None:
+        table.tab.resize(300, 400)
+        table.tab.page.wait_for_function("document.getElementById('glass').height === 300")
+        table.tab.resize(400, 400)
+
+    table.on_step["taking flat_2050.5_0"] = turn
+    session = table.capture(tmp_path / "s")
+    assert len(session.frames) == 9
+    lost = [event["error"] for event in session.events if event["event"] == "trouble"]
+    assert lost == ["lost its picture during target_2000_1", "lost its picture during flat_2050.5_0"]
+    assert table.display.shows == 5 + 2
+    table.reads("log-list", "lost its picture during target_2000_1")
+
+
+def test_pause_holds_the_capture_and_go_on_lets_it(table: Table, tmp_path: Path) -> None:
+    page = table.operator.page
+
+    def pause() -> None:
+        page.click("#pause")
+        table.reads("phase", "Paused")
+        # clicked by the page itself, for this thread is held from now on
+        page.evaluate("setTimeout(() => document.getElementById('pause').click(), 300)")
+
+    table.on_step["taking flat_2000_1"] = pause
+    session = table.capture(tmp_path / "s")
+    assert len(session.frames) == 9
+    table.reads("log-list", "operator: pause")
+    table.reads("log-list", "operator: resume")
+    table.reads("phase", "Complete")
+
+
+def test_abort_asks_once_more_and_leaves_a_session_to_resume(table: Table, tmp_path: Path) -> None:
+    page = table.operator.page
+
+    def abort() -> None:
+        page.click("#abort")
+        page.click("#no")
+        assert not page.is_visible("#sure")
+        page.click("#abort")
+        page.click("#yes")
+        table.reads("log-list", "operator: abort")
+
+    table.on_step["taking target_2000_0"] = abort
+    with pytest.raises(KeyboardInterrupt):
+        table.capture(tmp_path / "s")
+    table.reads("phase", "Interrupted")
+    assert len(Session.open(tmp_path / "s").frames) == 3
+    assert len(table.capture(tmp_path / "s", resume=True).frames) == 9
+    table.reads("phase", "Complete")
+
+
+def test_what_a_device_says_is_text_not_html(table: Table) -> None:
+    evil = "<img src=x onerror=\"document.body.textContent='pwned'\">"
+    table.monitor.noted("doing", what=evil)
+    table.monitor.noted("camera", model=evil, serial="</script><script>alert(1)</script>")
+    table.monitor.noted("trouble", device=evil, error=evil)
+    for element in ("doing", "device-list", "log-list"):
+        table.reads(element, evil)
+    assert table.operator.page.locator("main img:not(#preview)").count() == 0
+
+
+def test_the_page_says_when_labkit_is_gone(table: Table, lab: Lab) -> None:
+    table.reads("phase", "Ready")
+    table.display.close()
+    table.reads("phase", "No connection")
+
+
+def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> None:
+    display = lab.display(400, 400)
+    tab = glass(display.url, 400, 400)
+    target = open_target(TargetSpec(kind="sierpinski", order=2, size_mm=9.0))
+    ended = threading.Event()
+    server = lab.server
+    work = threading.Thread(target=serve_target, args=(target, [display], lab.room, lambda: not ended.is_set()))
+    work.start()
+    try:
+        operator = glass(server.url("monitor"), 800, 400)
+        for name, middle, mean in (("target", 255, 18), ("white", 255, 255), ("black", 0, 0), ("grey", 186, 186)):
+            operator.page.get_by_role("button", name=name, exact=True).click()
+            for _ in range(200):
+                seen = tab.seen()[:, :, 0]
+                if abs(seen.mean() - mean) < 5 and seen[200, 200] == middle:
+                    break
+            assert seen[200, 200] == middle
+        assert operator.page.locator("#choices button").count() == len(CHOICES)
+    finally:
+        ended.set()
+        work.join(20)
+
+
+# ---- numbers
+
+
+def mosaic(counts: Any, black: float = 100, white: float = 1100) -> Mosaic:
+    return Mosaic(np.asarray(counts, dtype=np.uint16), np.full((2, 2), black), white, ("RG", "GB"))
+
+
+def test_the_histogram_counts_every_pixel_once() -> None:
+    counts = np.full((40, 50), 100)
+    counts[:10] = 600
+    counts[0, :5] = 1100
+    shares = histogram(mosaic(counts))
+    assert sum(shares) == pytest.approx(1)
+    assert shares[0] == 30 / 40
+    assert shares[BINS // 2] == pytest.approx((500 - 5) / 2000)
+    assert shares[-1] == 5 / 2000
+    assert exposure(mosaic(counts)) == (pytest.approx(100 * 5 / 2000), 0.0)
+
+
+def test_sharpness_falls_with_blur_and_ignores_exposure() -> None:
+    steps = (np.indices((80, 80)).sum(axis=0) // 8 % 2) * 500.0
+    blurred = (steps + np.roll(steps, 2, 0) + np.roll(steps, 2, 1) + np.roll(steps, (2, 2), (0, 1))) / 4
+    sharp, soft, dim = (sharpness(levels(mosaic(100 + c))) for c in (steps, blurred, steps / 2))
+    assert sharp > 1.2 * soft
+    assert dim == pytest.approx(sharp, rel=1e-6)
+
+
+def test_time_left_is_the_pace_so_far_without_the_pauses() -> None:
+    clock = [0.0]
+    monitor = Monitor(Room().wishes, now=lambda: clock[0])
+    monitor.noted("doing", what="x")
+    monitor.noted("began", missing=10)
+    dark = mosaic(np.full((8, 8), 100))
+    for done in range(1, 5):
+        monitor.took("d", "dark", None, dark, done, 10)
+        clock[0] += 2.0
+    assert monitor.snapshot()["left_s"] == pytest.approx(8.0 / 4 * 6)
