@@ -189,7 +189,7 @@ def test_lasting_trouble_ends_in_one_line_and_the_camera_serves_again_when_it_is
 
 def test_the_camera_may_fill_up_and_is_opened_again(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
     # the virtual camera stops delivering after 26 photographs, until it is opened anew
-    camera = make(extra=[RAW_ONLY], release_s=0.2)
+    camera = make(extra=[RAW_ONLY], release_s=0.2, slow_exit=True)
     camera.configure(AT_20_MS)
     for number in range(30):
         scene.show(number)
@@ -255,8 +255,8 @@ def test_a_long_exposure_is_timed_here_where_the_body_has_bulb(make: MakeCamera,
         ({"name": "imagequality", "value": "JPEG Fine", "choices": ["JPEG Fine"]}, "offers no raw format"),
         ({"name": "longexpnr", "value": "On", "choices": ["On"]}, "set long exposure noise reduction off"),
         ({"name": "imagestabilization", "value": "On", "choices": ["On"]}, "set vibration reduction off"),
-        ({"name": "iso", "value": "200", "choices": ["100", "200"], "snaps": "200"}, "iso was set to 100, but the camera has 200"),
-        ({"name": "iso", "value": "200", "choices": ["100", "200"], "ignores": True}, "iso was set to 100, but the camera"),
+        ({"name": "iso", "value": "200", "choices": ["100", "200"], "snaps": "200"}, "set to 100, but the camera has 200"),
+        ({"name": "iso", "value": "200", "choices": ["100", "200"], "ignores": True}, "set to 100, but the camera has"),
     ],
 )  # fmt: skip
 def test_what_the_body_will_not_do_is_said(extra: dict[str, Any], words: str, make: MakeCamera, scene: Scene) -> None:
