@@ -1,7 +1,6 @@
 """How well sessions of other lenses, ranges and seeds than the demo's are fitted: `python -m benchmarks.accuracy`.
 
-Each session is captured on the simulated bench and fitted without its truth, which is compared only afterwards. The
-bench turns its pupil by 180 degrees against labkit's (its field is the inverse transform): odd modes change sign.
+Each session is captured on the simulated bench and fitted without its truth, which is compared only afterwards.
 """
 
 import argparse
@@ -18,7 +17,6 @@ from labkit.lab.capture import capture
 from labkit.lab.devices import Room
 from labkit.lab.discover import open_devices
 from labkit.lab.session import Session
-from labkit.optics.zernike import is_even
 from labkit.plan import parse_plan
 from labkit.products.wavefront import fit_session
 
@@ -70,7 +68,7 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for w in results.wavefronts:
         modes = truth.modes_waves[w.channel]
-        true = np.array([modes.get(j, 0.0) * (1 if is_even(j) else -1) for j in w.fit.noll])
+        true = np.array([modes.get(j, 0.0) for j in w.fit.noll])
         true[0] = visits[w.range_mm].defocus_waves[w.channel]
         error = w.fit.waves - true
         rows.append(

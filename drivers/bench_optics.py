@@ -3,9 +3,9 @@
 Written without labkit.optics and labkit.imaging, which it is there to test.
 
 Conventions. Pupil coordinates (u right, v down) run as columns and rows do on the sensor; theta is measured from
-u towards v. The field is ``g(x) = sum A(w) exp(2 pi i phi(w)) exp(+2 pi i w.x)``, the inverse transform of
-the pupil, and the wavefront ``phi`` is in waves of the light's own length. Defocus (Noll 4) is positive for a target
-beyond best focus.
+u towards v. The field is ``g(x) = sum A(w) exp(2 pi i phi(w)) exp(-2 pi i w.x)``, the transform of the pupil as in
+the diffraction integral: a path that grows to the right throws light to the right. The wavefront ``phi`` is in waves of
+the light's own length. Defocus (Noll 4) is positive for a target beyond best focus.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def point_spread(
     pupil = np.zeros((n, n), dtype=np.complex64)
     index = np.arange(-edge, edge + 1)
     pupil[np.ix_(index, index)] = lit
-    field = scipy.fft.ifft2(pupil, workers=2, overwrite_x=True)
+    field = scipy.fft.fft2(pupil, workers=2, overwrite_x=True)
     around = np.arange(-reach, reach + 1)
     window = field[np.ix_(around, around)]
     intensity = window.real**2 + window.imag**2

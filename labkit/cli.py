@@ -134,6 +134,8 @@ def demo(
     folder = out or new_folder(Path("labkit-demo"))
     comparison = run_demo(folder, seed, console.progress)
     console.table([["quantity", "truth", "estimate", "std. error", "error/std."], *comparison.rows()])
+    heading = ["waves RMS", "truth", "error", "expected", "worst mode's error/std."]
+    console.table([heading, *comparison.wavefront_rows()])
     console.say(f"report: {comparison.report}")
     console.answer(comparison.as_json())
 

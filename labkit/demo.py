@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
+from math import dist, hypot
 from pathlib import Path
 from typing import Any
 
@@ -85,10 +86,33 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
+class ComparedWavefront:
+    """All modes of a wavefront as they truly are and as they were estimated, waves RMS."""
+
+    channel: str
+    range_mm: float
+    noll: tuple[int, ...]
+    truth: tuple[float, ...]
+    estimate: tuple[float, ...]
+    std: tuple[float, ...]
+
+    @property
+    def error_rms(self) -> float:
+        """RMS over the pupil of what was estimated less what is."""
+        return dist(self.truth, self.estimate)
+
+    @property
+    def expected_rms(self) -> float:
+        """The same, as the standard errors have it."""
+        return hypot(*self.std)
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """What the demo found, and where it is shown."""
 
     compared: tuple[Compared, ...]
+    wavefronts: tuple[ComparedWavefront, ...]
     report: Path
 
     def rows(self) -> list[list[str]]:
@@ -104,9 +128,30 @@ class Comparison:
             for c in self.compared
         ]
 
+    def wavefront_rows(self) -> list[list[str]]:
+        """Wavefront, RMS of the truth, RMS of the error, that to be expected, all in waves; the worst mode's error."""
+        rows = []
+        for w in self.wavefronts:
+            z = [(e - t) / s for t, e, s in zip(w.truth, w.estimate, w.std, strict=True)]
+            mode, worst = max(zip(w.noll, z, strict=True), key=lambda one: abs(one[1]))
+            rows.append(
+                [
+                    f"wavefront {w.channel} at {w.range_mm:g} mm",
+                    f"{hypot(*w.truth):.4f}",
+                    f"{w.error_rms:.4f}",
+                    f"{w.expected_rms:.4f}",
+                    f"{worst:+.1f} (Noll {mode})",
+                ]
+            )
+        return rows
+
     def as_json(self) -> dict[str, Any]:
         """All of it, for --json."""
-        return {"report": str(self.report), "compared": [asdict(c) for c in self.compared]}
+        return {
+            "report": str(self.report),
+            "compared": [asdict(c) for c in self.compared],
+            "wavefronts": [{**asdict(w), "error_rms": w.error_rms} for w in self.wavefronts],
+        }
 
 
 def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
@@ -130,8 +175,9 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
     results_folder = session.results_folder()
     # the bench is a driver's: all that is known of it here is that it can tell the truth
     (bench,) = room.shared.values()
-    compared = tuple(compare(read_results(results_folder), bench.truth))
-    return Comparison(compared, write_report(results_folder))
+    results = read_results(results_folder)
+    compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
+    return Comparison(tuple(compared), tuple(wavefronts), write_report(results_folder))
 
 
 def compare(results: dict[str, Any], truth: Any) -> Iterator[Compared]:
@@ -149,6 +195,18 @@ def compare(results: dict[str, Any], truth: Any) -> Iterator[Compared]:
             true = visits[fit["range_mm"]].defocus_waves[fit["channel"]]
             name = f"defocus {fit['channel']} at {fit['range_mm']:g} mm"
             yield Compared(name, "waves RMS", true, fit["waves_rms"][at], fit["std"][at])
+
+
+def compare_wavefronts(results: dict[str, Any], truth: Any) -> Iterator[ComparedWavefront]:
+    """Each wavefront of results.json beside its truth, mode by mode."""
+    visits = {visit.range_mm: visit for visit in truth.visits}
+    for fit in results["wavefronts"]:
+        if fit["range_mm"] in visits:
+            channel = fit["channel"]
+            modes = {**truth.modes_waves[channel], 4: visits[fit["range_mm"]].defocus_waves[channel]}
+            true = tuple(modes.get(j, 0.0) for j in fit["noll"])
+            estimate, std = tuple(fit["waves_rms"]), tuple(fit["std"])
+            yield ComparedWavefront(channel, fit["range_mm"], tuple(fit["noll"]), true, estimate, std)
 
 
 def new_folder(base: Path) -> Path:

@@ -49,9 +49,18 @@ def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:
     system.add_pupil(poppy.ZernikeWFE(radius=1.0, coefficients=coefficients))
     scale = np.degrees(spacing_um * 1e-6 / (f_number * 2.0)) * 3600
     system.add_detector(pixelscale=scale * u.arcsec / u.pixel, fov_pixels=2 * reach + 1, oversample=1)
-    # poppy's rows, too, run with the pupil's second coordinate: no flip is left to make
-    theirs = system.calc_psf(wavelength=wavelength_nm * 1e-9)[0].data
+    # poppy's light goes against the slope of the path (it writes the inverse transform): turn it by 180 degrees
+    theirs = system.calc_psf(wavelength=wavelength_nm * 1e-9)[0].data[::-1, ::-1]
     assert np.abs(ours / ours.sum() - theirs / theirs.sum()).sum() < 3e-3
+
+
+@pytest.mark.parametrize(("mode", "axis"), [(2, 1), (3, 0)])
+def test_a_path_that_grows_to_the_right_or_down_throws_light_there(mode: int, axis: int) -> None:
+    # Z2 = 2 u, Z3 = 2 v: half a wave RMS is two waves across the pupil, which tilt the light by 2 lambda N
+    psf = point_spread({mode: 0.5}, 500.0, 4.0, 0.5, 40, reference_nm=500.0)
+    expected = [40, 40]
+    expected[axis] += round(2 * 0.5 * 4.0 / 0.5)
+    assert list(np.unravel_index(psf.argmax(), psf.shape)) == expected
 
 
 def test_a_grid_too_coarse_for_the_light_is_refused() -> None:

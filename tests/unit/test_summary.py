@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from labkit.demo import compare, new_folder
+from labkit.demo import Comparison, compare, compare_wavefronts, new_folder
 from labkit.errors import DataError
 from labkit.summary import focus_rows, read_results, wavefront_rows
 
@@ -64,6 +64,17 @@ def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> No
     assert (focus.truth, focus.estimate, focus.std) == (3024.0, 3024.5, 0.25)
     assert (magnification.truth, magnification.estimate) == (0.985, 0.98)
     assert (defocus.truth, defocus.estimate, defocus.std) == (-0.302, -0.3, 0.001)
+
+
+def test_a_wavefronts_error_is_over_all_modes_and_its_worst_mode_is_named() -> None:
+    fit = {"range_mm": 3000.0, "channel": "R", "noll": [4, 5, 8], "waves_rms": [0.3, 0.1, 0.02], "std": [1e-3] * 3}
+    visits = [SimpleNamespace(range_mm=3000.0, defocus_waves={"R": 0.3})]
+    truth = SimpleNamespace(modes_waves={"R": {5: 0.096, 8: 0.023}}, visits=visits)
+    (one,) = compare_wavefronts({"wavefronts": [fit]}, truth)
+    assert one.error_rms == pytest.approx(0.005)
+    (row,) = Comparison((), (one,), Path("report.html")).wavefront_rows()
+    # sqrt(0.3^2 + 0.096^2 + 0.023^2); three modes with 0.001 each
+    assert row == ["wavefront R at 3000 mm", "0.3158", "0.0050", "0.0017", "+4.0 (Noll 5)"]
 
 
 @pytest.mark.parametrize("content", [None, json.dumps({"schema": 2})])
