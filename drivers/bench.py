@@ -245,7 +245,7 @@ class Bench:
 
     def _picture(self) -> Floats32:
         """(rows, cols) what each pixel sees, white = 1, through its own colour; the latest few are kept."""
-        key = self._to_pixels().tobytes() + hashlib.sha256(self._codes).digest()
+        key = self._to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
         if key not in self._seen:
             self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
             self._seen[key] = self._uniform() if self._fills_the_view() else self._mosaic()

@@ -235,8 +235,7 @@ class Gphoto2Camera:
     def _set_all(self) -> None:
         assert self._exposure is not None
         self._list()
-        target = "card" if self._keep else "ram"
-        self._wanted = wanted(self._body, self._exposure, self._f_number, target)
+        self._wanted = wanted(self._body, self._exposure, self._f_number, "card" if self._keep else "ram")
         for name, value in self._wanted.changes:
             if self._body[name].value != value:
                 self._set(name, value)

@@ -131,7 +131,8 @@ class FaultyCamera:
         """The virtual camera takes 0.3 s for it, and so it does when it is thrown away; it can be opened twice."""
         if SPEC.get("slow_exit"):  # then what it holds is gone, too
             self._real.exit()
-        LET_GO.append(self._real)
+        else:
+            LET_GO.append(self._real)
 
     def _get_config(self) -> Any:
         return Tree(self._real.get_config(), *map(ExtraWidget, self._extra.values()))

@@ -14,10 +14,10 @@ import sys
 import threading
 from typing import Any
 
-import gi
+import gi  # type: ignore[import-not-found]
 
 gi.require_version("UMockdev", "1.0")
-from gi.repository import GLib, UMockdev  # noqa: E402
+from gi.repository import GLib, UMockdev  # type: ignore[import-not-found]  # noqa: E402
 
 CLAIM, RELEASE, SUBMIT, RESET, DRIVER = 0x8004550F, 0x80045510, 0x8038550A, 0x5514, 0x41045508
 SET_INTERFACE, CLEAR_HALT = 0x80085504, 0x80045515

@@ -57,7 +57,7 @@ def problems_of(
             monitored = SimpleNamespace(check=lambda frames: check)
             for name in ("identify", "configure", "expose", "cover", "close"):
                 setattr(monitored, name, getattr(devices.camera, name))
-            devices = Devices(monitored, devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
+            devices = Devices(monitored, devices.rail, devices.display, devices.wait)
         display = Display(devices, turned)
         devices = Devices(devices.camera, devices.rail, display, devices.wait)  # type: ignore[arg-type]
         with pytest.raises(LabkitError) as caught:

@@ -130,7 +130,7 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
 def _counts(session: Session) -> dict[str, str]:
     """What is in each photograph, as a checksum of its pixels."""
     return {
-        frame.file: hashlib.sha256(read_raw(frame.path, session.plan.sensor).counts).hexdigest()
+        frame.file: hashlib.sha256(read_raw(frame.path, session.plan.sensor).counts.tobytes()).hexdigest()
         for frame in session.frames
     }
 
