@@ -13,7 +13,7 @@ from labkit.errors import CameraError, TargetError
 from labkit.inference.pose import find_target, grey_image
 from labkit.lab.devices import Adjustable, Camera, Check, Checkable, ExposureSettings, Room, Setting
 from labkit.lab.discover import open_camera
-from labkit.lab.raw import MONO, Mosaic, read_raw
+from labkit.lab.raw import MONO, Counts, Mosaic, read_raw
 from labkit.lab.sharpness import blur_px, edge_px
 from labkit.lab.usable import pixel_noise
 from labkit.plan import Plan, load_plan, parse_plan
@@ -29,6 +29,9 @@ address = "{address}"
 exposure_s = 0.01
 """
 """A plan that says nothing but where the camera is."""
+
+BLOCKS = 8
+"""Noise is looked for in 8 × 8 parts of a photograph."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,5 +135,11 @@ def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
             median=float(np.median(plane)) - black,
             brightest=float(np.percentile(plane, 99.9)) - black,
             full_percent=100 * float(np.mean(plane >= mosaic.white)),
-            noise=pixel_noise(plane),
+            noise=_noise(plane, mosaic.white),
         )
+
+
+def _noise(plane: Counts, white: float) -> float:
+    """Noise of a pixel where the picture is smooth and nothing is full, for what is full has none."""
+    blocks = [block for band in np.array_split(plane, BLOCKS) for block in np.array_split(band, BLOCKS, axis=1)]
+    return float(np.quantile([pixel_noise(block) for block in blocks if block.max() < white] or [0.0], 0.1))
