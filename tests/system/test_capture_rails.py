@@ -270,16 +270,20 @@ def problems(setup: Setup, step: str, at: tuple[str, int, float], name: str, fra
             found.append(f"{name}: more than one line")
     finally:
         port.close()
-    if ended:  # with the trouble mended, it goes on
-        again = Bench(frame, setup, setup.port([]))
+    return found + [f"{name}: {problem}" for problem in left_over(setup, bench, folder, ended)]
+
+
+def left_over(setup: Setup, bench: Bench, folder: Path, ended: str | None) -> list[str]:
+    """What is wrong with a session once its capture is over, resumed with the trouble mended where it had `ended`."""
+    found = []
+    if ended:
+        again = Bench(bench.frame, setup, setup.port([]))
         again.taken = bench.taken
         problem = run(setup, again, folder, resume=True)
         again.port.close()
-        found += [f"{name}: resumed: {problem}"] if problem else []
+        found += [f"resumed: {problem}"] if problem else []
     session = Session.open(folder)
-    found += [f"{name}: {wrong}" for wrong in wrong_frames(session, bench, setup)]
-    found += [f"{name}: {left}" for left in (*missing(session), *verify(session))]
-    return found
+    return found + wrong_frames(session, bench, setup) + [str(left) for left in (*missing(session), *verify(session))]
 
 
 @pytest.mark.parametrize(("kind", "step"), CASES)
@@ -289,6 +293,45 @@ def test_every_fault_at_every_step_is_got_over_or_told(kind: str, step: str, fra
     with ThreadPoolExecutor(len(FAULTS)) as pool:
         results = pool.map(lambda name: problems(RAILS[kind], step, at, name, frame, folders[name]), FAULTS)
         assert [problem for found in results for problem in found] == []
+
+
+COMMANDS = {
+    "grbl": [r"\$I", r"\$\$", r"\$H", r"G21.*", r"G53.*", r"G4.*", r"\$G", r"\?", "\x18"],
+    "zaber": ["get.*", "home", "move.*", "", "warnings.*", "stop"],
+}
+
+
+def several(seed: int) -> tuple[Setup, list[LineFault]]:
+    """A rail, and two to four faults anywhere."""
+    rng = np.random.default_rng(seed)
+    name = str(rng.choice(list(RAILS)))
+    commands, kinds = COMMANDS["zaber" if name == "zaber" else "grbl"], sorted({kind for kind, _ in FAULTS.values()})
+    faults = [
+        LineFault(
+            kinds[rng.integers(len(kinds))],
+            commands[rng.integers(len(commands))],
+            nth=int(rng.integers(1, 9)),
+            times=int(rng.integers(1, 3)),
+            after_s=float(rng.choice([0.0, rng.uniform(0, 0.3)])),
+            lasts_s=float(rng.uniform(0, 1.2)),
+        )
+        for _ in range(rng.integers(2, 5))
+    ]
+    return RAILS[name], faults
+
+
+@pytest.mark.parametrize("first", range(0, 48, 12))
+def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(first: int, frame: bytes, tmp_path: Path) -> None:
+    def one(seed: int) -> list[str]:
+        setup, faults = several(seed)
+        port = setup.port(faults)
+        bench = Bench(frame, setup, port)
+        ended = run(setup, bench, tmp_path / str(seed))
+        port.close()
+        return [f"{seed}: {problem}" for problem in left_over(setup, bench, tmp_path / str(seed), ended)]
+
+    with ThreadPoolExecutor(12) as pool:
+        assert [problem for found in pool.map(one, range(first, first + 12)) for problem in found] == []
 
 
 @pytest.mark.parametrize("kind", RAILS)
