@@ -73,7 +73,7 @@ def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: fl
 
 
 def _fold(source: int, result: int) -> scipy.sparse.csr_array:
-    """(result, source) from the DFT on one grid to that on the other, but for the ratio of sizes. Thesis (2.61)-(2.63), (2.69)."""
+    """(result, source) from the DFT on one grid to that on the other, but for the ratio of sizes. Thesis (2.61)-(2.69)."""
     line = np.arange(-(source // 2), source // 2 + 1)
     share = np.ones(line.size, complex)
     if source % 2 == 0:
