@@ -14,6 +14,7 @@ from labkit.optics.zernike import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
+STRAY = 0.5  # of the target's size: corners are known to about a pixel before a climb
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def climb(
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
         trial = state.moved(step)
-        value = problem.objective(trial, problem.relative(trial)) if _sane(trial) else -np.inf
+        value = problem.objective(trial, problem.relative(trial)) if _sane(trial, start) else -np.inf
         if not value > best:
             converged = _length(step, information) < tolerance
             damping = max(damping, 1e-4) * 8
@@ -187,6 +188,13 @@ def _length(step: Floats, information: Floats) -> float:
     return float(np.sqrt(step @ information @ step))
 
 
-def _sane(state: State) -> bool:
-    corners = np.array([p.corners_px() for p in state.poses])
-    return bool(np.all(np.isfinite(corners)) and np.all(state.scales > 0) and np.abs(corners).max() < 1e6)
+def _sane(state: State, start: State) -> bool:
+    """Whether a trial is worth drawing: light on the target, every corner before the lens and not far from its start.
+
+    Without it a pose ran away where defocus was far off, to a target magnified beyond all memory.
+    """
+    for pose, first in zip(state.poses, start.poses, strict=True):
+        reach = STRAY * np.ptp(first.corners_px(), axis=0).max()
+        if not (np.abs(pose.v[6:]).sum() < 1 and np.abs(pose.corners_px() - first.corners_px()).max() < reach):
+            return False
+    return bool(np.all(state.scales > 0))

@@ -5,24 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 import labkit.imaging.scene
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import Pupil
 from labkit.target import CellTarget
 
+from .brute_force import CARPET, CORNERS, FRAME, OPTICS, WAVES, brute_force_mean, points_seen
+
 Floats = NDArray[np.float64]
 
-CARPET = CellTarget(np.kron([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]], np.ones((3, 3))), (30.0, 30.0), 0.0)
-CORNERS = np.array([[11.3, 12.1], [10.2, 41.7], [40.8, 42.9], [42.1, 11.4]])
-OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.5, (4, 6, 7, 8, 11))
-WAVES = np.array([0.22, -0.05, 0.06, -0.04, 0.03])
-FRAME = (54, 56)
 USED = np.ones(FRAME, bool)
 
 
@@ -94,62 +90,6 @@ def area_of_white() -> float:
     step = 0.05
     rows, cols = np.meshgrid(np.arange(0, 54, step), np.arange(0, 56, step), indexing="ij")
     return float(points_seen(rows, cols).sum()) * step**2
-
-
-def points_seen(rows: Floats, cols: Floats) -> Floats:
-    """Radiance at pixel coordinates: a homography solved from the corners here, without labkit's."""
-    own = np.array([[-15.0, -15], [-15, 15], [15, 15], [15, -15]])
-    system, right = [], []
-    for (r, c), (y, x) in zip(CORNERS, own, strict=True):
-        system += [[r, c, 1, 0, 0, 0, -r * y, -c * y], [0, 0, 0, r, c, 1, -r * x, -c * x]]
-        right += [y, x]
-    h = np.append(np.linalg.solve(np.array(system), np.array(right)), 1.0)
-    w = h[6] * rows + h[7] * cols + 1
-    return CARPET.radiance((h[0] * rows + h[1] * cols + h[2]) / w, (h[3] * rows + h[4] * cols + h[5]) / w)
-
-
-def direct_psf(spacing_um: float, size: int, waves: Floats = WAVES) -> Floats:
-    """(size, size) PSF from a pupil of its own, modes written out as Noll has them."""
-    radius = size * spacing_um / (2 * 0.55 * 8.0)
-    half, many = int(radius) + 2, 5
-    fine = (np.arange((2 * half + 1) * many) - (2 * half * many + many - 1) / 2) / many / radius
-    disc = (np.hypot(fine[:, None], fine) < 1).reshape(2 * half + 1, many, 2 * half + 1, many).mean(axis=(1, 3))
-    y, x = np.arange(-half, half + 1)[:, None] / radius, np.arange(-half, half + 1)[None] / radius
-    s = x**2 + y**2
-    path = (
-        waves[0] * np.sqrt(3) * (2 * s - 1)
-        + waves[1] * np.sqrt(6) * (x**2 - y**2)
-        + waves[2] * np.sqrt(8) * (3 * s - 2) * y
-        + waves[3] * np.sqrt(8) * (3 * s - 2) * x
-        + waves[4] * np.sqrt(5) * (6 * s**2 - 6 * s + 1)
-    )
-    pupil = np.zeros((size, size), complex)
-    pupil[: 2 * half + 1, : 2 * half + 1] = disc * np.exp(2j * np.pi * 0.45 / 0.55 * path)
-    psf = np.fft.fftshift(np.abs(np.fft.fft2(pupil)) ** 2)
-    return np.asarray(psf / psf.sum())
-
-
-def brute_force_mean(many: int = 12, finer: int = 4) -> Floats:
-    """Supersampled radiance, linear convolution with PSF and pixel box, no torus and no spectra."""
-    spacing_um, guard = 4.8 / many, 40
-    step = 1 / (many * finer)
-    rows = -guard - 0.5 + (np.arange((FRAME[0] + 2 * guard) * many * finer) + 0.5) * step
-    cols = -guard - 0.5 + (np.arange((FRAME[1] + 2 * guard) * many * finer) + 0.5) * step
-    seen = points_seen(rows[:, None], cols[None])
-    shape = (FRAME[0] + 2 * guard) * many, (FRAME[1] + 2 * guard) * many
-    scene = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
-    psf = direct_psf(spacing_um, 1600)
-    blurred = fftconvolve(scene, psf[1:, 1:], mode="same")  # odd, its centre in the middle
-    # the active square, 4.5 of 4.8 um: whole samples and a share of the next on either side
-    share = (4.5 / spacing_um - 11) / 1
-    box = np.pad(np.ones(many - 1), 1) if share <= 0 else np.pad(np.ones(11), 1, constant_values=share / 2)
-    box /= box.sum()
-    # samples lie at (k + 1/2)/many - 1/2 of a pixel: a pixel's centre is between two of them
-    level = fftconvolve(fftconvolve(blurred, box[:, None], mode="same"), box[None], mode="same")
-    centre = guard * many + many // 2
-    at = [np.arange(n) * many + centre for n in FRAME]
-    a, b = np.ix_(at[0], at[1])
-    return np.asarray((level[a, b] + level[a - 1, b] + level[a, b - 1] + level[a - 1, b - 1]) / 4)
 
 
 def test_the_mean_is_that_of_a_brute_force_simulation(model: ForwardModel, pose: Pose) -> None:
