@@ -7,14 +7,20 @@ BIN := .venv/bin
 # Tests run one process a core; more threads than that only get in each other's way.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check types bench sony-raw clean
+.PHONY: demo test chromium check types bench sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
 
 # Tests of USB trouble want Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi; without them they are skipped.
-test: .venv/installed-test
+test: .venv/installed-test chromium
 	$(ONE_THREAD) $(BIN)/python -m pytest -n auto
+
+# The display page is tested in a real browser; without one, those tests are skipped and say so.
+chromium:
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || \
+		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends chromium; } >/dev/null 2>&1 || \
+		echo "no Chromium, and apt-get cannot install it: the web pages will not be tested" >&2
 
 check: types
 	$(BIN)/ruff check .

@@ -66,10 +66,7 @@ class Monitor:
         with self._lock:
             self._take_note(event, fields)
             if event != "doing":
-                words = ", ".join(f"{key} {_short(value)}" for key, value in fields.items())
-                self._log.append(
-                    {"time": datetime.now().strftime("%H:%M:%S"), "text": f"{event}: {words}".rstrip(": ")}
-                )
+                self._write(in_words(event, fields))
         self._ring()
 
     def took(self, name: str, kind: Kind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
@@ -86,6 +83,8 @@ class Monitor:
                 self._began = self._now(), done - 1
                 self._paused_s = 0.0
             self._done, self._total = done, total
+            # a photograph in the session means that whatever was in trouble has got over it
+            self._devices = {device: {**state, "state": "good"} for device, state in self._devices.items()}
             self._devices["camera"] = {"state": "good", "text": f"took {name}"}
         self._ring()
 
@@ -114,7 +113,7 @@ class Monitor:
             elif self._phase == "capturing" and what in ("pause", "resume", "abort"):
                 self._paused = what == "pause"
                 self._stopping = self._stopping or what == "abort"
-                self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": f"operator: {what}"})
+                self._write(f"operator: {what}")
                 self._lock.notify_all()
         self._ring()
 
@@ -144,6 +143,9 @@ class Monitor:
         """No more."""
         with self._lock:
             self._listeners.pop(who, None)
+
+    def _write(self, text: str) -> None:
+        self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": text})
 
     def _ring(self) -> None:
         with self._lock:
@@ -233,6 +235,18 @@ def picture(level: NDArray[np.float32], clipped: NDArray[np.bool_]) -> bytes:
     return jpeg.tobytes() if done else b""
 
 
-def _short(value: Any) -> str:
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 300 else f"{text[:299]}…"
+def in_words(event: str, fields: dict[str, Any]) -> str:
+    """An event of the journal as a line for people."""
+    match event, fields:
+        case "began", {"missing": missing}:
+            return f"began: {missing} photographs to take"
+        case "moved", {"measured_range_mm": range_mm, "position_mm": position_mm}:
+            return f"moved to {range_mm:g} mm, rail at {position_mm:g} mm"
+        case "camera", {"model": model, "serial": serial}:
+            return f"camera: {model}, serial number {serial}"
+        case "trouble", {"device": device, "attempt": attempt, "error": error}:
+            return f"trouble with the {device}, try {attempt}: {error}"
+        case "serving", {"picked": picked}:
+            return f"showing {picked}"
+    words = ", ".join(f"{key} {value}" for key, value in fields.items())
+    return f"{event}: {words}".rstrip(": ")

@@ -89,7 +89,7 @@ class Screen:
             raise DisplayError("OpenCV could not write the picture as PNG")
         number = self.order.number + 1 if self.order else 1
         with self.changed:
-            self.order = Order(number, png.tobytes(), zlib.crc32(whole))
+            self.order = Order(number, png.tobytes(), zlib.crc32(whole.tobytes()))
         self._wake()
         return self.order
 
@@ -161,7 +161,7 @@ def size_problem(pixels: tuple[int, int], panel: PanelInfo) -> str | None:
     """What is wrong with a page of (height, width) pixels on a panel; None if they fit."""
     if pixels == panel.pixels:
         return None
-    has = f"its page has {pixels[0]} × {pixels[1]} pixels, the panel {panel.pixels[0]} × {panel.pixels[1]}"
+    has = f"its page is {pixels[1]} × {pixels[0]} pixels, the panel {panel.pixels[1]} × {panel.pixels[0]}"
     if pixels == panel.pixels[::-1]:
         return f"{has}: the display is turned, turn it back and lock its rotation"
     down, across = (have / want for have, want in zip(pixels, panel.pixels, strict=True))

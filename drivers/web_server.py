@@ -14,7 +14,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import uvicorn
 from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
@@ -239,7 +239,7 @@ async def _converse(
     hear: Callable[[str], None],
     message: Callable[[], dict[str, Any] | None],
     wake: _Alarm,
-    ended: Literal[4001, 4002],
+    ended: int,
     pause_s: float,
 ) -> None:
     """Hear a page and tell it what is new, until it goes, or `message` gives None."""

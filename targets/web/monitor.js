@@ -47,7 +47,7 @@ function render(state) {
   $("actions").hidden = !running;
   $("pause").textContent = state.phase === "paused" ? "Go on" : "Pause";
   $("pause").disabled = $("abort").disabled = state.phase === "stopping";
-  if (state.phase === "stopping" || !running) $("sure").hidden = true;
+  if (state.phase === "stopping" || !running) askAgain(false);
   renderChoices(state);
   renderFrame(state.frame);
   renderSharpness(state.sharpness, state.frame);
@@ -104,8 +104,9 @@ function renderSharpness(points, frame) {
 }
 
 function renderDevices(state) {
-  const rows = state.devices.map((d) => [d.device, d.state === "good", d.text]);
-  for (const d of state.displays) rows.push([`display ${d.name}`, d.problem === null, d.problem || "showing is possible"]);
+  // a web display speaks for itself, below
+  const rows = state.devices.filter((d) => d.device !== "display" || state.displays.length === 0).map((d) => [d.device, d.state === "good", d.text]);
+  for (const d of state.displays) rows.push([d.name === "screen" ? "display" : `display ${d.name}`, d.problem === null, d.problem || "ready"]);
   $("device-list").replaceChildren(...rows.map(([name, good, text]) =>
     make("li", good ? "" : "bad", make("span", "soft", name), make("span", "", text))));
 }
@@ -116,6 +117,11 @@ function renderLog(lines) {
     const bad = /^(trouble|stopped|rejected)/.test(line.text);
     return make("li", bad ? "trouble" : "", make("span", "soft", line.time), make("span", "", line.text));
   }));
+}
+
+function askAgain(asking) {
+  $("sure").hidden = !asking;
+  $("pause").hidden = $("abort").hidden = asking;
 }
 
 function offline() {
@@ -161,10 +167,10 @@ setInterval(() => {
 }, 1000);
 
 $("pause").addEventListener("click", () => send(last !== null && last.phase === "paused" ? "resume" : "pause"));
-$("abort").addEventListener("click", () => { $("sure").hidden = false; });
-$("yes").addEventListener("click", () => { $("sure").hidden = true; send("abort"); });
-$("no").addEventListener("click", () => { $("sure").hidden = true; });
-$("sure").hidden = true;
+$("abort").addEventListener("click", () => askAgain(true));
+$("yes").addEventListener("click", () => { askAgain(false); send("abort"); });
+$("no").addEventListener("click", () => askAgain(false));
+askAgain(false);
 $("actions").hidden = true;
 $("bar").hidden = true;
 connect();

@@ -36,7 +36,7 @@ def until(glass: Glass, good: Callable[[], bool]) -> None:
 def drop_connections(lab: Lab) -> None:
     """Cut every connection without a goodbye."""
     for one in list(lab.server._server.server_state.connections):
-        one.loop.call_soon_threadsafe(one.transport.abort)  # type: ignore[union-attr]
+        one.loop.call_soon_threadsafe(one.transport.abort)
 
 
 @pytest.mark.parametrize("scale", [1, 1.25, 1.5, 2])

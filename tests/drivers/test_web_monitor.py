@@ -203,7 +203,8 @@ def test_what_a_device_says_is_text_not_html(table: Table) -> None:
     evil = "<img src=x onerror=\"document.body.textContent='pwned'\">"
     table.monitor.noted("doing", what=evil)
     table.monitor.noted("camera", model=evil, serial="</script><script>alert(1)</script>")
-    table.monitor.noted("trouble", device=evil, error=evil)
+    table.monitor.noted("trouble", device=evil, attempt=1, error=evil)
+    table.monitor.noted(evil, words=evil)
     for element in ("doing", "device-list", "log-list"):
         table.reads(element, evil)
     assert table.operator.page.locator("main img:not(#preview)").count() == 0
@@ -254,7 +255,9 @@ def test_the_histogram_counts_every_pixel_once() -> None:
     assert shares[0] == 30 / 40
     assert shares[BINS // 2] == pytest.approx((500 - 5) / 2000)
     assert shares[-1] == 5 / 2000
-    assert exposure(mosaic(counts)) == (pytest.approx(100 * 5 / 2000), 0.0)
+    clipped, middle = exposure(mosaic(counts))
+    assert clipped == pytest.approx(100 * 5 / 2000)
+    assert middle == 0
 
 
 def test_sharpness_falls_with_blur_and_ignores_exposure() -> None:
@@ -263,6 +266,15 @@ def test_sharpness_falls_with_blur_and_ignores_exposure() -> None:
     sharp, soft, dim = (sharpness(levels(mosaic(100 + c))) for c in (steps, blurred, steps / 2))
     assert sharp > 1.2 * soft
     assert dim == pytest.approx(sharp, rel=1e-6)
+
+
+def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
+    monitor = Monitor(Room().wishes)
+    monitor.noted("trouble", device="rail", attempt=1, error="stalled")
+    assert monitor.snapshot()["devices"] == [{"device": "rail", "state": "bad", "text": "stalled"}]
+    assert monitor.snapshot()["log"][-1]["text"] == "trouble with the rail, try 1: stalled"
+    monitor.took("d", "dark", None, mosaic(np.full((8, 8), 100)), 1, 10)
+    assert {device["state"] for device in monitor.snapshot()["devices"]} == {"good"}
 
 
 def test_time_left_is_the_pace_so_far_without_the_pauses() -> None:

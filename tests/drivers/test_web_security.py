@@ -12,13 +12,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from labkit.drivers import web_door
 from labkit.drivers.web_display import WebDisplay, open_display, parse_address
@@ -54,11 +54,12 @@ def ask(lab: Lab, path: str, method: str = "GET", host: str | None = None, **hea
     return int(head.split()[1]), head.lower(), body
 
 
-def page(lab: Lab, name: str = "screen", **options: Any) -> ClientConnection:
-    """A page's connection, as a browser makes it."""
+def page(lab: Lab, name: str = "screen", origin: str | None = "") -> ClientConnection:
+    """A page's connection, as a browser makes it; by default from our own origin."""
     here = f"127.0.0.1:{lab.server.port}"
-    options = {"origin": f"http://{here}", "open_timeout": 10, "compression": None} | options
-    return connect(f"ws://{here}/{lab.server.token}/{name}/socket", **options)
+    url = f"ws://{here}/{lab.server.token}/{name}/socket"
+    whence = f"http://{here}" if origin == "" else origin
+    return connect(url, origin=whence and Origin(whence), open_timeout=10, compression=None)  # type: ignore[arg-type]
 
 
 def test_the_pages_own_files_are_served_as_they_are(lab: Lab, display: WebDisplay) -> None:
@@ -185,7 +186,7 @@ def shows_still(lab: Lab, display: WebDisplay) -> None:
         wire.send(GOOD)
         order = display._screen.want(np.full((60, 80), 77, dtype=np.uint8))
         body = ask(lab, f"/{lab.server.token}/screen/picture?{order.number}")[2]
-        crc = zlib.crc32(np.asarray(cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_GRAYSCALE)))
+        crc = zlib.crc32(np.asarray(cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_GRAYSCALE)).tobytes())
         wire.send(GOOD.replace('"shown": null, "crc": null', f'"shown": {order.number}, "crc": {crc}'))
         display._hold(lambda: display._screen.confirms(order))
 
