@@ -203,7 +203,7 @@ def test_a_plan_that_the_devices_cannot_run_begins_no_session(
 
 
 def test_tab_completes_commands() -> None:
-    environment = {**os.environ, "_LABKIT_COMPLETE": "complete_bash", "COMP_WORDS": "labkit ca", "COMP_CWORD": "1"}
+    environment = {**os.environ, "_LABKIT_COMPLETE": "complete_bash", "COMP_WORDS": "labkit cap", "COMP_CWORD": "1"}
     done = subprocess.run(labkit(), env=environment, capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == ["capture"]
 
