@@ -136,10 +136,11 @@ class Solution:
 
         Raises FitError where the data do not determine them.
         """
-        scale = 1 / np.sqrt(np.diag(self.information))
         try:
+            with np.errstate(divide="raise"):
+                scale = 1 / np.sqrt(np.diag(self.information))
             factor = scipy.linalg.cho_factor(self.information * np.outer(scale, scale))
-        except (scipy.linalg.LinAlgError, ValueError) as error:
+        except (FloatingPointError, ValueError, scipy.linalg.LinAlgError) as error:
             raise FitError(
                 "the frames do not determine the wavefront and the pose: the Fisher information is singular"
             ) from error
