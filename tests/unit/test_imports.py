@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 ROOMS = [
     ["errors"],
     ["files"],
+    ["arrays"],
     ["plan"],
     ["target"],
     ["target_file"],

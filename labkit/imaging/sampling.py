@@ -1,0 +1,88 @@
+"""Sampling of periodic band-limited signals at any rate, up or down: the operator S (thesis 2.61-2.69, Figure 5.3)."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+import scipy.sparse
+
+from labkit.arrays import real_array
+from labkit.optics.zernike import Floats
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """S: a signal known on one grid around a torus, read on another, finer or coarser, that shares its first sample.
+
+    source, result: samples along each axis, before and after; as many axes as one likes, ratios whole or not, sizes even or
+    odd. A coarser grid aliases, as a sensor does. The frequency n/2 of an even n is split into (1 + j)/2 and (1 - j)/2 of
+    itself at +n/2 and -n/2, which keeps its energy: from one grid to a finer one nothing is lost, and S^T S is the identity
+    times the ratio of sizes. Raises ValueError for sizes that are no positive whole numbers.
+    """
+
+    source: tuple[int, ...]
+    result: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name, sizes in (("source", self.source), ("result", self.result)):
+            if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
+                raise ValueError(f"{name}: positive whole numbers of samples are needed, not {sizes}")
+        if len(self.source) != len(self.result):
+            raise ValueError(f"source {self.source} and result {self.result} (samples) differ in their number of axes")
+
+    @cached_property
+    def _folds(self) -> list[scipy.sparse.csr_array]:
+        return [_fold(n, m) for n, m in zip(self.source, self.result, strict=True)]
+
+    def apply(self, signal: Floats) -> Floats:
+        """The signal (*source) on the other grid, (*result). Thesis (2.68)."""
+        signal = real_array("signal", signal, self.source, "radiance")
+        for axis, fold in enumerate(self._folds):
+            signal = _through(signal, axis, fold) * (fold.shape[0] / fold.shape[1])
+        return signal
+
+    def adjoint(self, values: Floats) -> Floats:
+        """`apply`'s transpose: (*result) -> (*source)."""
+        values = real_array("values", values, self.result, "radiance")
+        for axis, fold in enumerate(self._folds):
+            values = _through(values, axis, scipy.sparse.csr_array(fold.conj().T))
+        return values
+
+
+def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: float) -> tuple[int, int]:
+    """Whole numbers of samples (source, result) whose quotient is a ratio, nearly: the fewest that are enough.
+
+    ratio: source to result, above 0; tolerance: relative, between 0 and 1; source_least, result_least: samples at least.
+    Of all that hold |source / result - ratio| <= tolerance ratio the one with the least result, and of these the nearest.
+    Raises ValueError for other numbers. Thesis (5.28)-(5.32) and Figure 5.3, which may break (5.32) for ratios below 1.
+    """
+    if not (math.isfinite(ratio) and ratio > 0):
+        raise ValueError(f"ratio = {ratio}: a finite number of samples to a sample, above 0, is needed")
+    if not 0 < tolerance < 1:
+        raise ValueError(f"tolerance = {tolerance}: a relative error between 0 and 1 is needed")
+    if source_least < 1 or result_least < 1:
+        raise ValueError(f"source_least = {source_least}, result_least = {result_least}: at least one sample is needed")
+    result = max(result_least, math.ceil(source_least / ((1 + tolerance) * ratio)))
+    while True:
+        source = max(source_least, round(ratio * result))
+        if abs(source / result - ratio) <= tolerance * ratio:
+            return source, result
+        result += 1
+
+
+def _fold(source: int, result: int) -> scipy.sparse.csr_array:
+    """(result, source) from the DFT on one grid to that on the other, but for the ratio of sizes. Thesis (2.61)-(2.69)."""
+    line = np.arange(-(source // 2), source // 2 + 1)
+    share = np.ones(line.size, complex)
+    if source % 2 == 0:
+        share[[0, -1]] = (1 - 1j) / 2, (1 + 1j) / 2
+    return scipy.sparse.csr_array((share, (line % result, line % source)), shape=(result, source))
+
+
+def _through(signal: Floats, axis: int, fold: scipy.sparse.csr_array) -> Floats:
+    """A real signal whose spectrum along one axis is folded."""
+    spectrum = scipy.fft.fft(np.moveaxis(signal, axis, 0), axis=0)
+    folded = np.asarray(fold @ spectrum.reshape(fold.shape[1], -1)).reshape(fold.shape[0], *spectrum.shape[1:])
+    return np.asarray(np.moveaxis(scipy.fft.ifft(folded, axis=0).real, 0, axis))
