@@ -1,0 +1,188 @@
+"""Perspective and its subgroups of fewer degrees of freedom, with first and second derivatives (thesis, Appendices C, D).
+
+    dof  parameters x                            what moves
+    1    angle                                   rotation
+    2    shifts                                  translation
+    3    shifts, angle                           rotation and translation
+    4    shifts, magnification, angle            the same, and one magnification
+    5    shifts, two magnifications, angle       the same, and a magnification of each axis (not closed under composition)
+    6    shifts, matrix column by column         affine
+    8    the same, and two of perspective        any plane onto any other
+
+Shifts are in samples, angles in radians from the first axis to the second, the rest has no unit but the last two, which
+are per sample. Coordinates are (row, column).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.arrays import real_array
+from labkit.imaging.cubic import Cubic
+from labkit.optics.zernike import Floats
+
+DEGREES = (1, 2, 3, 4, 5, 6, 8)
+
+# Which x are the two shifts, the two magnifications and the angle; None: fixed at 0, 1 and 0.
+TURNING: dict[int, tuple[int | None, ...]] = {
+    1: (None, None, None, None, 0),
+    2: (0, 1, None, None, None),
+    3: (0, 1, None, None, 2),
+    4: (0, 1, 2, 2, 3),
+    5: (0, 1, 2, 3, 4),
+}
+FIXED = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+
+# Where x stands in the matrix, row and column, in the groups that are linear in x.
+LINEAR = ((0, 2), (1, 2), (0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class WarpGroup:
+    """The transformations of dof degrees of freedom. Raises ValueError for any but 1, 2, 3, 4, 5, 6 and 8."""
+
+    dof: int
+
+    def __post_init__(self) -> None:
+        if self.dof not in DEGREES:
+            raise ValueError(f"dof = {self.dof}: allowed is one of {DEGREES}")
+
+    def identity(self) -> Floats:
+        """(dof,) the parameters that move nothing."""
+        if self.dof in TURNING:
+            found = np.zeros(self.dof)
+            for own, fixed in zip(TURNING[self.dof], FIXED, strict=True):
+                if own is not None:
+                    found[own] = fixed
+            return found
+        return np.array([0.0, 0, 1, 0, 0, 1, 0, 0][: self.dof])
+
+    def matrix(self, x: Floats) -> Floats:
+        """(3, 3) homography of (row, column, 1). x: (dof,). Raises ValueError for another shape or not finite x."""
+        return self._matrices(x)[0]
+
+    def matrix_derivatives(self, x: Floats) -> tuple[Floats, Floats]:
+        """First (dof, 3, 3) and second (dof, dof, 3, 3) derivatives of `matrix` by x."""
+        return self._matrices(x)[1:]
+
+    def to_object(self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)) -> Floats:
+        """Where an image's points come from: the coordinates through the inverse of the matrix, thesis (D.3).
+
+        where: (2, ...) rows and columns in samples; centre: the point that rotations and magnifications leave in place.
+        Returns (2, ...). Raises ValueError for another shape, for a matrix without an inverse, and for points on or
+        beyond the horizon of a perspective.
+        """
+        inverse, points = self._inverse(x, centre), _homogeneous(where)
+        return _projected(np.tensordot(inverse, points, 1))
+
+    def to_object_derivatives(
+        self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[Floats, Floats]:
+        """First (dof, 2, ...) and second (dof, dof, 2, ...) derivatives of `to_object` by x. Thesis (D.7)-(D.15)."""
+        inverse, points = self._inverse(x, centre), _homogeneous(where)
+        about = _about(centre)
+        first, second = (np.linalg.inv(about) @ d @ about for d in self.matrix_derivatives(x))
+        once = first @ inverse  # dV/dx_i V^-1, in the centred frame
+        twice = np.einsum("iab,jbc->ijac", once, once)
+        by_x = -inverse @ once
+        by_xx = inverse @ (twice + twice.swapaxes(0, 1) - second @ inverse)
+        here = np.tensordot(inverse, points, 1)
+        y, slopes, bends = here[:2] / here[2], np.tensordot(by_x, points, 1), np.tensordot(by_xx, points, 1)
+        ds, dw = slopes[:, :2] / here[2], slopes[:, None, 2] / here[2]  # (dof, 2, ...) and (dof, 1, ...)
+        gradient = ds - y * dw
+        hessian = bends[:, :, :2] / here[2] - y * (bends[:, :, None, 2] / here[2])
+        hessian -= gradient[:, None] * dw[None] + gradient[None] * dw[:, None]
+        return gradient, hessian
+
+    def _inverse(self, x: Floats, centre: tuple[float, float]) -> Floats:
+        """(3, 3) of (D.3): L^-1 V^-1 L, L moving the centre to the origin."""
+        matrix, about = self.matrix(x), _about(centre)
+        if not abs(np.linalg.det(matrix)) > 1e-12 * np.abs(matrix).max() ** 3:
+            raise ValueError(f"x = {np.asarray(x)} makes a singular matrix: the plane would be seen edge on")
+        return np.asarray(np.linalg.inv(about) @ np.linalg.inv(matrix) @ about)
+
+    def _matrices(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        x = real_array("x", x, (self.dof,), "samples, radians and ratios")
+        if self.dof in TURNING:
+            return self._turning(x)
+        matrix, first = np.diag([0.0, 0, 1]), np.zeros((self.dof, 3, 3))
+        for i, place in enumerate(LINEAR[: self.dof]):
+            matrix[place], first[(i, *place)] = x[i], 1.0
+        return matrix, first, np.zeros((self.dof, self.dof, 3, 3))
+
+    def _turning(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Rotation times magnifications, derived by all five parameters and then by those that x gives."""
+        places = TURNING[self.dof]
+        choose = np.array([[float(own == i) for i in range(self.dof)] for own in places])  # d (five) / d x
+        down, right, tall, wide, angle = choose @ x + np.where(choose.any(axis=1), 0.0, FIXED)
+        c, s = np.cos(angle), np.sin(angle)
+        turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])  # and its derivative
+        size, unit = np.diag([tall, wide]), np.eye(2)
+        matrix, first, second = np.eye(3), np.zeros((5, 3, 3)), np.zeros((5, 5, 3, 3))
+        matrix[:2, :2], matrix[:2, 2] = turn @ size, (down, right)
+        first[0, 0, 2] = first[1, 1, 2] = 1.0
+        first[4, :2, :2], second[4, 4, :2, :2] = turned @ size, -turn @ size
+        for k in (0, 1):
+            first[2 + k, :2, :2] = turn @ np.diag(unit[k])
+            second[2 + k, 4, :2, :2] = second[4, 2 + k, :2, :2] = turned @ np.diag(unit[k])
+        return (
+            matrix,
+            np.einsum("pi,pab->iab", choose, first),
+            np.einsum("pi,qj,pqab->ijab", choose, choose, second),
+        )
+
+
+def warp(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> Floats:
+    """Values (...) of an image moved by a transformation about its middle, by Keys' cubic on a torus. Thesis (D.2).
+
+    image: (rows, columns); where: (2, ...) points of the moved image, in samples. Raises ValueError for other shapes.
+    """
+    image = _image(image)
+    at = group.to_object(x, where, _middle(image))
+    return _cubic(image, at).apply(image).reshape(at.shape[1:])
+
+
+def warp_derivatives(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> tuple[Floats, Floats]:
+    """First (dof, ...) and second (dof, dof, ...) derivatives of `warp` by x. Thesis (D.9), (D.16).
+
+    The cubic's second derivative jumps where a point passes a sample.
+    """
+    image = _image(image)
+    at = group.to_object(x, where, _middle(image))
+    by_x, by_xx = group.to_object_derivatives(x, where, _middle(image))
+    cubic = _cubic(image, at)
+    orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+    r, c, rr, rc, cc = (cubic.apply(image, *order).reshape(at.shape[1:]) for order in orders)
+    slope, bend = np.stack([r, c]), np.stack([np.stack([rr, rc]), np.stack([rc, cc])])
+    gradient = np.einsum("a...,ia...->i...", slope, by_x)
+    hessian = np.einsum("a...,ija...->ij...", slope, by_xx)
+    return gradient, hessian + np.einsum("ab...,ia...,jb...->ij...", bend, by_x, by_x)
+
+
+def _image(image: Floats) -> Floats:
+    return real_array("image", image, (None, None), "radiance")
+
+
+def _middle(image: Floats) -> tuple[float, float]:
+    return (image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2
+
+
+def _cubic(image: Floats, at: Floats) -> Cubic:
+    return Cubic((image.shape[0], image.shape[1]), at[0].ravel(), at[1].ravel())
+
+
+def _about(centre: tuple[float, float]) -> Floats:
+    """(3, 3) L: moves the centre to the origin."""
+    return np.array([[1.0, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1]])
+
+
+def _homogeneous(where: Floats) -> Floats:
+    where = real_array("where", where, (2, *[None] * (np.ndim(where) - 1)), "samples")
+    return np.concatenate([where, np.ones((1, *where.shape[1:]))])
+
+
+def _projected(points: Floats) -> Floats:
+    """(2, ...) of homogeneous (3, ...)."""
+    if points[2].size and points[2].min() <= 0 <= points[2].max():
+        raise ValueError("where reaches the horizon of the perspective: no point of the object is seen there")
+    return np.asarray(points[:2] / points[2])
