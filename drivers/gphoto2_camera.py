@@ -193,12 +193,15 @@ class Gphoto2Camera:
         try:
             self._list()
             serial = str(self._body["serialnumber"].value) if "serialnumber" in self._body else ""
-            if self._info is not None and (self._info.model, self._info.serial) != (model, serial):
+            if self._info is not None and (self._info.model, self._info.serial) != (
+                _printable(model),
+                _printable(serial),
+            ):
                 raise CameraError(
                     f"another camera came back, {model} {serial}: the session's is {self._info.model} "
                     f"{self._info.serial}; plug that in"
                 )
-            self._info = CameraInfo(model, serial, f"libgphoto2 {version}")
+            self._info = CameraInfo(_printable(model), _printable(serial), f"libgphoto2 {version}")
             if self._wanted is not None:
                 self._set_all()
         except CameraError:
@@ -215,7 +218,7 @@ class Gphoto2Camera:
             if port == self._port:
                 return model, port
         if self._info is not None:  # plugged in again, it has another number
-            found = [(model, port) for model, port in found if model == self._info.model]
+            found = [(model, port) for model, port in found if _printable(model) == self._info.model]
         elif self._port:
             raise CameraError(f"no camera at {self._port}; there is {listed}: give camera.address as one of these")
         if len(found) > 1:
@@ -293,6 +296,7 @@ class Gphoto2Camera:
             files=wanted.files if wanted else None,
             wait_s=wait_s,
             keep=self._keep,
+            live_view="viewfinder" in self._body,
             bulb=bulb,
         )
         made = kept(answer["files"], path, wait_s)
@@ -319,6 +323,11 @@ def _told(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeou
         text = f"{text}: switch the camera off and on, look at its cable"
     line = f"{what} failed {tries} times: {text}"
     return DeviceTimeoutError(line) if trouble.code in (TIMEOUT, HUNG) else CameraError(line)
+
+
+def _printable(text: str) -> str:
+    """What a camera calls itself, fit for a terminal."""
+    return "".join(letter for letter in text if letter.isprintable())
 
 
 def _refuse_other(name: str, asked: Any, is_now: Any) -> None:

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-IN_PROGRESS = -110
+REFUSED, IN_PROGRESS = -1, -110
 
 PAUSES_S = (0.1, 0.3, 1.0, 3.0)
 """How long to look at events before a call that met "I/O in progress" is made again."""
@@ -98,18 +98,21 @@ class Worker:
             self._look(0.1)
         return now
 
-    def expose(self, folder: str, files: int | None, wait_s: float, keep: bool, bulb: Any = None) -> dict[str, Any]:
+    def expose(
+        self, folder: str, files: int | None, wait_s: float, keep: bool, live_view: bool = False, bulb: Any = None
+    ) -> dict[str, Any]:
         """Take a photograph and fetch what comes of it into `folder`, each file numbered.
 
-        files: how many will come, None if that is not known; keep: leave them in the camera as well; bulb: seconds,
-        and [name, value] to press and to release, for an exposure timed here.
+        files: how many will come, None if that is not known; keep: leave them in the camera as well; live_view: it can
+        be switched on, without which some Nikons refuse; bulb: seconds, and [name, value] to press and to release, for
+        an exposure timed here.
         """
         strays = self._drain(keep)
         camera, gp = self._camera, self._gp
         if bulb:
             self._hold(*bulb)
         elif camera.get_abilities().operations & gp.GP_OPERATION_TRIGGER_CAPTURE:
-            self._patiently(camera.trigger_capture)
+            self._trigger(live_view)
         else:
             place = self._patiently(camera.capture, gp.GP_CAPTURE_IMAGE)
             self._added.append((place.folder, place.name))
@@ -205,6 +208,15 @@ class Worker:
             self._forget(place, keep)
         self._added.clear()
         return strays
+
+    def _trigger(self, live_view: bool) -> None:
+        try:
+            self._patiently(self._camera.trigger_capture)
+        except self._gp.GPhoto2Error as error:
+            if error.code != REFUSED or not live_view:
+                raise
+            self._put("viewfinder", 1)
+            self._patiently(self._camera.trigger_capture)
 
     def _hold(self, seconds: float, press: list[Any], release: list[Any]) -> None:
         """An exposure timed here; the shutter is released whatever happens."""

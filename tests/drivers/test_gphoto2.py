@@ -191,9 +191,12 @@ def test_the_camera_may_fill_up_and_is_opened_again(make: MakeCamera, scene: Sce
     # the virtual camera stops delivering after 26 photographs, until it is opened anew
     camera = make(extra=[RAW_ONLY], release_s=0.2, slow_exit=True)
     camera.configure(AT_20_MS)
-    for number in range(30):
+    handles = []
+    for number in range(60):
         scene.show(number)
         assert number_in(camera.expose(tmp_path / f"frame_{number}").path) == number
+        handles.append(len(os.listdir("/proc/self/fd")))
+    assert max(handles) == handles[0]
 
 
 @pytest.mark.parametrize("files", [["jpeg", "raw"], ["raw", "jpeg"]])
@@ -328,6 +331,26 @@ def test_it_is_opened_by_address(scene: Scene) -> None:
         assert camera.identify().serial == "0.1"
     with pytest.raises(PlanError, match="allowed is gphoto2: for the only camera"):
         open_camera("gphoto2:nikon", parse_plan(PLAN, Path()), Room())
+
+
+def test_a_body_that_wants_live_view_first_is_given_it(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+    waited: list[float] = []
+    live_view = {"name": "viewfinder", "value": 0}
+    camera = make(fault=fault("trigger_capture", -1), extra=[RAW_ONLY, live_view], waited=waited)
+    assert two_frames(camera, scene, tmp_path) == [1, 2]
+    assert waited == []
+
+
+def test_the_desktops_file_manager_is_asked_to_let_the_camera_go(
+    make: MakeCamera, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gio = tmp_path / "bin" / "gio"
+    gio.parent.mkdir()
+    gio.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\n')
+    gio.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{gio.parent}:{os.environ['PATH']}")
+    make(fault=fault("init", -53, times=2)).identify()
+    assert (tmp_path / "asked").read_text() == "mount -s gphoto2\n" * 2
 
 
 def test_ctrl_c_in_an_exposure_is_obeyed_at_once_and_leaves_the_camera_usable(
