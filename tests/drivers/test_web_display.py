@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.drivers import web_screen
 from labkit.drivers.web_display import WebDisplay
 from labkit.errors import DisplayError
 from labkit.lab.patterns import PATTERNS, pattern
@@ -147,17 +146,15 @@ def test_a_page_in_the_background_is_no_display(lab: Lab, glass: OpenGlass) -> N
     assert display.undisturbed()
 
 
-def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(
-    lab: Lab, glass: OpenGlass, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(web_screen, "SILENT_S", 2.0)
+def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(lab: Lab, glass: OpenGlass) -> None:
     display = lab.display(600, 800)
     tab = glass(display.url)
     display.show("white")
-    tab.cdp.send("Page.setWebLifecycleState", {"state": "frozen"})
+    tab.cdp.send("Debugger.enable")
+    tab.cdp.send("Debugger.pause")  # no script runs, as when a tablet sleeps
     while "no page answers" not in (display._screen.problem or ""):
-        time.sleep(0.05)  # a frozen page would hold up the browser's own waiting
-    tab.cdp.send("Page.setWebLifecycleState", {"state": "active"})
+        time.sleep(0.05)  # the browser's own waiting would wait for the page
+    tab.cdp.send("Debugger.resume")
     assert not display.undisturbed()
     display.show("black")
     assert display.undisturbed()
