@@ -23,7 +23,7 @@ FORMAT, TARGET = ("imagequality", "imageformat"), ("capturetarget",)
 TOLERANCE = 0.02
 """A choice this near to what was asked is it: bodies round 1/60 s to 0.0167."""
 
-BULB = re.compile(r"bulb|time", re.IGNORECASE)
+BULB = re.compile(r"bulb", re.IGNORECASE)
 RAW = re.compile(r"(?<![a-z])(raw|nef|nrw|cr2|cr3|arw|dng|orf|raf|rw2|pef|3fr)", re.IGNORECASE)
 LOSSY = re.compile(r"jpe?g|heif|fine|normal|basic|large|medium|small|superfine|\+", re.IGNORECASE)
 
@@ -83,7 +83,7 @@ def wanted(
     image = _format(body, problems, by_hand)
     picked = [
         shutter,
-        _number(body, ISO, "ISO", float(exposure.iso), problems, by_hand),
+        _number(body, ISO, "ISO ", float(exposure.iso), problems, by_hand),
         f_number and _number(body, APERTURE, "aperture f/", f_number, problems, by_hand),
         image,
         _target(body, target),
@@ -154,8 +154,8 @@ def _shutter(body: Body, exposure_s: float, problems: list[str], by_hand: list[s
     for setting in _first(body, SHUTTER):
         for choice in setting.choices:
             seconds = seconds_of(choice)
-            if seconds:
-                times.setdefault(seconds, (setting.name, choice))
+            if seconds and _nearest(times, seconds) is None:  # two settings of one shutter round differently
+                times[seconds] = (setting.name, choice)
             elif bulb is None and BULB.fullmatch(str(choice).strip()):
                 bulb = (setting.name, choice)
     if near := _nearest(times, exposure_s):
@@ -185,9 +185,9 @@ def _number(
             break
         if near := _nearest(offered, asked):
             return near
-        problems.append(f"{what} {asked:g}: allowed are {_listed(offered, asked)}")
+        problems.append(f"{what}{asked:g}: allowed are {_listed(offered, asked)}")
         return None
-    by_hand.append(f"{what} {asked:g}".replace("/ ", "/"))
+    by_hand.append(f"{what}{asked:g}")
     return None
 
 
@@ -239,6 +239,6 @@ def _format(body: Body, problems: list[str], by_hand: list[str]) -> tuple[str, C
 def _target(body: Body, target: Literal["ram", "card"]) -> tuple[str, Choice] | None:
     for setting in _first(body, TARGET):
         for choice in setting.choices:
-            if re.search(r"ram" if target == "ram" else r"^(memory )?card", str(choice), re.IGNORECASE):
+            if re.search(r"^(?!.*card).*ram" if target == "ram" else r"^(memory )?card", str(choice), re.IGNORECASE):
                 return setting.name, choice
     return None
