@@ -6,13 +6,16 @@ function, as in the diffraction integral. The thesis writes the inverse transfor
 which changes the sign of every odd mode.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from labkit.arrays import real_array
 from labkit.optics.pupil import disc_area
 from labkit.optics.zernike import Floats, zernike
 
@@ -74,11 +77,7 @@ class Pupil:
         return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(wrapped, overwrite_x=True)))
 
     def _pupil_function(self, waves: Floats) -> Complexes:
-        waves = np.asarray(waves, float)
-        if waves.shape != (len(self.noll),):
-            raise ValueError(
-                f"waves has shape {waves.shape}; one for each of the {len(self.noll)} modes {self.noll} is needed"
-            )
+        waves = real_array("waves", waves, (len(self.noll),), "waves RMS, one for each mode")
         phase = 2 * np.pi * self.reference_um / self.wavelength_um * np.tensordot(waves, self.modes, 1)
         return np.asarray(self.amplitude * np.exp(1j * phase))
 
@@ -109,6 +108,20 @@ class Pupil:
         for slope, mode in zip(slopes, modes, strict=True):
             np.multiply(-factor, (np.conj(field) * self._to_image(pupil * mode)).imag, out=slope)
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
+
+    def psf_hessian(self, waves: Floats) -> Iterator[tuple[int, int, Floats]]:
+        """Second derivatives of the PSF, per wave RMS squared: (i, j, (size, size)) for each pair of modes i <= j.
+
+        One at a time, to spare memory. waves: (modes,) waves RMS at the reference. Thesis (H.11) with the wavefront linear
+        in its modes, corrected: lambda_ref / lambda, and the normalisation.
+        """
+        pupil = self._pupil_function(waves)
+        field = self._to_image(pupil)
+        by_mode = [self._to_image(pupil * mode) for mode in self.modes]
+        factor = 8 * np.pi**2 * (self.reference_um / self.wavelength_um) ** 2 / self._light
+        for i, j in combinations_with_replacement(range(len(by_mode)), 2):
+            twice = self._to_image(pupil * self.modes[i] * self.modes[j])
+            yield i, j, np.asarray(factor * (np.conj(by_mode[i]) * by_mode[j] - np.conj(field) * twice).real)
 
 
 def diffraction_mtf(frequency: Floats) -> Floats:

@@ -1,0 +1,99 @@
+"""The smoothest torus through known samples: guard bands and holes filled with the least bandwidth (thesis 2.28-2.32).
+
+Smooth means little spectral energy times squared frequency, which is the integral of the squared gradient of the signal's
+continuous, periodic, band-limited extension.
+"""
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
+
+from labkit.arrays import mask_array, real_array
+from labkit.errors import FitError
+from labkit.optics.zernike import Floats
+
+Mask = NDArray[np.bool_]
+
+TOLERANCE = 1e-8
+"""Of the gradient on the unknown samples, relative to that of holes filled with the mean."""
+
+ROUNDING = 1e-14
+MAX_STEPS = 1000
+
+
+def roughness(signal: Floats) -> tuple[float, Floats]:
+    """Half the summed squared gradient, radiance^2 per sample^2, and its derivative by each sample. Thesis (2.31), (2.32).
+
+    signal: any number of axes, periodic. Raises ValueError for one that is no finite array.
+    """
+    signal = real_array("signal", signal, np.shape(signal), "radiance")
+    slope = _weigh(signal)
+    return 0.5 * float(np.vdot(signal, slope)), slope
+
+
+def fill(signal: Floats, known: Mask) -> Floats:
+    """The signal with its unknown samples replaced by the smoothest ones; the known ones stay as they are, to the bit.
+
+    signal: any number of axes, periodic; unknown samples may hold anything. known: mask of the same shape. The solution is
+    unique; conjugate gradients on the unknown samples find it. Raises ValueError for other arrays or where nothing is known,
+    FitError should the gradients not converge. Thesis (2.28)-(2.32).
+    """
+    known = mask_array("known", known, np.shape(signal))
+    if not known.any():
+        raise ValueError(f"known, shape {known.shape}: not one sample is known")
+    filled = np.where(known, signal, 0.0)
+    filled = real_array("signal", filled, known.shape, "radiance, where known")
+    unknown = ~known
+    mean = filled[known].mean()
+    filled[unknown] = mean
+    if not unknown.any():
+        return filled
+
+    def on_unknown(power: int) -> LinearOperator:
+        def apply(step: Floats) -> Floats:
+            spread = np.zeros(known.shape)
+            spread[unknown] = step
+            return _weigh(spread, power)[unknown]
+
+        return LinearOperator((count, count), matvec=apply, dtype=np.float64)
+
+    count = int(np.count_nonzero(unknown))
+    # F^H W^-1 F conditions all of them, holes, guard bands and scattered samples: 60-80 steps, where without it a guard
+    # band takes 700, and where with W^-2 scattered samples take 200
+    step, failed = cg(
+        on_unknown(2),
+        -_weigh(filled)[unknown],
+        rtol=TOLERANCE,
+        atol=ROUNDING * float(np.linalg.norm(filled)),
+        maxiter=MAX_STEPS,
+        M=on_unknown(-1),
+    )
+    if failed:
+        raise FitError(f"the smoothest filling of {count} samples was not found in {failed} steps")
+    filled[unknown] += step
+    return filled
+
+
+def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
+    """The image in the middle of a larger torus of the given shape, smoothly extended around it. Thesis Figure 2.8.
+
+    It starts at (larger - smaller) // 2 along each axis. Raises ValueError for a shape that cannot hold it.
+    """
+    image = real_array("image", image, np.shape(image), "radiance")
+    if len(shape) != image.ndim or any(large < small for large, small in zip(shape, image.shape, strict=True)):
+        raise ValueError(f"shape {shape} (samples) cannot hold an image of shape {image.shape}")
+    inside = tuple(slice(start := (n - m) // 2, start + m) for n, m in zip(shape, image.shape, strict=True))
+    torus, known = np.zeros(shape), np.zeros(shape, bool)
+    torus[inside], known[inside] = image, True
+    return fill(torus, known)
+
+
+def _weigh(signal: Floats, power: int = 2) -> Floats:
+    """F^H W^power F of a real signal, W the frequency in radians per sample; to a negative power the mean's is the lowest's."""
+    axes = range(signal.ndim)
+    frequencies = [scipy.fft.fftfreq(n) for n in signal.shape[:-1]] + [scipy.fft.rfftfreq(signal.shape[-1])]
+    squared = sum((2 * np.pi * f.reshape([-1 if a == b else 1 for b in axes])) ** 2 for a, f in enumerate(frequencies))
+    if power < 0:
+        squared = np.maximum(squared, (2 * np.pi / max(signal.shape)) ** 2)
+    return np.asarray(scipy.fft.irfftn(scipy.fft.rfftn(signal) * squared ** (power / 2), signal.shape))
