@@ -26,7 +26,9 @@ STUDIES = {
     "minima": "minima",
     "annealing": "annealing",
     "psf-accuracy": "pupil_size",
+    "roc": "roc",
     "targets": "targets",
+    "extension": "extension",
 }
 """Name of a study -> the module of this room that does it, by its function `run`."""
 
