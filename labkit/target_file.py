@@ -118,6 +118,10 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
                 f"a cell is {dots:.3g} pixels, so edges move by up to half a pixel: "
                 f"{whole} pixels ({dpi:.2f} dpi) would make it whole"
             )
+    else:
+        notes.append(
+            f"what is not upright is drawn in steps of a dot, {1000 * target.size_mm[0] / grey.shape[0]:.3g} um"
+        )
     if np.any((grey != 0) & (grey != 255)):
         notes.append("grey levels are linear in radiance: show them on a linearised display")
     if target.surround == 0:

@@ -183,6 +183,9 @@ def _homogeneous(where: Floats) -> Floats:
 
 def _projected(points: Floats) -> Floats:
     """(2, ...) of homogeneous (3, ...)."""
-    if points[2].size and points[2].min() <= 0 <= points[2].max():
-        raise ValueError("where reaches the horizon of the perspective: no point of the object is seen there")
+    # the third coordinate is one over that of the object's own point, which is positive on the visible side
+    if beyond := np.count_nonzero(points[2] <= 0):
+        raise ValueError(
+            f"where: {beyond} of {points[2].size} points (samples) lie on or beyond the perspective's horizon"
+        )
     return np.asarray(points[:2] / points[2])

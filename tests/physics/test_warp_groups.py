@@ -16,7 +16,7 @@ CENTRE = (3.0, 4.0)
 def near_identity(group: WarpGroup, rng: np.random.Generator) -> np.ndarray:
     scale = np.full(group.dof, 0.2)
     scale[6:] = 0.01
-    return group.identity() + rng.uniform(-1, 1, group.dof) * scale
+    return np.asarray(group.identity() + rng.uniform(-1, 1, group.dof) * scale)
 
 
 def by_the_thesis(dof: int, x: np.ndarray) -> np.ndarray:
@@ -126,7 +126,11 @@ def test_a_smooth_picture_is_moved_as_geometry_says(seed: int) -> None:
         (lambda: WarpGroup(1).to_object(np.zeros(1), np.zeros((3, 1))), r"where has shape \(3, 1\)"),
         (
             lambda: WarpGroup(8).to_object(np.array([0, 0, 1, 0, 0, 1, 0.1, 0]), np.array([[0.0, 30.0], [0, 0]])),
-            "horizon",
+            "where: 1 of 2 points .* horizon",
+        ),
+        (
+            lambda: WarpGroup(8).to_object(np.array([0, 0, 1, 0, 0, 1, 0.1, 0]), np.array([[30.0, 31.0], [0, 0]])),
+            "where: 2 of 2 points .* horizon",
         ),
         (lambda: warp(np.zeros(3), WarpGroup(1), np.zeros(1), np.zeros((2, 1))), r"image has shape \(3,\)"),
     ],

@@ -24,7 +24,8 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(value: ArrayLike, says: 
 
 def test_any_length_is_taken_where_none_is_asked_for() -> None:
     array = real_array("image", np.ones((2, 3), np.uint8), (2, None), "counts")
-    assert (array.shape, array.dtype) == ((2, 3), np.float64)
+    assert array.shape == (2, 3)
+    assert array.dtype == np.float64
 
 
 @pytest.mark.parametrize(

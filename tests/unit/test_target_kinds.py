@@ -108,7 +108,9 @@ def test_a_printed_target_holds_every_cell_at_its_true_size(spec: str, tmp_path:
 
 def test_a_target_without_cells_is_printed_finely(tmp_path: Path) -> None:
     target = open_target(read_spec("slanted_edge:angle_deg=5,size_mm=25.4"))
-    assert render_file(target, tmp_path / "edge.png").pixels == (600, 600)
+    made = render_file(target, tmp_path / "edge.png")
+    assert made.pixels == (600, 600)
+    assert made.notes[0] == "what is not upright is drawn in steps of a dot, 42.3 um"  # an inch over 600
     assert b"/MediaBox [ 0 0 72 72 ]" in render_file(target, tmp_path / "edge.pdf").path.read_bytes()
 
 
