@@ -105,7 +105,7 @@ def work(task: Task) -> Answer:
     truth, known = picture(task.picture), masks(np.random.default_rng(0))[task.mask]
     if not task.exterior_known:
         inside = np.zeros_like(known)
-        interior(inside)[:] = True
+        inside[EXTERIOR:-EXTERIOR, EXTERIOR:-EXTERIOR] = True
         known = known & inside
     seen, filled, seconds = np.where(known, truth, 0.0), {}, {}
     for name, method in methods().items():
@@ -167,7 +167,11 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
         ours = mean(figure, OURS)
         claims.append(Claim(f"PSNR of {OURS}, {where}", thesis, ours, "dB", n))
         claims += [Claim(f"{OURS} over {name}, {where}", None, ours - mean(figure, name), "dB", n) for name in others]
-    claims.append(Claim(f"PSNR of {OURS}, exterior and all", 17.6, mean("A.2", OURS, "psnr_whole_db"), "dB", n))
+    ours = mean("A.2", OURS, "psnr_whole_db")
+    claims.append(Claim(f"PSNR of {OURS}, exterior and all", 17.6, ours, "dB", n))
+    for name in others:
+        over = ours - mean("A.2", name, "psnr_whole_db")
+        claims.append(Claim(f"{OURS} over {name}, exterior and all", None, over, "dB", n))
     return claims
 
 

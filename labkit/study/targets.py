@@ -26,7 +26,7 @@ SPECS = {
     "slanted edge": TargetSpec(kind="slanted_edge", angle_deg=5.0, size_mm=SIZE_MM),
     "noise": TargetSpec(kind="noise", cells=35, size_mm=SIZE_MM),
 }
-"""Squares of checkerboard and noise in the size that tells most here: 7.8 and 2 pixels."""
+"""Squares of checkerboard and noise in the size that tells most of a few: 7.8 and 2 pixels."""
 
 
 @dataclass(frozen=True)

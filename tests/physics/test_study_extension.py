@@ -18,7 +18,7 @@ def test_every_way_keeps_what_is_known_and_is_judged_as_scikit_image_judges() ->
     assert len(answer.filled) == 4
     for name, image in answer.filled.items():
         np.testing.assert_allclose(image[answer.known], answer.truth[answer.known], atol=1e-12)
-        want = peak_signal_noise_ratio(answer.truth, image, data_range=1)
+        want = peak_signal_noise_ratio(answer.truth, image, data_range=1)  # type: ignore[no-untyped-call]
         assert answer.psnr_db(name, whole=True) == pytest.approx(want)
 
 
