@@ -193,15 +193,10 @@ class Gphoto2Camera:
         try:
             self._list()
             serial = str(self._body["serialnumber"].value) if "serialnumber" in self._body else ""
-            if self._info is not None and (self._info.model, self._info.serial) != (
-                _printable(model),
-                _printable(serial),
-            ):
-                raise CameraError(
-                    f"another camera came back, {model} {serial}: the session's is {self._info.model} "
-                    f"{self._info.serial}; plug that in"
-                )
-            self._info = CameraInfo(_printable(model), _printable(serial), f"libgphoto2 {version}")
+            info = CameraInfo(_printable(model), _printable(serial), f"libgphoto2 {version}")
+            if self._info not in (None, info):
+                raise CameraError(f"another camera came back: {info}; the session's is {self._info}: plug that in")
+            self._info = info
             if self._wanted is not None:
                 self._set_all()
         except CameraError:
@@ -279,6 +274,8 @@ class Gphoto2Camera:
         return state
 
     def _expose(self, path: Path) -> RawFrame:
+        if self._exposure is not None and self._wanted is None:  # setting it was given up half-way
+            self._set_all()
         now, state = self._set_right(), self._state()
         charge = percent_of(state.get("battery"))
         if charge is not None and charge < EMPTY_PERCENT:

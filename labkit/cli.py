@@ -179,7 +179,8 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
     rows = [["setting", "now", "allowed"]]
     for setting in settings:
         allowed = "read only" if setting.readonly else ", ".join(map(str, setting.choices))
-        rows.append([setting.name, " ".join(str(setting.value).split()), allowed])
+        cells = (setting.name, str(setting.value), allowed)
+        rows.append(["".join(letter for letter in cell if letter.isprintable()) for cell in cells])
     console.table(rows)
     console.answer({**asdict(info), "settings": [asdict(setting) for setting in settings]})
 

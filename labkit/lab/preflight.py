@@ -51,9 +51,13 @@ class Hands:
 
 @dataclass(slots=True)
 class Findings:
-    """What came out: errors, what only a person can look at, and measured numbers, by what they are of."""
+    """What came out: errors, what only a person can look at, and measured numbers, by what they are of.
+
+    dark: camera or display failed for good, so that no more photographs are tried.
+    """
 
     problems: list[LabkitError] = field(default_factory=list)
+    dark: bool = False
     by_hand: list[str] = field(default_factory=list)
     measured: dict[str, Any] = field(default_factory=dict)
 
@@ -94,7 +98,7 @@ def preflight(
     blurs_px: dict[float, float] = {}
     for range_mm in ends_mm:
         there = homed and found.tried(partial(_go_to, hands, range_mm))
-        blur = _look(plan, hands, picture, range_mm, found) if there and ready else None
+        blur = _look(plan, hands, picture, range_mm, found) if there and ready and not found.dark else None
         if blur is not None:
             blurs_px[range_mm] = blur
     if "frame_bytes" in found.measured:
@@ -152,7 +156,11 @@ def _photograph(hands: Hands, name: str, picture: Picture, found: Findings) -> M
         found.measured["frame_bytes"] = path.stat().st_size
         return mosaic
 
-    return found.tried(take)
+    if found.dark:
+        return None
+    seen = found.tried(take)
+    found.dark = seen is None and isinstance(found.problems[-1], DeviceError)
+    return seen
 
 
 def _check_disk(folder: Path, frames: int, found: Findings) -> None:

@@ -7,15 +7,23 @@ labkit sees is the tethered camera's driver and nothing else.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from labkit.demo import compare
 from labkit.drivers.bench import Bench
 from labkit.drivers.dng import RawTags, write_raw
 from labkit.drivers.gphoto2_camera import Gphoto2Camera
+from labkit.drivers.gphoto2_link import Link
+from labkit.errors import DeviceError
 from labkit.lab.capture import capture
 from labkit.lab.devices import CameraInfo, Check, Devices, ExposureSettings, RawFrame, Room
 from labkit.lab.discover import open_devices
@@ -24,6 +32,8 @@ from labkit.lab.session import Session, begin, verify
 from labkit.plan import load_plan
 from labkit.products.wavefront import fit_session
 from labkit.summary import read_results
+
+from .conftest import RoomMaker
 
 pytest.importorskip("gphoto2")
 
@@ -67,6 +77,9 @@ class CameraOnTheBench:
         self._camera = camera
         self._bench = bench
         self._photograph = photograph
+        # libgphoto2 looks at its size when it is opened, so it must not change afterwards
+        sensor = bench.settings.sensor
+        self._lay(np.zeros((sensor.rows, sensor.cols), dtype=np.uint16))
 
     def identify(self) -> CameraInfo:
         return self._camera.identify()
@@ -82,19 +95,25 @@ class CameraOnTheBench:
 
     def expose(self, path: Path) -> RawFrame:
         """What the bench shows now, photographed by libgphoto2."""
-        tags = RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100)
-        self._photograph.unlink(missing_ok=True)
-        write_raw(self._photograph, self._bench.expose(0.02, 100, path.name + ".dng"), tags)
+        self._lay(self._bench.expose(0.02, 100, path.name + ".dng"))
         return self._camera.expose(path)
+
+    def _lay(self, counts: NDArray[np.uint16]) -> None:
+        self._photograph.unlink(missing_ok=True)
+        write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
+
+
+@pytest.fixture
+def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the virtual camera takes its pictures from."""
+    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
+    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
+    path.parent.mkdir(parents=True)
+    return path
 
 
 @pytest.mark.timeout(600)
-def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
-    photograph = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
-    photograph.parent.mkdir(parents=True)
+def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(tmp_path: Path, photograph: Path) -> None:
     plan_file = tmp_path / "plan.toml"
     plan_file.write_text(PLAN)
     room = Room()
@@ -105,7 +124,6 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
         begin(plan_file, tmp_path / "session", resume=False) as session,
     ):
         bench: Bench = next(iter(room.shared.values()))
-        photograph.write_bytes(b"")
         camera = CameraOnTheBench(tethered, bench, photograph)
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
         capture(session, devices, warn=said.append)
@@ -125,6 +143,43 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
         if one.quantity.startswith("best focus"):
             # four standard errors, and the rail's scatter, which they do not know of
             assert abs(one.estimate - one.truth) < 4 * math.hypot(one.std, bench.settings.rail.scatter_mm)
+
+
+FAULTY = Path(__file__).parents[1] / "drivers" / "faulty_gphoto2.py"
+
+
+def tethered_capture(plan_file: Path, folder: Path, bench_room: Room, photograph: Path, **spec: Any) -> Session:
+    """Capture, or go on, through a libgphoto2 with trouble to order."""
+    calls = Path(tempfile.mkdtemp(dir=folder.parent))
+    link = Link([sys.executable, str(FAULTY), json.dumps({**spec, "folder": str(calls)})])
+    with (
+        begin(plan_file, folder, resume=True) as session,
+        open_devices(session.plan, room=bench_room) as simulated,
+        Gphoto2Camera("", f_number=8.0, keep=False, wait=lambda s: None, link=link, release_s=1.0) as tethered,
+    ):
+        camera = CameraOnTheBench(tethered, next(iter(bench_room.shared.values())), photograph)
+        capture(session, Devices(camera, simulated.rail, simulated.display, simulated.wait))  # type: ignore[arg-type]
+    return session
+
+
+@pytest.mark.parametrize(
+    ("call", "at", "kind"),
+    [("init", 1, -53), ("trigger_capture", 2, -110), ("file_get", 7, -7), ("file_get", 12, "crash")],
+)
+def test_a_capture_that_the_camera_stops_is_completed_by_resuming(
+    call: str, at: int, kind: int | str, plan_file: Path, tmp_path: Path, make_room: RoomMaker, photograph: Path
+) -> None:
+    # two in the preflight's look at the far end, two at the near one, eleven to keep
+    fault = {"call": call, "kind": kind, "at": at, "times": 999}
+    with pytest.raises(DeviceError) as caught:
+        tethered_capture(plan_file, tmp_path / "s", make_room(plan_file), photograph, fault=fault)
+    assert "\n" not in str(caught.value)
+    kept = {frame.file: frame.sha256 for frame in Session.open(tmp_path / "s").frames}
+    assert len(kept) == max(0, at - 1 - 4)
+    session = tethered_capture(plan_file, tmp_path / "s", make_room(plan_file), photograph)
+    assert len(session.frames) == 11
+    assert verify(session) == []
+    assert kept.items() <= {frame.file: frame.sha256 for frame in session.frames}.items()
 
 
 def _counts(session: Session) -> dict[str, str]:
