@@ -54,7 +54,16 @@ def focus_rows(results: dict[str, Any]) -> list[list[str]]:
 def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
     """A heading and a row for each range; then what the ranges tell together."""
     rows = [
-        ["range/mm", "target/px", "cell/Airy radii", "best order", "defocus/waves", "std. error", "whole wavefront"]
+        [
+            "range/mm",
+            "target/px",
+            "cell/Airy radii",
+            "best order",
+            "least side/mm",
+            "defocus/waves",
+            "std. error",
+            "whole wavefront",
+        ]
     ]
     for one in advice.ranges:
         cell = "" if one.cell_airy is None else f"{one.cell_airy:.2f}"
@@ -64,6 +73,7 @@ def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
                 f"{one.size_px:.0f}",
                 cell,
                 f"{one.order}",
+                "" if one.size_mm is None else f"{one.size_mm:.1f}",
                 f"{one.defocus_waves:+.2f}",
                 f"{one.std_defocus_waves:.5f}",
                 f"{one.std_wavefront_waves:.5f}",
@@ -72,7 +82,7 @@ def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
     light = f"channel {advice.channel}, {advice.electrons:g} electrons at white, focus in the middle of the ranges"
     together = [["quantity", light]]
     if advice.best_focus_std_mm is None or advice.magnification_std is None:
-        together.append(["best focus", "needs at least two ranges, and mode 4 among the fitted ones"])
+        together.append(["best focus", "needs defocus, mode 4, from at least two ranges"])
     else:
         told = "can be told" if advice.told else "cannot be told at these ranges"
         together.append(["best focus", f"± {advice.best_focus_std_mm:.2g} mm"])

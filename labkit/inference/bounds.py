@@ -69,15 +69,26 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
     covariance = inverse * np.outer(scale, scale)
     lost = np.flatnonzero(np.abs(vectors[:, open_]).max(axis=1, initial=0.0) > 1e-6)
     covariance[lost, lost] = np.inf
-    words = tuple(_in_words(vector * scale, names) for vector in vectors[:, open_].T)
+    words = tuple(_in_words(direction, scale, names) for direction in _plainest(vectors[:, open_]))
     return Bound(tuple(names), covariance, words)
 
 
-def _in_words(combination: Floats, names: Sequence[str]) -> str:
-    """A direction of the parameter space that changes nothing in the data."""
-    parts = combination / combination[np.argmax(np.abs(combination))]
-    named = [f"{part:+.2g} {name}" for part, name in zip(parts, names, strict=True) if abs(part) > TELLING_SHARE]
-    return " ".join(named)
+def _plainest(directions: Floats) -> Floats:
+    """(k, p) the span of directions (p, k) by combinations of few parameters: each has one parameter to itself."""
+    if directions.shape[1] == 0:
+        return directions.T
+    own = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
+    return np.asarray(np.linalg.solve(directions[own].T, directions.T))
+
+
+def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
+    """A direction that changes nothing in the data: scaled, to say which parameters have part in it; then in their units."""
+    named = np.flatnonzero(np.abs(direction) > TELLING_SHARE * np.abs(direction).max())
+    if named.size == 1:
+        return names[named[0]]
+    parts = direction * scale
+    parts = parts / parts[named][np.argmax(np.abs(parts[named]))]
+    return " ".join(f"{parts[i]:+.2g} {names[i]}" for i in named)
 
 
 def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:

@@ -58,11 +58,14 @@ def defocus_waves(
     Thesis (4.40), with the sagitta about the exit pupil as (E.2) and (E.9) have it, unless convention is "thesis".
     """
     half_squared = (lens.exit_pupil_mm / 2.0) ** 2
-    image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
-    sag_image = np.sqrt(lens.pupil_to_image_mm(target_mm, convention) ** 2 - half_squared)
-    sag_focus = np.sqrt(lens.pupil_to_image_mm(focus_mm, convention) ** 2 - half_squared)
-    path_mm = (image - focus) + sag_focus - sag_image
+    path_mm = _sagitta_mm(lens.pupil_to_image_mm(target_mm, convention), half_squared)
+    path_mm = path_mm - _sagitta_mm(lens.pupil_to_image_mm(focus_mm, convention), half_squared)
     return np.asarray(path_mm / PV_PER_RMS / (reference_nm * 1e-6))
+
+
+def _sagitta_mm(radius_mm: Floats, half_squared: float) -> Floats:
+    """R - sqrt(R^2 - h^2) of a wave over its pupil, without the loss of its digits."""
+    return np.asarray(half_squared / (radius_mm + np.sqrt(radius_mm**2 - half_squared)))
 
 
 def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:

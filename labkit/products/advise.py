@@ -13,6 +13,7 @@ from labkit.imaging.warp import Pose
 from labkit.inference.bounds import Bound, bound_of, fisher_information, parameter_names
 from labkit.inference.likelihood import FrameData
 from labkit.inference.solve import NoisePrior, Problem, State
+from labkit.lab.devices import panel_info
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.plan import Plan
 from labkit.products.focus import TELLING_STD, DefocusPoint, fit_focus
@@ -23,6 +24,9 @@ ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 READ_ELECTRONS = 3.0
 WAVES_RMS = 0.05  # of every other mode together: a usual lens
 WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
+MOST_PX = 10_000  # across the widest sensors
+NAMED = 4  # of what is left open
+MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
 CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
 
@@ -30,12 +34,14 @@ CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
 @dataclass(frozen=True)
 class RangeAdvice:
     """One range. size_px: of the target's side; cell_airy: of its smallest cell in Airy radii; order: the highest whose
-    cells the lens resolves; defocus_waves: expected, RMS; std_*: standard errors, waves RMS at the reference wavelength."""
+    cells the lens resolves; size_mm: the least side at which it resolves the plan's order; defocus_waves: expected, RMS;
+    std_*: standard errors, waves RMS at the reference wavelength."""
 
     range_mm: float
     size_px: float
     cell_airy: float | None
     order: int
+    size_mm: float | None
     defocus_waves: float
     std_defocus_waves: float
     std_wavefront_waves: float
@@ -45,7 +51,8 @@ class RangeAdvice:
 @dataclass(frozen=True)
 class Advice:
     """ranges: one for each of the plan; best_focus_std_mm, magnification_std: None with fewer than two ranges; told: whether
-    the pupil magnification can be; frames: photographs for each range for the wanted error, as exposed; notes: in words."""
+    the pupil magnification can be; nearest_mm: the range where a pixel of the display is an Airy radius, if there is a
+    display; frames: photographs for each range for the wanted error, as exposed; notes: in words."""
 
     channel: str
     electrons: float
@@ -55,6 +62,7 @@ class Advice:
     told: bool
     telling_ranges_mm: tuple[float, ...]
     telling_std: float | None
+    nearest_mm: float | None
     frames: int | None
     notes: tuple[str, ...]
 
@@ -79,25 +87,30 @@ def advise(
     The middle of the ranges is taken for best focus. Raises PlanError where there are no ranges, DataError where want_waves
     or electrons is not positive.
     """
-    ranges = tuple(ranges_mm or (plan.rail.ranges_mm if plan.rail else ()))
+    ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
     if not ranges:
         raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
-    if not electrons > 0 or (want_waves is not None and not want_waves > 0):
-        raise DataError(f"electrons = {electrons:g}, wanted error = {want_waves}: both must be positive")
+    if not 1 <= electrons <= MOST_ELECTRONS:
+        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
+    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
+        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    if min(ranges) <= lens.focal_length_mm:
-        raise PlanError(f"range {min(ranges):g} mm: allowed is more than the focal length, {lens.focal_length_mm:g} mm")
+    wrong = [r for r in ranges if not lens.focal_length_mm < r <= FARTHEST_MM]
+    if wrong:
+        allowed = f"more than the focal length, {lens.focal_length_mm:g} mm, and at most {FARTHEST_MM:g} mm"
+        raise PlanError(f"range {wrong[0]:g} mm: allowed is {allowed}")
     focus_mm, target, frames = _middle(ranges, lens), open_target(plan.target), _frames(plan)
-    advised = [_at(plan, lens, target, r, focus_mm, electrons, frames) for r in sorted(ranges)]
+    advised = [_at(plan, lens, target, r, focus_mm, electrons, frames) for r in ranges]
     best_std, magnification_std = _focus_std(plan, lens, advised, focus_mm)
     worst = max(a.std_wavefront_waves for a in advised)
     telling, telling_std = _telling_ranges(min(ranges), lens, advised, plan)
-    wanted = None if want_waves is None else max(1, ceil(frames * (worst / want_waves) ** 2))
+    wanted = max(1, ceil(frames * (worst / want_waves) ** 2)) if want_waves and isfinite(worst) else None
     told = magnification_std is not None and magnification_std <= TELLING_STD
-    notes = [*_target_notes(plan, advised), *_sampling_notes(plan)]
+    nearest_mm = _nearest_mm(plan)
+    notes = [*_target_notes(plan, advised), *_display_notes(plan, min(ranges), nearest_mm), *_sampling_notes(plan)]
     if wanted is not None and wanted > frames:
         notes.append(
-            f"{wanted} photographs a range, or {wanted / frames:.2g} times the light, would bring the wavefront's standard "
+            f"{wanted} photographs a range, or {wanted / frames:.3g} times the light, would bring the wavefront's standard "
             f"error from {worst:.2g} to {want_waves:g} waves"
         )
     return Advice(
@@ -109,6 +122,7 @@ def advise(
         told,
         telling,
         telling_std,
+        nearest_mm,
         wanted,
         tuple(notes),
     )
@@ -125,6 +139,11 @@ def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
     wavelength_mm = plan.channel[_shortest(plan)].wavelength_nm * 1e-6
     diameter_mm = plan.lens.focal_length_mm / plan.lens.f_number
     return AIRY_ZERO * wavelength_mm / diameter_mm * range_mm
+
+
+def _nearest_mm(plan: Plan) -> float | None:
+    """Range at which a pixel of the plan's display is an Airy radius, (3.49) corrected; nearer it is seen as a pixel."""
+    return None if plan.display is None else panel_info(plan.display).pitch_mm / _airy_on_target_mm(plan, 1.0)
 
 
 def _shortest(plan: Plan) -> int:
@@ -149,14 +168,16 @@ def _at(
     bound, shrunk = _bound(plan, target, min(side_px, WIDEST_PX), defocus, electrons, frames)
     smaller = shrunk * min(1.0, WIDEST_PX / side_px)
     modes = plan.fit.zernike_noll[1] - plan.fit.zernike_noll[0] + 1
-    cell_airy = None
+    cell_airy = size_mm = None
     if plan.target.kind == "sierpinski" and plan.target.order:
-        cell_airy = plan.target.size_mm / 3**plan.target.order / _airy_on_target_mm(plan, range_mm)
+        size_mm = 3**plan.target.order * _airy_on_target_mm(plan, range_mm)
+        cell_airy = plan.target.size_mm / size_mm
     return RangeAdvice(
         range_mm,
         side_px,
         cell_airy,
         best_order(plan, range_mm),
+        size_mm,
         defocus,
         float(bound.std[0]) * smaller,
         bound.rms(0, modes) * smaller,
@@ -248,11 +269,36 @@ def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
             notes.append(
                 f"order {lowest} would be resolved too, and holds more fine detail than order {plan.target.order}"
             )
-    smallest = min(a.size_px for a in advised)
+    smallest, largest = min(a.size_px for a in advised), max(a.size_px for a in advised)
     if smallest < 40:
         wide = 60 / smallest * plan.target.size_mm
         notes.append(f"the target spans {smallest:.0f} pixels only: about {wide:.3g} mm would span 60")
-    notes += [f"at {a.range_mm:g} mm not determined: {words}" for a in advised for words in a.undetermined]
+    if largest > MOST_PX:
+        notes.append(f"the target spans {largest:.0f} pixels: no sensor sees it whole; choose a smaller one")
+    for one in advised:
+        if one.undetermined:
+            many = len(one.undetermined)
+            what = f"{many} combinations of wavefront, pose and light" if many > NAMED else ", ".join(one.undetermined)
+            notes.append(f"at {one.range_mm:g} mm the photographs leave open: {what}")
+    return notes
+
+
+def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None) -> list[str]:
+    if plan.display is None or nearest_mm is None:
+        return []
+    notes, pitch_mm = [], panel_info(plan.display).pitch_mm
+    if plan.target.kind == "sierpinski" and plan.target.order:
+        cell_mm = plan.target.size_mm / 3**plan.target.order
+        if cell_mm < pitch_mm:
+            least = 3**plan.target.order * pitch_mm
+            notes.append(
+                f"cells of {cell_mm:.3g} mm are finer than the display's pixels, {pitch_mm:.3g} mm: show order "
+                f"{plan.target.order} at {least:.3g} mm or more, or a lower order"
+            )
+    if nearest_range_mm < nearest_mm:
+        notes.append(
+            f"nearer than {nearest_mm:.0f} mm the lens resolves the display's own pixels: gaps between them would count"
+        )
     return notes
 
 

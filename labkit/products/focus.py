@@ -15,6 +15,8 @@ TELLING_STD = (
 )
 USUAL_MAGNIFICATION_STD = 0.3
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
+LEAST_SLOPE = 1e-9  # standard errors for a unit of a parameter: less tells nothing
+ROUNDING = 1e-14  # of an eigenvalue, scaled to a unit diagonal
 SIGN_FLOOR_WAVES = 0.01  # errors below this decide no sign
 
 
@@ -88,6 +90,7 @@ def fit_focus(
     solved = least_squares(
         misfit,
         theta0,
+        jac="3-point",
         x_scale=np.array([1e-3 * r for r in start] + [0.01]),
         bounds=([shortest] * len(channels) + [0.05], [np.inf] * len(channels) + [20.0]),
         xtol=1e-14,
@@ -95,7 +98,7 @@ def fit_focus(
         gtol=1e-14,
     )
     jacobian: Floats = np.asarray(solved.jac, float)  # the stubs allow sparse ones too
-    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True), float)
+    covariance = _covariance(jacobian)
     freedom = len(points) - theta0.size
     chi2 = float(2 * solved.cost / freedom) if freedom > 0 else None
     left = waves - modelled(solved.x)
@@ -103,6 +106,13 @@ def fit_focus(
     best = np.asarray(solved.x, float)
     widened = covariance * max(1.0, chi2 or 1.0)
     return FocusFit(channels, best[:-1], float(best[-1]), widened, residuals, chi2, convention)
+
+
+def _covariance(jacobian: Floats) -> Floats:
+    """(J^T J)^-1, its entries huge where the ranges tell nothing, never zero."""
+    scale = 1 / np.linalg.norm(jacobian, axis=0).clip(LEAST_SLOPE)
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian * np.outer(scale, scale))
+    return np.asarray((vectors / values.clip(ROUNDING)) @ vectors.T * np.outer(scale, scale))
 
 
 def _crossing(ranges: Floats, waves: Floats, focal_length_mm: float) -> float:

@@ -21,7 +21,7 @@ from labkit.inference.bounds import (
     uniform_bound,
 )
 from labkit.inference.likelihood import low_orders
-from labkit.inference.solve import Problem
+from labkit.inference.solve import Problem, climb
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import Floats
 from labkit.study.conditions import NOLL, Trial, draw_trial
@@ -87,6 +87,18 @@ def test_the_bound_at_the_thesis_conditions_is_the_published_one(trial: Trial, i
     assert 0.0012 < bound.rms(0, 12) < 0.0022
 
 
+def test_fits_err_by_the_bound() -> None:
+    rng, scaled = np.random.default_rng(8), []
+    for _ in range(10):
+        drawn = draw_trial(rng)
+        solution = climb(drawn.problem, drawn.state(drawn.waves))
+        bound = bound_of(fisher_information(drawn.problem, drawn.state(drawn.waves)), ["?"] * len(solution.information))
+        error = solution.state.waves - drawn.waves
+        scaled.append(error @ np.linalg.solve(bound.covariance[:12, :12], error))
+    # a chi-squared of 120 freedoms errs by sqrt(240); allow four of them
+    assert abs(sum(scaled) - 120) < 4 * np.sqrt(240)
+
+
 def test_five_detector_numbers_are_one_too_many(trial: Trial) -> None:
     relative = trial.problem.relative(trial.state(trial.waves))[0]
     light = np.linspace(0.8, 1.2, relative.size)
@@ -102,6 +114,7 @@ def test_five_detector_numbers_are_one_too_many(trial: Trial) -> None:
 def test_a_singular_information_is_told_in_words() -> None:
     bound = bound_of(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]), ("a", "b", "c"))
     assert bound.undetermined in (("+1 a -1 b",), ("-1 a +1 b",))
+    assert bound_of(np.diag([1.0, 0.0, 4.0, 0.0]), ("a", "b", "c", "d")).undetermined == ("b", "d")
     np.testing.assert_allclose(bound.std, [np.inf, np.inf, 0.5])
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from labkit.errors import DataError
 from labkit.optics.lens import ThinLens
+from labkit.optics.zernike import Floats
 from labkit.products.focus import MODEL_FLOOR_WAVES, DefocusPoint, choose_signs, fit_focus
 
 RANGES = (500.0, 510.0, 520.0, 535.0, 550.0)
@@ -57,6 +58,34 @@ def test_one_range_is_too_few() -> None:
 def test_far_ranges_tell_no_pupil_magnification() -> None:
     far = [DefocusPoint(x, "G", closed_form(x, 3050.0, 0.985), 0.002) for x in (3000.0, 3200.0, 3300.0)]
     assert fit_focus(far, 70.0, 2.8, 450.0, "corrected").identifiable is False
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0, 100.0])
+def test_standard_errors_are_those_of_slopes_in_more_digits(scale: float) -> None:
+    ranges, focus = scale * np.array([3000.0, 3200.0, 3300.0]), scale * 3150.0
+    step = np.longdouble(1e-4)
+
+    def waves(best: float, mp: float) -> Floats:
+        f, half = np.longdouble(70), np.longdouble(mp) * 70 / np.longdouble("2.8") / 2
+        s, r = (x * f / (x - f) for x in (ranges.astype(np.longdouble), np.longdouble(best)))
+        edges = [np.sqrt((d + (np.longdouble(mp) - 1) * f) ** 2 - half**2) for d in (r, s)]
+        return (s - r + edges[0] - edges[1]) / np.sqrt(np.longdouble(12)) / np.longdouble("450e-6")
+
+    by_best = (waves(focus + step * focus, 1.0) - waves(focus - step * focus, 1.0)) / (2 * step * focus)
+    by_mp = (waves(focus, 1.0 + step) - waves(focus, 1.0 - step)) / (2 * step)
+    slopes = np.stack([by_best, by_mp], axis=1).astype(float) / np.hypot(0.002, MODEL_FLOOR_WAVES)
+    wanted = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    given = [DefocusPoint(x, "G", float(w), 0.002) for x, w in zip(ranges, waves(focus, 1.0), strict=True)]
+    fit = fit_focus(given, 70.0, 2.8, 450.0, "corrected")
+    np.testing.assert_allclose(fit.std, wanted, rtol=1e-3)
+    assert not fit.identifiable
+
+
+def test_ranges_that_tell_nothing_leave_no_zero_error() -> None:
+    remote = [DefocusPoint(x, "G", 0.0, 0.002) for x in (3e8, 3.2e8, 3.3e8)]
+    fit = fit_focus(remote, 70.0, 2.8, 450.0, "corrected")
+    assert np.all(np.isfinite(fit.std))
+    assert fit.std[1] > 1e3
 
 
 @pytest.mark.parametrize("seed", range(12))
