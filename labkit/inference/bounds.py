@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 import scipy.fft
 import scipy.linalg
 
@@ -12,6 +13,8 @@ from labkit.inference.likelihood import FrameData, predict
 from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import NAMES, Floats
+
+Integers = npt.NDArray[np.signedinteger]
 
 SINGULAR = 1e-12  # smallest eigenvalue of the information, scaled to a unit diagonal, that rounding does not explain
 TELLING_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
@@ -83,11 +86,11 @@ def _plainest(directions: Floats) -> Floats:
 
 def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
     """A direction that changes nothing in the data: scaled, to say which parameters have part in it; then in their units."""
-    named = np.flatnonzero(np.abs(direction) > TELLING_SHARE * np.abs(direction).max())
-    if named.size == 1:
+    named = [int(i) for i in np.flatnonzero(np.abs(direction) > TELLING_SHARE * np.abs(direction).max())]
+    if len(named) == 1:
         return names[named[0]]
     parts = direction * scale
-    parts = parts / parts[named][np.argmax(np.abs(parts[named]))]
+    parts = parts / parts[max(named, key=lambda i: abs(parts[i]))]
     return " ".join(f"{parts[i]:+.2g} {names[i]}" for i in named)
 
 
@@ -123,7 +126,7 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     return total
 
 
-def _add(total: Floats, rows: Floats, columns: Floats, block: Floats) -> None:
+def _add(total: Floats, rows: Integers, columns: Integers, block: Floats) -> None:
     total[np.ix_(rows, columns)] += block
     total[np.ix_(columns, rows)] += block.T
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import NonlinearConstraint, minimize
 
 from labkit.inference.bounds import (
     DETECTOR,
@@ -161,8 +161,8 @@ def test_the_uniform_bound_is_the_least_under_its_constraint(norm: Floats | None
         biased = np.array([1.0, 0, 0]) + d
         return float(biased @ covariance @ biased)
 
-    limit = {"type": "ineq", "fun": lambda d: delta**2 - d @ weight @ d}
-    found = minimize(variance, np.full(3, -0.01), constraints=limit, tol=1e-14)
+    limit = NonlinearConstraint(lambda d: d @ weight @ d, -np.inf, delta**2)
+    found = minimize(variance, np.full(3, -0.01), method="SLSQP", constraints=limit, tol=1e-14)
     assert found.fun == pytest.approx(least, rel=1e-6)
     (small,), (near,) = uniform_bound(covariance, 0, np.array([1e6]), norm)
     assert (near - covariance[0, 0]) / small == pytest.approx(bias_sensitivity(covariance, 0, norm), rel=1e-4)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from labkit.errors import DataError
 from labkit.optics.lens import ThinLens
-from labkit.optics.zernike import Floats
 from labkit.products.focus import MODEL_FLOOR_WAVES, DefocusPoint, choose_signs, fit_focus
 
 RANGES = (500.0, 510.0, 520.0, 535.0, 550.0)
@@ -63,13 +63,14 @@ def test_far_ranges_tell_no_pupil_magnification() -> None:
 @pytest.mark.parametrize("scale", [1.0, 10.0, 100.0])
 def test_standard_errors_are_those_of_slopes_in_more_digits(scale: float) -> None:
     ranges, focus = scale * np.array([3000.0, 3200.0, 3300.0]), scale * 3150.0
-    step = np.longdouble(1e-4)
+    step = 1e-4
 
-    def waves(best: float, mp: float) -> Floats:
+    def waves(best: float, mp: float) -> npt.NDArray[np.longdouble]:
         f, half = np.longdouble(70), np.longdouble(mp) * 70 / np.longdouble("2.8") / 2
         s, r = (x * f / (x - f) for x in (ranges.astype(np.longdouble), np.longdouble(best)))
         edges = [np.sqrt((d + (np.longdouble(mp) - 1) * f) ** 2 - half**2) for d in (r, s)]
-        return (s - r + edges[0] - edges[1]) / np.sqrt(np.longdouble(12)) / np.longdouble("450e-6")
+        path = s - r + edges[0] - edges[1]
+        return np.asarray(path / np.sqrt(np.longdouble(12)) / np.longdouble("450e-6"), np.longdouble)
 
     by_best = (waves(focus + step * focus, 1.0) - waves(focus - step * focus, 1.0)) / (2 * step * focus)
     by_mp = (waves(focus, 1.0 + step) - waves(focus, 1.0 - step)) / (2 * step)
