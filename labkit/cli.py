@@ -93,7 +93,7 @@ def _failed(error: BaseException, console: Console) -> int:
         return error.exit_status
     if isinstance(error, OSError):
         error_line(f"{error.filename or 'the system'}: {error.strerror or error}")
-        return 1
+        return 2
     error_line(f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where")
     return 1
 

@@ -6,6 +6,8 @@ import hashlib
 import os
 import re
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from labkit.errors import InputError, SessionError
@@ -17,22 +19,33 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises InputError where the disk does not let us.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with writing(path):
+        try:
+            with beside.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(path)
+            sync_folder(path.parent)
+        finally:
+            beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system says against writing `path`, as an InputError that names it."""
     try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-        sync_folder(path.parent)
+        yield
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def copy_durably(source: Path, target: Path) -> str:
-    """Copy a file, sync it, and return the SHA-256 of what was written, in hexadecimal."""
-    with source.open("rb") as reader, target.open("wb") as writer:
+    """Copy a file, sync it, and return the SHA-256 of what was written, in hexadecimal.
+
+    Raises InputError where the disk does not let us.
+    """
+    with source.open("rb") as reader, writing(target), target.open("wb") as writer:
         shutil.copyfileobj(reader, writer, 1 << 20)
         writer.flush()
         os.fsync(writer.fileno())

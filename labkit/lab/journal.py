@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import SessionError
+from labkit.files import writing
 
 Event = dict[str, Any]
 
@@ -60,8 +61,9 @@ class JournalWriter:
     """The one writer of a journal; the lock goes with the process, however it ends."""
 
     def __init__(self, path: Path) -> None:
-        """Open `path`, made if absent. Raises SessionError if another writer has it."""
-        self._file = path.open("ab", buffering=0)
+        """Open `path`, made if absent. Raises SessionError if another writer has it, InputError if it cannot be written."""
+        with writing(path):
+            self._file = path.open("ab", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -69,14 +71,15 @@ class JournalWriter:
             raise SessionError(f"session {path.parent} is being written by another process; wait for it") from None
 
     def append(self, event: str, **fields: Any) -> Event:
-        """Write one event with the time of now; it is on the disk when this returns."""
+        """Write one event with the time of now; it is on the disk when this returns. Raises InputError if it cannot be."""
         entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
         line = encode(entry)
-        written = self._file.write(line)
-        if written != len(line):
-            self.drop_last(written)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), self._file.name)
-        os.fsync(self._file.fileno())
+        with writing(Path(self._file.name)):
+            written = self._file.write(line)
+            if written != len(line):
+                self.drop_last(written)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            os.fsync(self._file.fileno())
         return entry
 
     def drop_last(self, count: int) -> None:

@@ -6,6 +6,7 @@ so a crash at any moment leaves either no frame, or one that the next writer fin
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -20,7 +21,7 @@ from typing import Any, Literal, Self, cast
 
 from labkit import __version__
 from labkit.errors import PlanError, SessionError
-from labkit.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically
+from labkit.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically, writing
 from labkit.lab.journal import Event, JournalWriter, read_journal
 from labkit.plan import Plan, load_plan, parse_plan
 
@@ -69,7 +70,8 @@ class Session:
         refuse_existing(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         beside = folder.parent / f".{folder.name}.{os.getpid()}.new"
-        (beside / FRAMES).mkdir(parents=True)
+        with writing(folder):
+            (beside / FRAMES).mkdir(parents=True)
         try:
             fields = _store_plan(plan, plan_text, beside)
             writer = JournalWriter(beside / JOURNAL)
@@ -150,9 +152,12 @@ class Session:
         self._write(event, **fields)
 
     def results_folder(self, name: str = "latest") -> Path:
-        """The folder for results of that name, made if absent."""
+        """The folder for results of that name, made if absent. Raises InputError if it cannot be written to."""
         folder = self.folder / RESULTS / check_name(name)
-        folder.mkdir(parents=True, exist_ok=True)
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(folder, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         return folder
 
     def close(self) -> None:

@@ -107,10 +107,13 @@ class Results:
     def write(self, folder: Path) -> Path:
         """Write all files into a folder, each whole or not at all, results.json last. Returns its path."""
         folder.mkdir(parents=True, exist_ok=True)
-        _write_arrays(folder / "psf.npz", self.psfs())
-        _write_arrays(folder / "residuals.npz", self.residuals())
-        text = json.dumps(self.summary(), indent=1, allow_nan=False)
-        write_atomically(folder / "results.json", text.encode() + b"\n")
+        files = {  # made before the first is written: files of two fits never lie side by side for long
+            "psf.npz": _packed(self.psfs()),
+            "residuals.npz": _packed(self.residuals()),
+            "results.json": json.dumps(self.summary(), indent=1, allow_nan=False).encode() + b"\n",
+        }
+        for name, content in files.items():
+            write_atomically(folder / name, content)
         return folder / "results.json"
 
     def psfs(self) -> dict[str, npt.NDArray[Any]]:
@@ -158,7 +161,7 @@ def _focus_summary(focus: FocusFit) -> dict[str, Any]:
     }
 
 
-def _write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+def _packed(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    write_atomically(path, buffer.getvalue())
+    return buffer.getvalue()

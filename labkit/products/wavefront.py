@@ -59,6 +59,7 @@ def fit_session(
     """
     plan = session.plan
     target = open_target(plan.target)
+    folder = session.results_folder(name)  # before the work, in case it cannot be written to
     observations, warnings = observe(session, target, range_mm=range_mm, channel=channel, progress=progress)
     tasks = [Task(_optics(plan, o.channel), target, o) for o in observations]
     wavefronts = _fit_all(tasks, workers or default_workers(), progress)
@@ -72,7 +73,6 @@ def fit_session(
         focus,
         (*session.warnings, *warnings, *words, *_doubts(wavefronts)),
     )
-    folder = session.results_folder(name)
     results.write(folder)
     if range_mm is None and focus is None and any(w.range_mm is not None and 4 in w.fit.noll for w in wavefronts):
         raise DataError(f"{'; '.join(words)}; the wavefronts are fitted all the same, their results are in {folder}")
