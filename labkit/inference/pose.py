@@ -31,6 +31,10 @@ SCALE_TOLERANCE = 0.15
 
 MOST_HYPOTHESES = 12
 
+LEAST_CONTRAST = 1.3
+"""Bright over dark, below which a picture shows no target. Prints have 5 at the least; an even panel stays below 1.2,
+and stretched to black and white its fading corners look like a small carpet far out of focus."""
+
 
 def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None) -> Floats:
     """The target's four corners in a picture, to about half a pixel.
@@ -58,16 +62,25 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
 def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
     """One grey picture, about 0..1, of a mosaic, in its own pixels.
 
-    counts: (rows, cols); pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane of the cell
-    is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic, and shifts
-    nothing.
+    counts: (rows, cols), black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane
+    of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,
+    and shifts nothing. Raises TargetError for a picture that is nearly even.
     """
     mosaic = np.asarray(counts, dtype=np.float64)
     height, width = len(pattern), len(pattern[0])
     grey = np.empty_like(mosaic)
+    contrast = 0.0
     for row in range(height):
         for col in range(width):
-            grey[row::height, col::width] = _normalised(mosaic[row::height, col::width])
+            plane = mosaic[row::height, col::width]
+            grey[row::height, col::width] = _normalised(plane)
+            dark, bright = np.nanpercentile(plane, (0.5, 99.5))
+            contrast = max(contrast, bright / dark if dark > 0 else np.inf)
+    if contrast < LEAST_CONTRAST:
+        raise TargetError(
+            f"no target found in the frame: it is nearly even, bright parts {contrast:.2f} times as bright as dark ones; "
+            "is the target shown, or white?"
+        )
     if height * width == 1:
         return grey
     kernel = np.array([0.25, 0.5, 0.25])

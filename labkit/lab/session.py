@@ -222,14 +222,18 @@ def verify(session: Session) -> list[str]:
     for name, key in ((PLAN, "plan_sha256"), (created.get("target_file"), "target_sha256")):
         if name is not None:
             problems += _changed(session.folder / name, created[key])
-    for frame in session.frames:
-        problems += _changed(frame.path, frame.sha256)
+    problems += altered(session)
     known = {frame.file for frame in session.frames}
     if adding := pending(list(session.events)):
         known.add(adding["file"])
     folder = session.folder / FRAMES
     present = sorted(folder.iterdir()) if folder.is_dir() else []
     return problems + [f"{path}: not in the journal" for path in present if path.name not in known]
+
+
+def altered(session: Session) -> list[str]:
+    """The photographs that are missing or not as they were taken, a line each."""
+    return [problem for frame in session.frames for problem in _changed(frame.path, frame.sha256)]
 
 
 def pending(events: list[Event]) -> Event | None:

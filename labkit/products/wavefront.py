@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.errors import DataError, FitError
+from labkit.errors import DataError, FitError, SessionError
 from labkit.execute import default_workers, run_all
 from labkit.imaging.model import Optics
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
-from labkit.lab.session import Session
+from labkit.lab.session import Session, altered
 from labkit.optics.lens import ThinLens
 from labkit.optics.zernike import Floats, is_even
 from labkit.plan import Plan
@@ -53,11 +53,13 @@ def fit_session(
 ) -> Results:
     """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
 
-    range_mm, channel: only these. workers: processes, by default one a processor. Raises DataError for frames that cannot
-    answer what was asked (too few ranges for a focus: after writing), TargetError for a target that is not in a frame,
-    FitError for a fit that fails.
+    range_mm, channel: only these. workers: processes, by default one a processor. Raises SessionError for photographs
+    that are missing or were altered, DataError for frames that cannot answer what was asked (too few ranges for a focus:
+    after writing), TargetError for a target that is not in a frame, FitError for a fit that fails.
     """
     plan = session.plan
+    if damage := altered(session):
+        raise SessionError("; ".join(damage))
     target = open_target(plan.target)
     folder = session.results_folder(name)  # before the work, in case it cannot be written to
     observations, warnings = observe(session, target, range_mm=range_mm, channel=channel, progress=progress)

@@ -191,3 +191,11 @@ def test_the_noise_target_is_found_in_a_real_photograph() -> None:
     target = CellTarget(read_radiance(SHARED / "real/ipol/pattern_noise.pgm"), (10.0, 10.0), None)
     by_hand = np.array([(84.5, 114.5), (84.5, 205.5), (175.5, 207.0), (176.0, 116.0)])
     assert worst(find_target(picture, target, mm_per_pixel=10.0 / 91), by_hand) < 3.0  # they are "near" that
+
+
+@pytest.mark.parametrize("fading", [0.0, 0.12])
+def test_an_even_panel_whose_corners_fade_is_no_picture_of_a_target(fading: float) -> None:
+    y, x = np.meshgrid(*2 * [np.linspace(-1, 1, 64)], indexing="ij")
+    panel = 9000 * (1 - fading * (x**2 + y**2) / 2) + np.random.default_rng(3).normal(0, 70, (64, 64))
+    with pytest.raises(TargetError, match=r"nearly even, bright parts 1\.\d\d times as bright"):
+        grey_image(panel, ("RG", "GB"))

@@ -1,0 +1,170 @@
+"""What goes wrong after the photographs were taken: one line that says so, status 2, and nothing is lost."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labkit.cli import run
+from labkit.drivers.bench import Bench
+from labkit.drivers.bench_setup import settings_for
+from labkit.errors import RawError
+from labkit.lab.capture import capture
+from labkit.lab.devices import Room
+from labkit.lab.discover import open_devices
+from labkit.lab.session import Session, begin
+from labkit.plan import load_plan
+
+from .conftest import ADDRESS, RoomMaker
+
+CaptureMaker = Callable[[], Path]
+
+
+@pytest.fixture
+def folder(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> Path:
+    """A captured session, to be spoilt."""
+    with (
+        begin(plan_file, tmp_path / "session", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file)) as devices,
+    ):
+        capture(session, devices, check=False)
+    return tmp_path / "session"
+
+
+def told(args: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    """The one line that a command which fails for its input says."""
+    assert run(args) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert re.fullmatch(r"labkit: [^\x00-\x1f]+\n", err)
+    return err
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def lose(path: Path) -> None:
+    path.unlink()
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:5000])
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def swap(path: Path) -> None:
+    shutil.copy(path.with_name("dark_0.dng"), path)
+
+
+@pytest.mark.parametrize("command", ["fit", "verify"])
+@pytest.mark.parametrize("name", ["dark_0.dng", "flat_2000_0.dng", "target_2050.5_1.dng"])
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [(lose, "missing"), (cut, "does not fit its checksum"), (empty, "does not fit"), (swap, "does not fit")],
+    ids=["missing", "truncated", "empty", "another"],
+)
+def test_photographs_that_are_not_as_they_were_taken_are_named(
+    spoil: Callable[[Path], None],
+    words: str,
+    name: str,
+    command: str,
+    folder: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    if spoil is swap and name == "dark_0.dng":
+        pytest.skip("a dark in its own place is no other")
+    spoil(folder / "frames" / name)
+    before = contents(folder)
+    if command == "fit":
+        line = told(["fit", str(folder)], capfd)
+    else:
+        assert run(["verify", str(folder)]) == 1
+        line = capfd.readouterr().err
+    assert f"{name}: {words}" in line
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("command", ["fit", "verify", "resume"])
+def test_a_journal_that_is_damaged_in_its_middle_is_refused_and_left_alone(
+    command: str, folder: Path, plan_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    journal = folder / "journal.jsonl"
+    lines = journal.read_bytes().split(b"\n")
+    lines[3] = lines[3].replace(b'"event"', b'"evend"')
+    journal.write_bytes(b"\n".join(lines))
+    before = contents(folder)
+    args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
+    assert "line 4 does not fit its checksum" in told(args, capfd)
+    assert contents(folder) == before
+
+
+def retaken(folder: Path, new: Path, swapped: dict[str, str]) -> Path:
+    """The same session, some photographs with others in their place, rightly in its journal."""
+    old = Session.open(folder)
+    with Session.create(new, (folder / "plan.toml").read_text(), folder) as session:
+        for frame in old.frames:
+            source = folder / "frames" / swapped.get(frame.file, frame.file)
+            session.add_frame(source, frame.file, frame.kind, frame.range_mm, exposure_s=frame.exposure_s)
+    return new
+
+
+@pytest.mark.parametrize("instead", ["flat_2050.5_0.dng", "dark_0.dng"], ids=["a white panel", "nothing"])
+def test_a_photograph_without_the_target_is_named(
+    instead: str, folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    other = retaken(folder, tmp_path / "retaken", {"target_2050.5_1.dng": instead})
+    assert "target_2050.5_1.dng: " in told(["fit", str(other)], capfd)
+    assert not list((other / "results").rglob("*.json"))
+
+
+def test_a_range_or_channel_that_is_not_there_says_which_are(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert "the session has 2000, 2050.5" in told(["fit", str(folder), "--range", "2500"], capfd)
+    assert "allowed are G" in told(["fit", str(folder), "--channel", "R"], capfd)
+
+
+def test_a_plan_whose_ranges_are_shorter_than_the_focal_length_begins_nothing(
+    plan_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000, 40]"))
+    line = told(["capture", str(plan_file), str(tmp_path / "new")], capfd)
+    assert "rail.ranges_mm has 40 mm: allowed is more than the focal length, 50 mm" in line
+    assert not (tmp_path / "new").exists()
+
+
+def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker, folder: Path
+) -> None:
+    text = plan_file.read_text()
+    plan_file.write_text(text.replace("darks = 3", "darks = 4"))
+    (folder / "plan.toml").write_text(plan_file.read_text())  # one dark more is wanted
+    settings = settings_for(load_plan(plan_file), 7)
+    larger = Bench(replace(settings, sensor=replace(settings.sensor, rows=settings.sensor.rows + 32)), [])
+    before = contents(folder / "frames")
+    with (
+        begin(plan_file, folder, resume=True) as session,
+        open_devices(session.plan, room=Room({ADDRESS: larger}, larger.wait)) as devices,
+        pytest.raises(RawError, match=r"dark_3, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × "),
+    ):
+        capture(session, devices, check=False)
+    assert contents(folder / "frames") == before
+    assert [path.name for path in (folder / "rejected").iterdir()] == ["dark_3.dng"]
+
+
+@pytest.mark.parametrize("schema", [0, 2])
+def test_results_of_another_schema_are_not_reported_on(
+    schema: int, folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "results" / "latest").mkdir(parents=True)
+    (folder / "results" / "latest" / "results.json").write_text(f'{{"schema": {schema}}}')
+    before = contents(folder)
+    assert f"has schema {schema}; this version reads schema 1" in told(["report", str(folder)], capfd)
+    assert contents(folder) == before
