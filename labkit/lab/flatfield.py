@@ -275,7 +275,8 @@ def _flat_warnings(flats: Mapping[float | None, _Flat], noise: Mapping[str, Nois
         )
         return
     for range_mm, flat in flats.items():
-        unlit = float(np.mean(np.isnan(flat.illumination)))
+        planes = [flat.illumination[plane] for own in flat.places.values() for plane in own]  # of the plan's colours
+        unlit = float(np.mean([np.mean(np.isnan(plane)) for plane in planes]))
         if unlit > 0.01:
             yield f"flat frames{_at(range_mm)} leave {100 * unlit:.0f} % of the frame unlit: that part is not used"
     if any(found.gain is None for found in noise.values()):

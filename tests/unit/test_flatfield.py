@@ -237,6 +237,13 @@ def test_what_the_display_does_not_reach_is_not_used(bench: Bench) -> None:
     assert any("unlit" in warning for warning in data.warnings)
 
 
+def test_colours_that_the_plan_leaves_out_are_not_called_unlit(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, colours="G")
+    with bench.session:
+        bench.usual()
+        assert calibrate(bench.session).warnings == ()
+
+
 def test_frames_of_another_size_are_refused(bench: Bench) -> None:
     bench.usual(frames=2)
     tifffile.imwrite(bench.folder / "small.tif", np.full((90, 120), 900, np.uint16))
