@@ -1,0 +1,40 @@
+"""Makes labkit/inference/candidates.npz, the shells of thesis (4.39): `python -m benchmarks.make_candidates`."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+import labkit.inference
+from labkit.files import write_atomically
+from labkit.inference.candidates import NOLL, highest_on_shell, is_trivial, strehl
+
+SHELLS = np.arange(0.02, 0.2001, 0.02)
+STARTS, SEED, SAME = 100, 39, 0.1  # climbs a shell; the same maximum within this share of its RMS
+
+
+def main() -> None:
+    """Many climbs on every shell, begun at random and at what the shell below had; the different ends are kept."""
+    rng = np.random.default_rng(SEED)
+    rms, waves, below = [], [], np.empty((0, len(NOLL)))
+    for shell in SHELLS:
+        ends: list[np.ndarray] = []
+        for start in [*below, *rng.normal(size=(STARTS, len(NOLL)))]:
+            end = highest_on_shell(start, shell)
+            if not any(is_trivial(end, other, SAME * shell) for other in ends):
+                ends.append(end)
+        ends.sort(key=lambda end: -strehl(end)[0])
+        below = np.array(ends)
+        rms += [shell] * len(ends)
+        waves += ends
+        best, worst = strehl(ends[0])[0], strehl(ends[-1])[0]
+        print(f"{shell:.2f} waves: {len(ends)} maxima, Strehl ratio {worst:.4f} to {best:.4f}", flush=True)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, rms=np.array(rms), waves=np.array(waves, np.float32))
+    path = Path(labkit.inference.__file__).with_name("candidates.npz")
+    write_atomically(path, buffer.getvalue())
+    print(f"{path.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()

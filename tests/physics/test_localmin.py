@@ -1,0 +1,79 @@
+"""Tests for a local optimum on independently formed pictures, and on data drawn from the model itself."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from labkit.inference.localmin import (
+    bootstrap,
+    embedding,
+    excess_likelihood,
+    find_relaxation,
+    one_sided,
+    rao_score,
+    shipped_relaxation,
+    two_sided,
+    wilson_hilferty,
+)
+from labkit.inference.solve import State, climb
+from labkit.optics.zernike import Floats
+from labkit.study.conditions import Trial, draw_trial, random_waves
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    return draw_trial(np.random.default_rng(30), snr=50.0)
+
+
+@pytest.fixture(scope="module")
+def right(trial: Trial) -> State:
+    return climb(trial.problem, trial.state(trial.waves)).state
+
+
+@pytest.fixture(scope="module")
+def wrong(trial: Trial) -> State:
+    for seed in range(10):
+        start = trial.state(random_waves(np.random.default_rng(seed), 12, 0.2))
+        found = climb(trial.problem, start).state
+        if np.linalg.norm(trial.error(found.waves)) > 0.03:
+            return found
+    raise AssertionError("ten random starts all ended in the right optimum")
+
+
+def test_the_right_optimum_passes_and_a_wrong_one_does_not(trial: Trial, right: State, wrong: State) -> None:
+    problem, relaxation = trial.problem, shipped_relaxation(4)
+    for test in (two_sided, one_sided, lambda p, s: embedding(p, s, relaxation)):
+        assert test(problem, right).p_value > 1e-3
+        assert test(problem, wrong).p_value < 1e-6
+
+
+def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: State) -> None:
+    relaxation = shipped_relaxation(4)
+    rng = np.random.default_rng(31)
+    drawn = bootstrap(trial.problem, right, lambda p, s: embedding(p, s, relaxation).statistic, rng, 30)
+    assert kstest(drawn, chi2(4).cdf).pvalue > 1e-3
+    drawn = bootstrap(trial.problem, right, excess_likelihood, rng, 30)
+    assert kstest(drawn, "norm").pvalue > 1e-3
+
+
+def test_rao_of_a_linear_model_is_the_fall_of_the_misfit() -> None:
+    rng = np.random.default_rng(32)
+    slopes, data = rng.normal(size=(50, 3)), rng.normal(size=50)
+    fitted = slopes @ np.linalg.lstsq(slopes, data, rcond=None)[0]
+    assert rao_score(slopes.T @ data, slopes.T @ slopes) == pytest.approx(data @ data - np.sum((data - fitted) ** 2))
+
+
+@pytest.mark.parametrize("degrees", [1, 4, 16])
+def test_wilson_and_hilferty_are_near_the_normal(degrees: int) -> None:
+    for level in (0.05, 0.01):
+        assert wilson_hilferty(float(chi2.isf(level, degrees)), degrees) == pytest.approx(
+            {0.05: 1.645, 0.01: 2.326}[level], abs=0.06
+        )
+
+
+def test_algorithm_4_9_finds_a_direction_that_is_common_to_its_cases(trial: Trial, wrong: State) -> None:
+    problem = trial.problem
+    weights: Floats = np.full(int(trial.frame.used.sum()), 1 / trial.read_noise**2)
+    relaxation = find_relaxation([(problem, wrong, weights)], 1, half_width=10)
+    assert relaxation.directions.shape == (1, 21, 21)
+    assert embedding(problem, wrong, relaxation).p_value < 1e-6

@@ -1,0 +1,61 @@
+"""Perturbations that change a PSF least: against SciPy's own climbs, finite differences and the rotation of a pupil."""
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime, minimize
+
+from labkit.inference.candidates import NOLL, candidates, is_trivial, rotated, shipped, strehl
+from labkit.optics.psf import Pupil
+from labkit.optics.zernike import zernike
+
+WAVES = np.random.default_rng(2).normal(scale=0.05, size=12)
+
+
+def test_the_strehl_ratio_is_the_peak_of_the_psf() -> None:
+    pupil = Pupil(0.55, 0.55, 8.0, 1.0, 1200, NOLL)  # 136 samples in radius: its shaded edge errs by 1/(3 r)
+    ratio = pupil.psf(WAVES)[600, 600] / pupil.psf(0 * WAVES)[600, 600]
+    assert strehl(WAVES)[0] == pytest.approx(ratio, abs=2e-3)
+    # small wavefronts have 1 - (2 pi rms)^2
+    assert strehl(0.05 * WAVES)[0] == pytest.approx(1 - (2 * np.pi * 0.05) ** 2 * WAVES @ WAVES, abs=1e-5)
+
+
+def test_its_gradient_is_a_finite_difference() -> None:
+    slope = approx_fprime(WAVES, lambda w: strehl(w)[0], 1e-7)
+    np.testing.assert_allclose(strehl(WAVES)[1], slope, atol=1e-5)
+
+
+def test_rotation_turns_the_modes() -> None:
+    rho, theta = np.array([0.3, 0.7, 0.9]), np.array([0.1, 2.0, -1.3])
+    turned = sum(w * zernike(j, rho, theta - 0.4) for w, j in zip(WAVES, NOLL, strict=True))
+    same = sum(w * zernike(j, rho, theta) for w, j in zip(rotated(WAVES, 0.4), NOLL, strict=True))
+    np.testing.assert_allclose(turned, same, atol=1e-12)
+
+
+def test_shipped_ones_are_maxima_of_their_shells_and_not_each_other() -> None:
+    shells, found = shipped()
+    assert set(np.round(shells, 2)) == set(np.round(np.arange(0.02, 0.201, 0.02), 2))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), shells, rtol=1e-6)
+    for rms, waves in zip(shells, found, strict=True):
+        on_shell = {"type": "eq", "fun": lambda w, rms=rms: w @ w / rms**2 - 1}
+        best = minimize(
+            lambda w: -strehl(w)[0], waves, jac=lambda w: -strehl(w)[1], constraints=on_shell, method="SLSQP"
+        )
+        assert -best.fun == pytest.approx(strehl(waves)[0], abs=1e-5)
+    for k, one in enumerate(found):
+        same_shell = [o for s, o in zip(shells[:k], found[:k], strict=True) if s == shells[k]]
+        assert not any(is_trivial(one, other, 0.1 * shells[k]) for other in same_shell)
+
+
+def test_they_beat_other_directions_by_far() -> None:
+    shells, found = shipped()
+    rng = np.random.default_rng(3)
+    random = rng.normal(size=(300, 12))
+    at_random = max(strehl(0.2 * w / np.linalg.norm(w))[0] for w in random)
+    assert strehl(found[np.isclose(shells, 0.2)][0])[0] > at_random
+
+
+def test_candidates_lie_on_the_shell_around_a_wavefront() -> None:
+    around = candidates(WAVES)
+    np.testing.assert_allclose(np.linalg.norm(around - WAVES, axis=1), 0.2, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"waves is \(3,\): 12 values"):
+        candidates(np.zeros(3))
