@@ -19,7 +19,8 @@ from labkit.target import Target, open_target
 NOLL = tuple(range(4, 16))
 WAVES_RMS = 0.25
 ORDER, FRAME, SIDE_PX = 5, 106, 70.0
-WAVELENGTH_UM, F_NUMBER, PITCH_UM = 0.55, 8.0, 5.5  # the pitch is 2.5 times half of lambda N
+WAVELENGTH_UM, F_NUMBER, PITCH_UM = 0.55, 8.0, 5.5
+AIRY_UM = WAVELENGTH_UM * F_NUMBER  # lambda N; the pitch is 2.5 times half of it
 PHOTONS = 2.05e5  # a pixel, on average over the carpet
 GAIN = 1 / 2000  # counts a photon
 NOISE_STD = 0.01  # relative, of gain and read variance as measured beforehand

@@ -53,7 +53,7 @@ def quasi_newton(trial: Trial, start: Floats) -> Floats:
 
 def run(setting: Setting) -> Outcome:
     """Share of random wavefronts of 0.25 waves for which each climb ends in a wrong optimum."""
-    trials = 3 if setting.quick else 100
+    trials = 2 if setting.quick else 50
     answers: dict[int, Answer] = {}
     for index, answer in run_all(work, list(range(trials)), setting.workers):
         answers[index] = answer

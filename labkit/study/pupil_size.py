@@ -48,6 +48,7 @@ def run(setting: Setting) -> Outcome:
         Claim(f"PSF error, shaded pupil {at['diameter']} samples across", 2e-4, at["shaded_error"], "", 1),
         Claim(f"PSF error, binary pupil {at['diameter']} samples across", None, at["binary_error"], "", 1),
     ]
+
     def draw() -> Figure:
         figure = Figure(figsize=(8.0, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2)

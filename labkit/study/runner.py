@@ -27,6 +27,7 @@ STUDIES = {
     "annealing": "annealing",
     "psf-accuracy": "pupil_size",
     "roc": "roc",
+    "uniform-crb": "uniform_crb",
     "targets": "targets",
     "extension": "extension",
 }

@@ -29,15 +29,14 @@ class Condition:
 
 
 CONDITIONS = (
-    Condition(10.0),
-    Condition(25.0),
+    Condition(10.0, trials=30),
+    Condition(25.0, trials=30),
     Condition(50.0, trials=200),
-    Condition(75.0, trials=60),
-    Condition(75.0, waves_rms=0.35),
-    Condition(75.0, waves_rms=0.5),
-    *(Condition(75.0, NOLL_22, waves_rms, trials=20) for waves_rms in (0.25, 0.35, 0.5)),
+    Condition(75.0),
+    *(Condition(75.0, waves_rms=waves_rms, trials=20) for waves_rms in (0.35, 0.5)),
+    *(Condition(75.0, NOLL_22, waves_rms, trials=10) for waves_rms in (0.25, 0.35, 0.5)),
 )
-QUICK = (Condition(50.0, trials=3), Condition(75.0, NOLL_22, trials=1))
+QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
 
 
 @dataclass(frozen=True)
