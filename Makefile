@@ -14,7 +14,7 @@ demo: .venv/installed
 
 # Tests of USB trouble want Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi; without them they are skipped.
 test: .venv/installed-test chromium
-	$(ONE_THREAD) $(BIN)/python -m pytest -n auto
+	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist worksteal
 
 # The display page is tested in a real browser; without one, those tests are skipped and say so.
 chromium:
