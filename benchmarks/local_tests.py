@@ -1,14 +1,16 @@
 """How well tests tell global from local optima at the conditions of thesis §3.8: `python -m benchmarks.local_tests`."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 import numpy as np
 
 from labkit.execute import default_workers, run_all
 from labkit.inference.localmin import embedding, one_sided, shipped_relaxation, two_sided
-from labkit.inference.solve import climb
+from labkit.inference.solve import State, climb
 from labkit.inference.verdict import judge
 from labkit.study.conditions import draw_trial, random_waves
 
@@ -33,12 +35,14 @@ def work(task: tuple[float, int]) -> Answer:
     problem = trial.problem
     seconds: list[float] = []
 
-    def all_tests(found: object) -> tuple[float, ...]:
-        state = found.state  # type: ignore[attr-defined]
-        tests = [
+    def embedded(state: State, degrees: int) -> float:
+        return embedding(problem, state, shipped_relaxation(degrees)).p_value
+
+    def all_tests(state: State) -> tuple[float, ...]:
+        tests: list[Callable[[], float]] = [
             lambda: two_sided(problem, state).p_value,
             lambda: one_sided(problem, state).p_value,
-            *(lambda k=k: embedding(problem, state, shipped_relaxation(k)).p_value for k in DEGREES),
+            *(partial(embedded, state, k) for k in DEGREES),
             lambda: judge(problem, state, problem.relative(state), model_error=0.0).p_value,
         ]
         values = []
@@ -48,11 +52,11 @@ def work(task: tuple[float, int]) -> Answer:
             seconds.append(perf_counter() - began)
         return tuple(values)
 
-    right = all_tests(climb(problem, trial.state(trial.waves)))
+    right = all_tests(climb(problem, trial.state(trial.waves)).state)
     for _ in range(6):
         found = climb(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
         if np.linalg.norm(trial.error(found.state.waves)) > 0.03:
-            return Answer(right, all_tests(found), tuple(seconds[: len(NAMES)]))
+            return Answer(right, all_tests(found.state), tuple(seconds[: len(NAMES)]))
     return Answer(right, None, tuple(seconds))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import scipy.ndimage
@@ -13,7 +14,9 @@ from labkit.optics.zernike import Floats
 from labkit.target import Target
 
 SUPERSAMPLING = 2.0  # of the raster against the optics' Nyquist rate
-SPLINE = 5  # order: errs by 1.5e-5 RMS of white behind a perfect lens, a cubic by 1.3e-4 (tests/physics/test_scene.py)
+SPLINE: Literal[5] = (
+    5  # order: errs by 1.5e-5 RMS of white behind a perfect lens, a cubic by 1.3e-4 (tests/physics/test_scene.py)
+)
 MARGIN_NYQUIST = 20  # Nyquist intervals of raster around the target, for the skirts of its low-pass filter
 
 

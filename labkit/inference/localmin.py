@@ -43,7 +43,7 @@ def excess_likelihood(problem: Problem, state: State) -> float:
         misfit += float(np.sum((frame.counts[frame.used] - mean) ** 2 / variance))
         pixels += mean.size
     fitted = state.waves.size + 10 * len(problem.frames) + state.unevenness.size
-    return (pixels - fitted - misfit) / np.sqrt(2 * pixels)
+    return float((pixels - fitted - misfit) / np.sqrt(2 * pixels))
 
 
 def two_sided(problem: Problem, state: State) -> LocalTest:
@@ -187,14 +187,15 @@ def find_relaxation(cases: list[tuple[Problem, State, Floats]], degrees: int, ha
     score by every sample of the PSF at each wrong optimum is whitened by the information; the leading left singular
     vectors, taken back, are the directions.
     """
-    scores, information = [], 0.0
+    scores: list[Floats] = []
+    information = np.zeros(((2 * half_width + 1) ** 2,) * 2)
     for problem, state, weights in cases:
         samples = _psf_samples(problem, state, half_width)
         (frame,) = problem.frames
         residual = frame.counts[frame.used] - predict(problem.relative(state)[0], frame, state.detectors()[0])[0]
         scores.append(samples @ (residual * weights))
-        information = information + samples * weights @ samples.T
-    values, vectors = np.linalg.eigh(np.asarray(information) / len(cases))
+        information += samples * weights @ samples.T
+    values, vectors = np.linalg.eigh(information / len(cases))
     kept = values > 1e-6 * values[-1]
     whiten = vectors[:, kept] / np.sqrt(values[kept])
     left = np.linalg.svd(whiten.T @ np.array(scores).T, full_matrices=False)[0][:, :degrees]

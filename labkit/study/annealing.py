@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -46,29 +47,27 @@ def work(task: Task) -> Answer:
     found = float(np.linalg.norm(trial.error(fit.waves))) < 6 * float(np.linalg.norm(fit.std))
     problem, modes = trial.problem, len(task.noll)
 
-    def lowered(waves: Floats) -> tuple[float, Floats]:
-        gradient, _, scores, _ = problem.scores(trial.state(waves), by_waves=True)
-        return -scores[0].log_likelihood, -gradient[:modes]
+    def height(waves: Floats) -> float:
+        state = trial.state(waves)
+        return -problem.objective(state, problem.relative(state))
 
-    goal = lowered(trial.waves)[0] + FOUND
+    def slope(waves: Floats) -> Floats:
+        return -problem.scores(trial.state(waves), by_waves=True)[0][:modes]
+
+    goal = height(trial.waves) + FOUND
     began = perf_counter()
 
-    def watched(waves: Floats) -> tuple[float, Floats]:
-        value, slope = lowered(waves)
+    def watched(waves: Floats) -> float:
+        value = height(waves)
         if value < goal or perf_counter() - began > task.cap_s:
             raise _EnoughError(value < goal)
-        return value, slope
+        return value
 
     capped = False
+    local: Any = {"method": "L-BFGS-B", "jac": slope, "bounds": [(-0.5, 0.5)] * modes}
+    limits = [(-BOUND_WAVES, BOUND_WAVES)] * modes
     try:
-        dual_annealing(
-            lambda w: watched(w)[0],
-            [(-BOUND_WAVES, BOUND_WAVES)] * modes,
-            maxiter=10**6,
-            maxfun=10**9,
-            rng=rng,
-            minimizer_kwargs={"method": "L-BFGS-B", "jac": lambda w: watched(w)[1], "bounds": [(-0.5, 0.5)] * modes},
-        )
+        dual_annealing(watched, limits, maxiter=10**6, maxfun=10**9, rng=rng, minimizer_kwargs=local)
     except _EnoughError as enough:
         capped = not enough.args[0]
     annealing = task.cap_s if capped else perf_counter() - began

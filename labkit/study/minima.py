@@ -83,7 +83,7 @@ def run(setting: Setting) -> Outcome:
     def draw() -> Figure:
         figure = Figure(figsize=(6.4, 3.6), layout="constrained")
         axes = figure.subplots()
-        edges = np.geomspace(3e-4, 1.0, 40)
+        edges = [float(edge) for edge in np.geomspace(3e-4, 1.0, 40)]
         names = ("quasi-Newton from zero", "Fisher scoring from zero", "Fisher scoring from 0.2 waves")
         for key, name in zip(wrong, names, strict=True):
             axes.hist(

@@ -1,6 +1,7 @@
 """The global search from nothing against SNR: thesis Figure 4.16; and where it begins to fail."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -73,7 +74,7 @@ def run(setting: Setting) -> Outcome:
     for index, answer in run_all(work, tasks, setting.workers):
         answers[index] = answer
         setting.progress(len(answers), len(tasks), tasks[index][0].label)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for condition in conditions:
         own = [answers[k] for k, (one, _) in enumerate(tasks) if one is condition]
         found = [a for a in own if a.found]

@@ -51,7 +51,7 @@ def two_sided(data: Floats, frequency: float) -> float:
 
 def one_sided(data: Floats, frequency: float) -> float:
     """The one-sided test (4.12), sign changed so that large means local."""
-    return -(log_likelihood(data, frequency) + 50) / np.sqrt(50)
+    return float(-(log_likelihood(data, frequency) + 50) / np.sqrt(50))
 
 
 def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:

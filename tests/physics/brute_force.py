@@ -13,7 +13,7 @@ from labkit.target import CellTarget
 
 Floats = NDArray[np.float64]
 
-CARPET = CellTarget(np.kron([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]], np.ones((3, 3))), (30.0, 30.0), 0.0)
+CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((3, 3))), (30.0, 30.0), 0.0)
 CORNERS = np.array([[11.3, 12.1], [10.2, 41.7], [40.8, 42.9], [42.1, 11.4]])
 OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.5, (4, 6, 7, 8, 11))
 WAVES = np.array([0.22, -0.05, 0.06, -0.04, 0.03])
@@ -60,8 +60,8 @@ def brute_force_mean(many: int = 12, finer: int = 4) -> Floats:
     """Supersampled radiance, linear convolution with PSF and pixel box, no torus and no spectra."""
     spacing_um, guard = 4.8 / many, 40
     step = 1 / (many * finer)
-    rows = -guard - 0.5 + (np.arange((FRAME[0] + 2 * guard) * many * finer) + 0.5) * step
-    cols = -guard - 0.5 + (np.arange((FRAME[1] + 2 * guard) * many * finer) + 0.5) * step
+    rows = np.asarray(-guard - 0.5 + (np.arange((FRAME[0] + 2 * guard) * many * finer) + 0.5) * step, float)
+    cols = np.asarray(-guard - 0.5 + (np.arange((FRAME[1] + 2 * guard) * many * finer) + 0.5) * step, float)
     seen = points_seen(rows[:, None], cols[None])
     shape = (FRAME[0] + 2 * guard) * many, (FRAME[1] + 2 * guard) * many
     scene = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from labkit.cli import run
 from labkit.study.runner import STUDIES
 
 NAMES = ("crb", "uniform-crb", "targets", "minima", "roc", "global", "annealing", "psf-accuracy", "extension")
-FIELDS = {"what": str, "measured": (int, float, type(None)), "unit": str, "n": int}
+FIELDS: dict[str, Any] = {"what": str, "measured": (int, float, type(None)), "unit": str, "n": int}
 
 
 def test_all_that_the_contract_names_are_there() -> None:

@@ -18,7 +18,7 @@ from labkit.target import CellTarget
 Floats = NDArray[np.float64]
 
 OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.8, (4, 6, 8))
-CARPET = CellTarget(np.kron([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]], np.ones((2, 2))), (20.0, 20.0), 0.0)
+CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
 CORNERS = np.array([[8.3, 9.1], [8.0, 29.7], [28.8, 29.9], [29.1, 9.4]])
 FRAME = (38, 40)
 PRIOR = NoisePrior(0.25, 0.01, 4.0, 0.02)
@@ -69,7 +69,8 @@ def standard_errors(step: Floats, solution: Solution) -> float:
 def test_a_climb_ends_where_the_gradient_is_small_in_standard_errors(problem: Problem, solution: Solution) -> None:
     gradient = problem.scores(solution.state, by_waves=True)[0]
     assert solution.converged
-    assert standard_errors(np.linalg.solve(solution.information, gradient), solution) < 0.05  # its tolerance
+    step = np.asarray(np.linalg.solve(solution.information, gradient), float)
+    assert standard_errors(step, solution) < 0.05  # its tolerance
 
 
 def test_nothing_about_its_end_is_likelier(problem: Problem, solution: Solution) -> None:
