@@ -117,10 +117,12 @@ def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
         slopes = np.concatenate([slopes, data.departures[:, data.used] * even])
     bend = detector.gain * (mean > 0) + 2 * data.relative_std[data.used] ** 2 * mean  # d variance / d mean
     noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
-    variance_slopes = np.concatenate([bend * slopes, noise])
-    mean_slopes = np.concatenate([slopes, np.zeros((2, mean.size))])
-    normalised = residual * weight
-    gradient = mean_slopes @ normalised + variance_slopes @ (0.5 * (normalised**2 - weight))
-    root = np.concatenate([mean_slopes * np.sqrt(weight), variance_slopes * (np.sqrt(0.5) * weight)], axis=1)
+    normalised, square = residual * weight, 0.5 * weight**2
+    rise = 0.5 * (normalised**2 - weight)  # of the log-likelihood with the variance
+    gradient = np.concatenate([slopes @ (normalised + bend * rise), noise @ rise])
+    across = (slopes * (bend * square)) @ noise.T
+    information = np.block(
+        [[(slopes * (weight + bend**2 * square)) @ slopes.T, across], [across.T, (noise * square) @ noise.T]]
+    )
     chi2 = float(np.sum(residual * normalised))
-    return Score(-0.5 * (chi2 + float(np.sum(np.log(variance)))), gradient, root @ root.T, chi2, mean.size)
+    return Score(-0.5 * (chi2 + float(np.sum(np.log(variance)))), gradient, information, chi2, mean.size)
