@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +25,6 @@ from labkit.lab.session import Session, begin
 from labkit.plan import load_plan
 
 from .conftest import ADDRESS, RoomMaker
-
-CaptureMaker = Callable[[], Path]
 
 
 @pytest.fixture
@@ -168,3 +170,25 @@ def test_results_of_another_schema_are_not_reported_on(
     before = contents(folder)
     assert f"has schema {schema}; this version reads schema 1" in told(["report", str(folder)], capfd)
     assert contents(folder) == before
+
+
+def test_a_fit_that_is_interrupted_says_so_and_leaves_earlier_results_whole(folder: Path) -> None:
+    results = folder / "results" / "latest"
+    results.mkdir(parents=True)
+    for name in ("results.json", "psf.npz"):
+        (results / name).write_text("of an earlier fit")
+    before = contents(folder)
+    command = [sys.executable, "-c", "from labkit.cli import main; main()", "fit", str(folder), "--workers", "2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as process:
+        # the workers are the only processes that a fit begins
+        while not workers_of(process.pid):
+            assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal sends it: to all of them
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, b"", b"labkit: interrupted\n")
+    assert contents(folder) == before
+
+
+def workers_of(pid: int) -> list[str]:
+    """Processes begun by another, from its main thread."""
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
