@@ -14,8 +14,8 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import chi2, norm
 
 from labkit.imaging.model import ForwardModel
-from labkit.inference.likelihood import predict
-from labkit.inference.solve import Problem, State, climb
+from labkit.inference.likelihood import predict, score
+from labkit.inference.solve import NOISE, PER_FRAME, Problem, State, climb
 from labkit.optics.psf import Complexes
 from labkit.optics.zernike import Floats
 
@@ -119,46 +119,25 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
 
 
 def _relaxed_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
-    """Gradient and information over all fitted parameters and, last, the relaxation's."""
-    gradient, information, _, _ = problem.scores(state, by_waves=True)
-    size, extra = gradient.size, len(kernels)
-    whole_gradient, whole = np.zeros(size + extra), np.zeros((size + extra, size + extra))
-    whole_gradient[:size], whole[:size, :size] = gradient, information
-    modes, common = state.waves.size, state.unevenness.size + 2
-    per_frame = (size - modes - common) // len(problem.frames)
-    evaluations = problem.model.evaluate(state.waves, list(state.poses), [f.used for f in problem.frames])
-    spectra = problem.model.scene.spectra(list(state.poses))
-    torus = problem.model.blur.torus
+    """Gradient and information over all fitted parameters, with the relaxation's first of all, as if they were modes."""
+    used, poses = [f.used for f in problem.frames], list(state.poses)
+    evaluations = problem.model.evaluate(state.waves, poses, used)
+    spectra = problem.model.scene.spectra(poses)
+    extra, common = len(kernels) + state.waves.size, state.unevenness.size + NOISE
+    size = extra + PER_FRAME * len(used) + common
+    gradient, information = np.zeros(size), np.zeros((size, size))
     for k, (frame, detector, seen, spectrum) in enumerate(
         zip(problem.frames, state.detectors(), evaluations, spectra, strict=True)
     ):
-        mean, variance = predict(seen.mean, frame, detector)
-        light = frame.light(detector.unevenness)
-        new = np.array([torus.sample(spectrum * kernel)[frame.used] for kernel in kernels]) * (light * detector.scale)
-        old = np.concatenate(
-            [detector.scale * seen.by_waves, detector.scale * seen.by_pose, seen.mean[None], np.ones((1, mean.size))]
-        )
-        old = old * light
-        if len(frame.departures):
-            even = frame.illumination[frame.used] * (detector.scale * seen.mean + detector.ambient)
-            old = np.concatenate([old, frame.departures[:, frame.used] * even])
-        at = np.concatenate(
-            [
-                np.arange(modes),
-                np.arange(per_frame) + modes + k * per_frame,
-                np.arange(size - common, size - 2),
-            ]
-        )
-        bend = detector.gain * (mean > 0) + 2 * frame.relative_std[frame.used] ** 2 * mean
-        weight = 1 / variance + 0.5 * (bend / variance) ** 2
-        residual = frame.counts[frame.used] - mean
-        new_at = np.arange(size, size + extra)
-        whole_gradient[new_at] += new @ (residual / variance + 0.5 * bend * ((residual / variance) ** 2 - 1 / variance))
-        cross = new * weight @ old.T
-        whole[np.ix_(new_at, at)] += cross
-        whole[np.ix_(at, new_at)] += cross.T
-        whole[np.ix_(new_at, new_at)] += new * weight @ new.T
-    return whole_gradient, whole
+        departures = [problem.model.blur.torus.sample(spectrum * kernel)[frame.used] for kernel in kernels]
+        one = score(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])), frame, detector)
+        own = extra + k * PER_FRAME + np.arange(PER_FRAME)
+        index = np.concatenate([np.arange(extra), own, np.arange(size - common, size)])
+        gradient[index] += one.gradient
+        information[np.ix_(index, index)] += one.information
+    gradient[-NOISE:] -= problem.noise.precision * (state.log_noise - problem.noise.centre)
+    information[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
+    return gradient, information
 
 
 def bootstrap(
