@@ -14,6 +14,7 @@ TELLING_STD = (
     0.02  # pupil magnifications of real lenses lie between 0.5 and 2: less certain than this, nothing was learnt
 )
 USUAL_MAGNIFICATION_STD = 0.3
+LEAST, MOST = 0.05, 20.0  # pupil magnifications that are tried; a fit that ends there has found none
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
 LEAST_SLOPE = 1e-9  # standard errors for a unit of a parameter: less tells nothing
 ROUNDING = 1e-14  # of an eigenvalue, scaled to a unit diagonal
@@ -53,7 +54,12 @@ class FocusFit:
     @property
     def identifiable(self) -> bool:
         """Whether the pupil magnification could be told at the ranges measured."""
-        return bool(self.std[-1] <= TELLING_STD)
+        return bool(self.std[-1] <= TELLING_STD) and not self.at_limit
+
+    @property
+    def at_limit(self) -> bool:
+        """Whether the magnification ended at the edge of what is tried: then the points do not follow a lens's curve."""
+        return not 1.001 * LEAST < self.pupil_magnification < MOST / 1.001
 
 
 def fit_focus(
@@ -92,7 +98,7 @@ def fit_focus(
         theta0,
         jac="3-point",
         x_scale=np.array([1e-3 * r for r in start] + [0.01]),
-        bounds=([shortest] * len(channels) + [0.05], [np.inf] * len(channels) + [20.0]),
+        bounds=([shortest] * len(channels) + [LEAST], [np.inf] * len(channels) + [MOST]),
         xtol=1e-14,
         ftol=1e-14,
         gtol=1e-14,
@@ -167,5 +173,5 @@ def _curve_cost(ranges: Floats, waves: Floats, errors: Floats, lens: ThinLens, r
         curve = (waves - defocus_waves(own, ranges, theta[0], reference_nm)) / errors
         return np.append(curve, (theta[1] - 1.0) / USUAL_MAGNIFICATION_STD)
 
-    bounds = ([1.01 * lens.focal_length_mm, 0.05], [np.inf, 20.0])
+    bounds = ([1.01 * lens.focal_length_mm, LEAST], [np.inf, MOST])
     return float(2 * least_squares(misfit, [start, 1.0], bounds=bounds, x_scale=[1e-3 * start, 0.1]).cost)

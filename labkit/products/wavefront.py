@@ -15,7 +15,7 @@ from labkit.lab.session import Session, altered
 from labkit.optics.lens import ThinLens
 from labkit.optics.zernike import Floats, is_even
 from labkit.plan import Plan
-from labkit.products.focus import DefocusPoint, FocusFit, choose_signs, fit_focus
+from labkit.products.focus import LEAST, MOST, DefocusPoint, FocusFit, choose_signs, fit_focus
 from labkit.products.observe import Observation, observe
 from labkit.products.results import Plane, Results, Wavefront
 from labkit.target import Target, open_target
@@ -216,7 +216,12 @@ def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None
     except DataError as error:
         return None, [f"no best focus: {error}"]
     words = []
-    if not focus.identifiable:
+    if focus.at_limit:
+        words.append(
+            f"no pupil magnification from {LEAST:g} to {MOST:g} fits: defocus does not follow a lens's curve; check the "
+            "ranges, the focal length, and the optima that were rejected"
+        )
+    elif not focus.identifiable:
         words.append(
             f"the pupil magnification cannot be told at these ranges: its standard error is {focus.std[-1]:.3f}; "
             "ranges near the closest focus would tell it"

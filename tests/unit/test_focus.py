@@ -60,6 +60,13 @@ def test_far_ranges_tell_no_pupil_magnification() -> None:
     assert fit_focus(far, 70.0, 2.8, 450.0, "corrected").identifiable is False
 
 
+def test_defocus_that_no_lens_has_gives_no_magnification() -> None:
+    far_too_steep = [DefocusPoint(p.range_mm, p.channel, 3 * p.waves + 0.5 * p.waves**2, 0.002) for p in points(0.002)]
+    fit = fit_focus(far_too_steep, 70.0, 2.8, 450.0, "corrected")
+    assert fit.at_limit
+    assert not fit.identifiable
+
+
 @pytest.mark.parametrize("scale", [1.0, 10.0, 100.0])
 def test_standard_errors_are_those_of_slopes_in_more_digits(scale: float) -> None:
     ranges, focus = scale * np.array([3000.0, 3200.0, 3300.0]), scale * 3150.0
