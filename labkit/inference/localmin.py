@@ -15,7 +15,7 @@ from scipy.stats import chi2, norm
 
 from labkit.imaging.model import ForwardModel
 from labkit.inference.likelihood import predict, score
-from labkit.inference.solve import NOISE, PER_FRAME, Problem, State, climb
+from labkit.inference.solve import NOISE, PER_FRAME, NoisePrior, Problem, State, climb
 from labkit.optics.psf import Complexes
 from labkit.optics.zernike import Floats
 
@@ -35,26 +35,31 @@ def excess_likelihood(problem: Problem, state: State) -> float:
     """(l - E l) / sqrt(Var l), the validation function of (4.10), (4.12); negative where data are less likely than due.
 
     For independent normal pixels E l and Var l under the optimum itself are closed: each pixel's -chi2/2 has mean -1/2 and
-    variance 1/2. The parameters that were fitted to the data raise l by half their number.
+    variance 1/2. The parameters that were fitted to the data raise l by half their number. The noise is that of the
+    calibration, for fitted to the data it would explain anything; the calibration's own errors join Var l.
     """
-    misfit, pixels = 0.0, 0
+    state = _calibrated(problem, state)
+    misfit, photons, pixels = 0.0, 0.0, 0
     for frame, detector, seen in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
         mean, variance = predict(seen, frame, detector)
         misfit += float(np.sum((frame.counts[frame.used] - mean) ** 2 / variance))
+        photons += float(np.sum(detector.gain * np.maximum(mean, 0) / variance))
         pixels += mean.size
-    fitted = state.waves.size + 10 * len(problem.frames) + state.unevenness.size
-    return float((pixels - fitted - misfit) / np.sqrt(2 * pixels))
+    fitted = state.waves.size + PER_FRAME * len(problem.frames) + state.unevenness.size
+    shares = np.array([photons, pixels - photons])
+    spread = 2 * pixels + float(np.sum(shares**2 / problem.noise.precision))
+    return (pixels - fitted - misfit) / float(np.sqrt(spread))
 
 
 def two_sided(problem: Problem, state: State) -> LocalTest:
-    """Biernacki's test, (4.10). The noise is that of the calibration: fitted to the data it would explain anything."""
-    z = excess_likelihood(problem, _calibrated(problem, state))
+    """Biernacki's test, (4.10)."""
+    z = excess_likelihood(problem, state)
     return LocalTest("Biernacki", z**2, float(chi2.sf(z**2, 1)))
 
 
 def one_sided(problem: Problem, state: State) -> LocalTest:
     """The one-sided test, (4.12): by Theorem IV.1 a wrong optimum can only make the data less likely."""
-    z = excess_likelihood(problem, _calibrated(problem, state))
+    z = excess_likelihood(problem, state)
     return LocalTest("one-sided", -z, float(norm.cdf(z)))
 
 
@@ -143,7 +148,10 @@ def _relaxed_score(problem: Problem, state: State, kernels: list[Complexes]) -> 
 def bootstrap(
     problem: Problem, state: State, statistic: Callable[[Problem, State], float], rng: np.random.Generator, draws: int
 ) -> Floats:
-    """(draws,) of a statistic over data drawn from an optimum and fitted anew: its distribution, were it the right one."""
+    """(draws,) of a statistic over data drawn from an optimum and fitted anew: its distribution, were it the right one.
+
+    The calibration of the noise is drawn anew as well, within its standard errors.
+    """
     values = np.empty(draws)
     truth = _calibrated(problem, state)
     seen = problem.relative(truth)
@@ -154,9 +162,15 @@ def bootstrap(
             counts = np.zeros(frame.counts.shape)
             counts[frame.used] = rng.normal(mean, np.sqrt(variance))
             frames.append(replace(frame, counts=counts))
-        drawn = replace(problem, frames=tuple(frames))
-        values[k] = statistic(drawn, climb(drawn, truth).state)
+        drawn = replace(problem, frames=tuple(frames), noise=recalibrated(problem.noise, rng))
+        values[k] = statistic(drawn, climb(drawn, replace(truth, log_noise=drawn.noise.centre)).state)
     return values
+
+
+def recalibrated(noise: NoisePrior, rng: np.random.Generator) -> NoisePrior:
+    """What another calibration as good would have said of the noise."""
+    gain, read_variance = np.exp(rng.normal(noise.centre, 1 / np.sqrt(noise.precision)))
+    return replace(noise, gain=float(gain), read_variance=float(read_variance))
 
 
 def find_relaxation(cases: list[tuple[Problem, State, Floats]], degrees: int, half_width: int = 14) -> Relaxation:
