@@ -4,7 +4,7 @@ Each test has a statistic that is large at a wrong optimum, and a fast form of i
 gives the threshold without any theory, by fitting data drawn from the optimum itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -146,16 +146,20 @@ def _relaxed_score(problem: Problem, state: State, kernels: list[Complexes]) -> 
 
 
 def bootstrap(
-    problem: Problem, state: State, statistic: Callable[[Problem, State], float], rng: np.random.Generator, draws: int
+    problem: Problem,
+    state: State,
+    statistics: Callable[[Problem, State], Sequence[float]],
+    rng: np.random.Generator,
+    draws: int,
 ) -> Floats:
-    """(draws,) of a statistic over data drawn from an optimum and fitted anew: its distribution, were it the right one.
+    """(draws, n) of n statistics over data drawn from an optimum and fitted anew: as they are distributed at the right one.
 
     The calibration of the noise is drawn anew as well, within its standard errors.
     """
-    values = np.empty(draws)
+    values = []
     truth = _calibrated(problem, state)
     seen = problem.relative(truth)
-    for k in range(draws):
+    for _ in range(draws):
         frames = []
         for frame, detector, relative in zip(problem.frames, truth.detectors(), seen, strict=True):
             mean, variance = predict(relative, frame, detector)
@@ -163,8 +167,13 @@ def bootstrap(
             counts[frame.used] = rng.normal(mean, np.sqrt(variance))
             frames.append(replace(frame, counts=counts))
         drawn = replace(problem, frames=tuple(frames), noise=recalibrated(problem.noise, rng))
-        values[k] = statistic(drawn, climb(drawn, replace(truth, log_noise=drawn.noise.centre)).state)
-    return values
+        values.append(statistics(drawn, climb(drawn, replace(truth, log_noise=drawn.noise.centre)).state))
+    return np.array(values)
+
+
+def against(test: LocalTest, drawn: Floats) -> LocalTest:
+    """The same test with its p-value by bootstrap: rank among statistics (draws,) drawn at the right optimum."""
+    return replace(test, p_value=float((1 + np.sum(drawn >= test.statistic)) / (1 + drawn.size)))
 
 
 def recalibrated(noise: NoisePrior, rng: np.random.Generator) -> NoisePrior:

@@ -5,9 +5,10 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from labkit.inference.localmin import (
+    LocalTest,
+    against,
     bootstrap,
     embedding,
-    excess_likelihood,
     find_relaxation,
     one_sided,
     rao_score,
@@ -15,7 +16,7 @@ from labkit.inference.localmin import (
     two_sided,
     wilson_hilferty,
 )
-from labkit.inference.solve import State, climb
+from labkit.inference.solve import Problem, State, climb
 from labkit.optics.zernike import Floats
 from labkit.study.conditions import Trial, draw_trial, random_waves
 
@@ -47,13 +48,20 @@ def test_the_right_optimum_passes_and_a_wrong_one_does_not(trial: Trial, right: 
         assert test(problem, wrong).p_value < 1e-6
 
 
-def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: State) -> None:
-    relaxation = shipped_relaxation(4)
-    rng = np.random.default_rng(31)
-    drawn = bootstrap(trial.problem, right, lambda p, s: embedding(p, s, relaxation).statistic, rng, 30)
-    assert kstest(drawn, chi2(4).cdf).pvalue > 1e-3
-    drawn = bootstrap(trial.problem, right, excess_likelihood, rng, 30)
-    assert kstest(drawn, "norm").pvalue > 1e-3
+def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: State, wrong: State) -> None:
+    def statistics(problem: Problem, state: State) -> tuple[float, float]:
+        return one_sided(problem, state).statistic, embedding(problem, state, shipped_relaxation(4)).statistic
+
+    drawn = bootstrap(trial.problem, right, statistics, np.random.default_rng(31), 24)
+    assert kstest(drawn[:, 0], "norm").pvalue > 1e-3
+    assert kstest(drawn[:, 1], chi2(4).cdf).pvalue > 1e-3
+    assert against(one_sided(trial.problem, wrong), drawn[:, 0]).p_value == 1 / 25
+
+
+def test_a_bootstrapped_p_value_is_a_rank() -> None:
+    drawn = np.arange(1.0, 100.0)
+    for statistic, p_value in ((95.5, 0.05), (95.0, 0.06), (1e3, 0.01), (0.0, 1.0)):
+        assert against(LocalTest("any", statistic, 0.5), drawn).p_value == pytest.approx(p_value)
 
 
 def test_rao_of_a_linear_model_is_the_fall_of_the_misfit() -> None:
