@@ -63,7 +63,11 @@ def test_the_gap_of_the_chirp_is_that_of_scipys_climb(degrees: int) -> None:
     data, found = draws()[0]
     powers = X ** np.arange(1, degrees + 2)[:, None]
     start = np.append(found.best, np.zeros(degrees))
-    climbed = least_squares(lambda t: data - np.sin(t @ powers), start)
+
+    def residual(t: Floats) -> Floats:
+        return np.asarray(data - np.sin(t @ powers))
+
+    climbed = least_squares(residual, start)
     before = 0.5 * np.sum((data - np.sin(found.best * X)) ** 2)
     assert chirp_gap(degrees)(data, found.best) == pytest.approx(before - climbed.cost, abs=1e-4)
 
@@ -73,7 +77,11 @@ def test_the_gap_of_a_linear_relaxation_is_that_of_scipys_climb() -> None:
     np.testing.assert_allclose(directions @ directions.T, np.eye(2), atol=1e-12)
     data, found = draws()[0]
     start = np.append(found.best, np.zeros(2))
-    climbed = least_squares(lambda t: data - np.sin(t[0] * X) - t[1:] @ directions, start)
+
+    def residual(t: Floats) -> Floats:
+        return np.asarray(data - np.sin(t[0] * X) - t[1:] @ directions)
+
+    climbed = least_squares(residual, start)
     before = 0.5 * np.sum((data - np.sin(found.best * X)) ** 2)
     assert linear_gap(directions)(data, found.best) == pytest.approx(before - climbed.cost, abs=1e-4)
 
