@@ -61,3 +61,17 @@ def test_candidates_lie_on_the_shell_around_a_wavefront() -> None:
     np.testing.assert_allclose(np.linalg.norm(around - WAVES, axis=1), 0.2, rtol=1e-6)
     with pytest.raises(ValueError, match=r"waves is \(3,\): 12 values"):
         candidates(np.zeros(3))
+
+
+def test_a_psf_changes_less_along_them_than_along_others() -> None:
+    pupil = Pupil(0.55, 0.55, 8.0, 1.0, 256, NOLL)
+    rng = np.random.default_rng(4)
+    waves, others = rng.normal(size=12), rng.normal(size=(100, 12))
+    waves *= 0.25 / np.linalg.norm(waves)
+    others *= 0.2 / np.linalg.norm(others, axis=1, keepdims=True)
+    psf = pupil.psf(waves)
+
+    def change(around: Floats) -> float:
+        return float(np.median([np.abs(pupil.psf(w) - psf).max() for w in around]))
+
+    assert change(candidates(waves)) < 0.9 * change(waves + others)
