@@ -110,6 +110,7 @@ class _Capture:
         self._ask = ask
         self._camera, self._rail = _settings(session.plan)
         self._total = len(shots(session.plan))
+        self._done = 0
         self._first: Mosaic | None = None
         self._latest: Mosaic | None = None
         self._standing: tuple[float, dict[str, Any]] | None = None
@@ -118,6 +119,7 @@ class _Capture:
         todo = missing(self._session)
         if not todo:
             return
+        self._done = self._total - len(todo)
         target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
@@ -271,12 +273,12 @@ class _Capture:
             raise problem
         meta = {**raw.meta, **meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
-        done = self._total - len(missing(self._session))
+        self._done += 1
         if self._progress:
-            self._progress(done, self._total, shot.name)
+            self._progress(self._done, self._total, shot.name)
         for watcher in self._devices.watchers:
             assert self._latest is not None
-            watcher.took(shot.name, shot.kind, shot.range_mm, self._latest, done, self._total)
+            watcher.took(shot.name, shot.kind, shot.range_mm, self._latest, self._done, self._total)
 
     def _problem(self, path: Path, shot: Shot) -> InputError | None:
         """Why a photograph is useless, as the error to raise; None if it is good."""

@@ -1,0 +1,59 @@
+"""Five hundred photographs in one go: nothing may pile up while a capture runs unattended all night."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from labkit.drivers import grbl_simulator
+from labkit.lab.capture import capture
+from labkit.lab.discover import open_devices
+from labkit.lab.session import begin, verify
+
+from .conftest import RoomMaker
+
+FRAMES, SETTLED = 500, 150
+"""By the latter, five stops in, every library is loaded and every cache full."""
+
+CREEP_BYTES = 4 << 20
+"""A photograph of this bench takes 60 KB and more as numbers: were each held on to, it would be 20 MB."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What this process holds of the system."""
+
+    memory_bytes: int
+    threads: int
+    handles: int
+
+    @classmethod
+    def now(cls) -> Held:
+        proc = Path("/proc/self")
+        pages = int((proc / "statm").read_text().split()[1])
+        return cls(pages * 4096, len(list((proc / "task").iterdir())), len(list((proc / "fd").iterdir())))
+
+
+@pytest.mark.timeout(300)
+def test_memory_threads_and_handles_stay_flat_over_500_frames(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
+    monkeypatch.setattr(grbl_simulator, "LEADSCREW", grbl_simulator.LEADSCREW | fast)
+    text = plan_file.read_text().replace("[2000, 2050.5]", str([2000 + 5 * stop for stop in range(16)]))
+    text = text.replace("darks = 3", "darks = 20").replace("flats_per_range = 2", "flats_per_range = 12")
+    text = text.replace("frames_per_range = 2", "frames_per_range = 18")
+    plan_file.write_text(text.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "grbl:simulated"'))
+    held: list[Held] = []
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file)) as devices,
+    ):
+        capture(session, devices, progress=lambda done, total, name: held.append(Held.now()))
+    assert len(held) == len(session.frames) == FRAMES
+    assert verify(session) == []
+    early, late = held[SETTLED : SETTLED + 50], held[-50:]
+    assert {(one.threads, one.handles) for one in held[SETTLED:]} == {(early[0].threads, early[0].handles)}
+    assert max(one.memory_bytes for one in late) - max(one.memory_bytes for one in early) < CREEP_BYTES
