@@ -30,24 +30,28 @@ LOSSY = re.compile(r"jpe?g|heif|fine|normal|basic|large|medium|small|superfine|\
 
 @dataclass(frozen=True, slots=True)
 class Insist:
-    """A setting that must be so, whichever of the names the body has; `by_hand` is said if it has none."""
+    """What must be so, by whichever of the names a body has for it; `by_hand` is said if it has none.
+
+    value: the whole of a right value, whatever its case; switch: a right value that only a switch on the lens sets.
+    """
 
     names: tuple[str, ...]
     value: str
     by_hand: str
+    switch: str = ""
 
 
 INSISTED = (
     Insist(("expprogram", "autoexposuremode", "autoexposuremodedial"), r"m|manual.*|bulb", "exposure mode M"),
-    Insist(("focusmode", "focusmode2"), r"m|mf|manual.*", "manual focus, at the lens or the body"),
+    Insist(("focusmode", "focusmode2"), r"m|mf.*|manual.*", "manual focus, at the lens or the body", "MF (fixed)"),
     Insist(("autofocus",), r"off|0", ""),
     Insist(("imagestabilization",), r"off|0", "vibration reduction off"),
     Insist(("longexpnr",), r"off|0|no", "long exposure noise reduction off"),
     Insist(("autoiso", "isoauto"), r"off|0", ""),
+    Insist(("bracketing", "aeb"), r"off|0", ""),
     Insist(("mirrorlock",), r"off|0|no", ""),
     Insist(("autopoweroff",), r"0|off|disabled?|never", "auto power-off off"),
 )
-"""All as whole values, whatever their case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,16 +140,21 @@ def _insist(
     here = list(_first(body, insisted.names))
     if not here and insisted.by_hand:
         by_hand.append(insisted.by_hand)
+    settled = False
     for setting in here:
-        choice = next((choice for choice in setting.choices if right(choice)), None)
+        choices = [choice for choice in setting.choices if right(choice) and choice != insisted.switch]
         if right(setting.value):
+            settled = True
             # it is set all the same where it can be: a body that turns it by itself is turned back
             changes += [(setting.name, setting.value)] if setting.value in setting.choices else []
-        elif choice is not None and not setting.readonly:
-            changes.append((setting.name, choice))
-        else:
-            advice = insisted.by_hand or f"{setting.label} off"
-            problems.append(f"{setting.name} is {setting.value}: set {advice} at the camera")
+        elif choices and not setting.readonly:
+            settled = True
+            changes.append((setting.name, choices[0]))
+    if (
+        here and not settled
+    ):  # bodies with two names for one thing let only one be set, and may tell rubbish by the other
+        advice = insisted.by_hand or f"{here[0].label} off"
+        problems.append(f"{here[0].name} is {here[0].value}: set {advice} at the camera")
 
 
 def _shutter(body: Body, exposure_s: float, problems: list[str], by_hand: list[str]) -> tuple[str, Choice] | None:

@@ -112,6 +112,24 @@ def test_everything_that_cannot_be_set_is_said_at_once() -> None:
         assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("told_by", "focus", "changes"),
+    [
+        ("Manual", "MF (fixed)", {}),
+        ("AF-S", "MF (fixed)", {}),
+        ("AF-S", "AF-S", {"focusmode2": "MF (selection)"}),
+        ("AF-S", "MF (selection)", {}),
+    ],
+)
+def test_of_two_names_for_manual_focus_one_is_enough(told_by: str, focus: str, changes: dict[str, str]) -> None:
+    # as a D3300 lists them; "fixed" means the switch on its lens
+    second = (focus, "AF-S", "AF-C", "AF-A", "MF (fixed)", "MF (selection)")
+    camera = {**NIKON, **body(focusmode=(told_by, "Manual", "AF-S", "read only"), focusmode2=second)}
+    found = wanted(camera, AT_20_MS, 2.8).changes
+    changed = {name: value for name, value in found if name.startswith("focus") and camera[name].value != value}
+    assert changed == changes
+
+
 def test_what_a_body_does_not_tell_is_left_to_a_person() -> None:
     assert wanted(SONY, AT_20_MS, 2.8).by_hand == ("long exposure noise reduction off", "auto power-off off")
     manual_lens = {**SONY, **body(f_number=("f/0", "read only"))}
