@@ -1,17 +1,12 @@
-"""A rail without a motor: manual: asks the operator to set it, and to type what its scale says.
-
-Questions go to the terminal, or to whatever page has taken over the room's `ask`.
-"""
+"""A rail without a motor: `manual:` asks the operator to set it, and to type what its scale says."""
 
 from __future__ import annotations
 
-import select
-import sys
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
+from labkit.errors import PlanError, RailError, RailLimitError
 from labkit.lab.devices import Room, Travel
 from labkit.plan import Plan
 
@@ -19,7 +14,6 @@ TRIES = 3
 NEAR_MM = 2.0
 """A reading farther than this from what was asked is a slip of the hand, or of the keyboard."""
 
-ANSWER_S = 3600.0
 SCALE = Travel(-1e6, 1e6)
 
 
@@ -27,7 +21,7 @@ def open_rail(address: str, plan: Plan, room: Room) -> ManualRail:
     """The rail of manual:. Raises PlanError."""
     if plan.rail is None or address != "manual:":
         raise PlanError(f'rail.address = "{address}": allowed is manual:')
-    return ManualRail(lambda question: (room.ask or ask_at_terminal)(question), plan.rail.run_up_mm)
+    return ManualRail(room.operator.ask, plan.rail.run_up_mm)
 
 
 class ManualRail:
@@ -51,7 +45,7 @@ class ManualRail:
     def move_to(self, position_mm: float) -> float:
         """Have it set; what the scale says then, in mm.
 
-        Raises RailLimitError outside the travel, RailError without a usable answer, DeviceTimeoutError.
+        Raises RailLimitError outside the travel, RailError without a usable answer, and what `ask` raises.
         """
         if not SCALE.low_mm <= position_mm <= SCALE.high_mm:
             raise RailLimitError(f"{position_mm:.3f} mm is outside {SCALE.low_mm:g}..{SCALE.high_mm:g} mm")
@@ -84,16 +78,3 @@ class ManualRail:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
-
-
-def ask_at_terminal(question: str) -> str:
-    """A line typed at the terminal within an hour. Raises RailError where there is none, DeviceTimeoutError."""
-    if not sys.stdin.isatty():
-        raise RailError("a manual rail needs someone to set it: run this at a terminal")
-    print(f"{question}:", file=sys.stderr, flush=True)
-    if not select.select([sys.stdin], [], [], ANSWER_S)[0]:
-        raise DeviceTimeoutError(f"nobody set the manual rail within {ANSWER_S / 60:.0f} minutes")
-    answer = sys.stdin.readline()
-    if not answer:
-        raise RailError("the terminal was closed before anyone set the manual rail")
-    return answer

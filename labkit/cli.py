@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -292,7 +293,7 @@ def capture(
         report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)
-        ask = _ask if sys.stdin.isatty() else None
+        ask = partial(room.operator.ask, wants="done") if room.operator.present else None
         run_capture(opened, bench, progress=report, ask=ask, warn=console.warn, check=not no_preflight)
         frames = len(opened.frames)
     console.say(f"{session}: {frames} frames")

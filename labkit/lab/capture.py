@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 Progress = Callable[[int, int, str], None]
 """Told (frames done, frames in all, name of the frame just done)."""
 
-Ask = Callable[[str], None]
+Ask = Callable[[str], object]
 """Asks a person to do something, and returns when it is done."""
 
 EXPOSING, REJECTED = ".exposing", "rejected"
@@ -207,8 +207,11 @@ class _Capture:
         self._cover(True)
         try:
             self._take("black", todo, {})
-        finally:
-            self._cover(False)
+        except BaseException:
+            if isinstance(self._devices.camera, Coverable):  # but no trouble waits for a person
+                self._devices.camera.cover(False)
+            raise
+        self._cover(False)
 
     def _cover(self, closed: bool) -> None:
         camera = self._devices.camera
@@ -221,7 +224,7 @@ class _Capture:
         if self._ask is None and not isinstance(self._devices.camera, Coverable):
             raise PlanError(
                 f"camera.darks = {self._camera.darks}: dark frames need someone to cap the lens; "
-                f"run this at a terminal, or set camera.darks = 0"
+                f"run this at a terminal or with --monitor, or set camera.darks = 0"
             )
 
     def _take(self, picture: Picture, todo: list[Shot], meta: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import PlanError
+from labkit.lab.asking import Operator
 from labkit.lab.watch import Watcher
 from labkit.plan import DisplaySettings
 
@@ -241,8 +242,8 @@ class Room:
     A driver whose devices depend on each other keeps their common part in `shared`, under its address; the
     simulated ones keep their bench there, and replace `wait`, for in their world time is not real. A driver adds to
     `watchers` who looks on, tells a person of a page to open by `link` (what it is, its URL) and of a hold-up by
-    `tell`, and puts into `wishes` what a person asked for on a page, such as a picture by name. `ask` puts a question to
-    the operator and returns the answer; a page may take it over, and None is the terminal.
+    `tell`, and puts into `wishes` what a person asked for on a page, such as a picture by name. `operator` is asked what
+    only a person can do.
     """
 
     shared: dict[str, Any] = field(default_factory=dict)
@@ -251,7 +252,7 @@ class Room:
     link: Callable[[str, str], None] = lambda what, url: None
     tell: Callable[[str], None] = lambda words: None
     wishes: SimpleQueue[str] = field(default_factory=SimpleQueue)
-    ask: Callable[[str], str] | None = None
+    operator: Operator = field(default_factory=Operator)
 
 
 @dataclass(frozen=True, slots=True)

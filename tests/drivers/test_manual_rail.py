@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import os
-from collections.abc import Callable, Iterator
-
 import pytest
 
-from labkit.drivers import manual_rail
-from labkit.drivers.manual_rail import ManualRail, ask_at_terminal, open_rail
-from labkit.errors import DeviceTimeoutError, PlanError, RailError
+from labkit.drivers.manual_rail import ManualRail, open_rail
+from labkit.errors import PlanError, RailError
 from labkit.lab.devices import Rail, Room
 from tests.drivers.test_simulated_devices import plan
 
@@ -53,45 +48,13 @@ def test_nobody_who_answers_to_the_point_ends_it_with_one_line() -> None:
         rail.move_to(150.0)
 
 
-def test_a_page_may_take_over_the_question_at_any_time() -> None:
+def test_the_operator_of_the_room_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     room = Room()
+    monkeypatch.setattr(room.operator, "ask", lambda question: "99.5" if "100.000" in question else "")
     with open_rail("manual:", plan(), room) as rail:
-        room.ask = lambda question: "99.5"
         assert rail.move_to(100.0) == 99.5
 
 
 def test_an_address_that_says_more_is_refused() -> None:
     with pytest.raises(PlanError, match="allowed is manual:"):
         open_rail("manual:/dev/ttyUSB0", plan(), Room())
-
-
-def test_without_a_terminal_there_is_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("100\n"))
-    with pytest.raises(RailError, match="run this at a terminal"):
-        ask_at_terminal("Set it")
-
-
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], int]]:
-    """A real pseudo-terminal as standard input; types into it."""
-    near, far = os.openpty()
-    with os.fdopen(far, "r") as keyboard:
-        monkeypatch.setattr("sys.stdin", keyboard)
-        yield lambda data: os.write(near, data)
-    os.close(near)
-
-
-def test_a_person_at_the_terminal_is_asked_and_heard(
-    terminal: Callable[[bytes], int], capfd: pytest.CaptureFixture[str]
-) -> None:
-    terminal(b"150.2\n")
-    assert ManualRail(ask_at_terminal).move_to(150.0) == pytest.approx(150.2)
-    assert "Set the rail to 150.000 mm" in capfd.readouterr().err
-
-
-def test_a_person_who_went_home_does_not_hold_the_program_forever(
-    terminal: Callable[[bytes], int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(manual_rail, "ANSWER_S", 0.05)
-    with pytest.raises(DeviceTimeoutError, match="nobody set the manual rail within"):
-        ask_at_terminal("Set it")

@@ -211,7 +211,7 @@ def test_a_person_is_asked_for_the_cap_where_the_camera_has_none(
 
     with begin(plan_file, tmp_path / "s", resume=False) as session, open_devices(session.plan, room=room) as devices:
         bare = Devices(BareCamera(devices), devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
-        with pytest.raises(PlanError, match=r"run this at a terminal, or set camera\.darks = 0"):
+        with pytest.raises(PlanError, match=r"run this at a terminal or with --monitor, or set camera\.darks = 0"):
             capture(session, bare)
         capture(session, bare, ask=ask)
     assert asked == ["Put the cap on the lens", "Take the cap off the lens"]

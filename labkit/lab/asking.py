@@ -1,0 +1,142 @@
+"""Questions to the operator, answered at the terminal or on a page, by whoever comes first."""
+
+from __future__ import annotations
+
+import select
+import sys
+import termios
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Literal, Protocol, TextIO
+
+from labkit.errors import DeviceError, DeviceTimeoutError
+
+ANSWER_S = 3600.0
+LOOK_S = 0.1
+
+Wants = Literal["number", "done"]
+"""What answers a question: a number in any spelling, which who asks checks, or only that it is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """number: counts up, so that an answer that comes late is not taken for one to the next question."""
+
+    number: int
+    text: str
+    wants: Wants
+
+
+class Page(Protocol):
+    """A page that the operator may answer on."""
+
+    def wake(self) -> None:
+        """A question has been opened or closed."""
+        ...
+
+    def refuse_abort(self) -> None:
+        """Asked while a question waits: raises KeyboardInterrupt if the operator wants to stop instead."""
+        ...
+
+
+class Operator:
+    """Whoever sits at the bench. One question at a time is asked, by the capture's thread; any thread may answer."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._count = 0
+        self._question: Question | None = None
+        self._answer: str | None = None
+        self._pages: list[Page] = []
+
+    @property
+    def present(self) -> bool:
+        """Whether there is a terminal or a page to ask on."""
+        return bool(self._pages) or _terminal() is not None
+
+    @property
+    def question(self) -> Question | None:
+        """The one that waits for its answer."""
+        return self._question
+
+    def ask(self, text: str, wants: Wants = "number") -> str:
+        """Put a question, such as "Set the rail to 150 mm and type what its scale says"; the answer, trimmed.
+
+        Raises DeviceError with nobody to ask, DeviceTimeoutError after an hour, KeyboardInterrupt from a page that aborts.
+        """
+        if not self.present:
+            raise DeviceError(f"someone is needed here ({text}): run this at a terminal, or with --monitor")
+        with self._changed:
+            self._count += 1
+            self._question, self._answer = Question(self._count, text, wants), None
+        self._ring()
+        try:
+            return self._wait(text if wants == "number" else f"{text}, then press Enter").strip()
+        finally:
+            with self._changed:
+                self._question = None
+            self._ring()
+
+    def answer(self, number: int, text: str) -> bool:
+        """Answer the question of that number; whether it was still open, and not answered by anyone else."""
+        with self._changed:
+            heard = self._question is not None and self._question.number == number and self._answer is None
+            if heard:
+                self._answer = text
+                self._changed.notify_all()
+            return heard
+
+    def attend(self, page: Page) -> None:
+        """A page is there to answer on."""
+        self._pages.append(page)
+
+    def leave(self, page: Page) -> None:
+        """It no longer is."""
+        self._pages.remove(page)
+
+    def _ring(self) -> None:
+        for page in tuple(self._pages):
+            page.wake()
+
+    def _wait(self, prompt: str) -> str:
+        deadline = time.monotonic() + ANSWER_S
+        terminal = _terminal()
+        if terminal is not None:
+            with suppress(termios.error):  # what was typed before is no answer to this
+                termios.tcflush(terminal, termios.TCIFLUSH)
+            print(f"{prompt}:", file=sys.stderr, flush=True)
+        while time.monotonic() < deadline:
+            typed = _line(terminal) if terminal is not None else None
+            for page in tuple(self._pages):
+                page.refuse_abort()
+            with self._changed:
+                if self._answer is None and terminal is None:
+                    self._changed.wait(LOOK_S)
+                if self._answer is not None:
+                    if terminal is not None:
+                        print(f"answered on the operator's page: {self._answer or 'done'}", file=sys.stderr)
+                    return self._answer
+            if typed:
+                return typed
+            if typed == "":
+                terminal = None
+                if not self._pages:
+                    raise DeviceError(f"the terminal was closed before anyone answered: {prompt}")
+        raise DeviceTimeoutError(f"nobody answered within {ANSWER_S / 60:.0f} minutes: {prompt}")
+
+
+def _terminal() -> TextIO | None:
+    try:
+        return sys.stdin if sys.stdin.isatty() else None
+    except (AttributeError, ValueError):  # none, or closed
+        return None
+
+
+def _line(terminal: TextIO) -> str | None:
+    """What was typed, with its line's end; "" from a terminal that is closed, None if nothing comes for a moment."""
+    try:
+        return terminal.readline() if select.select([terminal], [], [], LOOK_S)[0] else None
+    except (OSError, ValueError):
+        return ""
