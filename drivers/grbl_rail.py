@@ -14,19 +14,15 @@ from collections.abc import Callable, Sequence
 
 from labkit.drivers import grbl_protocol as grbl
 from labkit.drivers.grbl_simulator import simulated_port
-from labkit.drivers.serial_rail import SerialRail
-from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
-from labkit.lab.devices import Room, Travel
+from labkit.drivers.serial_rail import TOLERANCE_MM, SerialRail
+from labkit.errors import DeviceTimeoutError, PlanError, RailError
+from labkit.lab.devices import Room
 from labkit.plan import Plan
-
-BAUD = 115_200
 
 QUIET_S = 0.1
 """After a banner, a controller that says nothing for so long has said all."""
 
 POLL_S = 0.1
-TOLERANCE_MM = 0.02
-"""Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
 
 RESET, HOLD, ASK = b"\x18", b"!", b"?"
 STOPPED = ("Hold", "Door", "Sleep")
@@ -49,12 +45,9 @@ def open_rail(address: str, plan: Plan, room: Room) -> GrblRail:
 
 
 class GrblRail(SerialRail):
-    """A Rail. It must be homed before it moves, and again whenever its position is in doubt.
+    """A Rail. The controller is woken and checked at once. Raises RailError, DeviceTimeoutError."""
 
-    run_up_mm: every stop is approached from below over this way, which takes up the play of the screw.
-    reply_s: longest silence; back_s: how long a port that was unplugged is waited for. The controller is woken and
-    checked at once. Raises RailError, DeviceTimeoutError.
-    """
+    NAME = "the GRBL rail"
 
     def __init__(
         self,
@@ -64,20 +57,12 @@ class GrblRail(SerialRail):
         back_s: float = 10.0,
         after_close: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__("the GRBL rail", path, BAUD, back_s, after_close)
-        self._run_up_mm = run_up_mm
-        self._reply_s = reply_s
+        super().__init__(path, run_up_mm, reply_s, back_s, after_close)
         self._under_way = False  # lines were sent whose end was not seen
         self._homing = False
-        self._at_mm = 0.0
         self._offset_mm: float | None = None
         self._settings: dict[int, float] = {}
         self._wake()
-
-    @property
-    def travel_mm(self) -> Travel:
-        """Where it can go and still be approached from below, by the controller's own settings."""
-        return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
 
     def home(self) -> None:
         """Find the zero at the limit switch; connects again where the line was lost, clears alarms.
@@ -101,9 +86,7 @@ class GrblRail(SerialRail):
         Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
         DeviceTimeoutError.
         """
-        travel = self.travel_mm
-        if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+        self._refuse_outside(position_mm)
         with self._lock:
             self._check_ready()
             below_mm = position_mm - self._run_up_mm
@@ -197,7 +180,7 @@ class GrblRail(SerialRail):
                 self._under_way = self._homing = False
                 return
         self._homed = False
-        raise DeviceTimeoutError(f"{self} does not answer as GRBL at {BAUD} baud; look at its power and its cable")
+        raise DeviceTimeoutError(f"{self} does not answer as GRBL at {self.BAUD} baud; look at its power and its cable")
 
     def _await_banner(self, within_s: float) -> bool:
         """Whether the banner comes in time. Raises RailError for firmware that this driver does not know."""
@@ -224,7 +207,7 @@ class GrblRail(SerialRail):
             raise RailError(f"{self} has homing turned off ($22=0), so nothing tells where it is; set $22=1")
         try:
             self._reach = grbl.travel(self._settings, is_hal, options)
-            Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
+            _ = self.travel_mm
         except ValueError as error:
             raise RailError(f"{self} has no room to move: travel $130 = {self._settings[130]:g} mm") from error
 

@@ -7,13 +7,12 @@ program that speaks GRBL.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Mapping, Sequence
 
-from labkit.drivers.bench import Bench
 from labkit.drivers.grbl_controller import GrblController
 from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL, Firmware
 from labkit.drivers.pty_port import LineFault, PtyPort
+from labkit.drivers.simulated_serial import carrying, serve
 from labkit.lab.devices import Room
 from labkit.plan import RailSettings
 
@@ -43,28 +42,15 @@ def simulated_port(rail: RailSettings, room: Room) -> PtyPort:
     port = grbl_port(settings={130: reach_mm, 131: reach_mm, 132: reach_mm}, options="VZ" if zero_at_home else "V")
     controller = port.controller
     assert isinstance(controller, GrblController)
-    for bench in room.shared.values():
-        if isinstance(bench, Bench):
-            controller.moved = lambda carriage_mm, bench=bench: _carry(bench, carriage_mm)  # type: ignore[misc]
+    controller.moved = carrying(room)
     return port
-
-
-def _carry(bench: Bench, carriage_mm: float) -> None:
-    bench.turn_screw(carriage_mm)
-    bench.stand(carriage_mm)
 
 
 def main() -> None:
     """Serve a controller until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hal", action="store_true", help="grblHAL instead of GRBL 1.1h")
-    port = grbl_port(GRBL_HAL if parser.parse_args().hal else GRBL)
-    print(f"{port.path}, any baud rate; Ctrl-C ends it", flush=True)
-    try:
-        while True:
-            time.sleep(3600)
-    except KeyboardInterrupt:
-        port.close()
+    serve(grbl_port(GRBL_HAL if parser.parse_args().hal else GRBL))
 
 
 if __name__ == "__main__":

@@ -1,33 +1,51 @@
-"""What all rails on a serial line share: the line, found again after it was lost, and whether the position is known."""
+"""What all rails on a serial line share: the line, found again after it was lost; travel; whether the position is known."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from labkit.drivers.serial_wire import SerialWire
-from labkit.errors import RailError
+from labkit.errors import RailError, RailLimitError
+from labkit.lab.devices import Travel
+
+TOLERANCE_MM = 0.02
+"""Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
 
 
 class SerialRail:
     """A line at `path`, opened by `_open`; whatever breaks it is told as RailError and closes it.
 
-    name: what it is called in messages. back_s: how long a port that was unplugged is waited for; the first time it has
-    to be there. after_close: what else is to be let go.
+    It must be homed before it moves, and again whenever its position is in doubt.
+    run_up_mm: every stop is approached from below over this way, which takes up the play of the screw. reply_s: longest
+    silence. back_s: how long a port that was unplugged is waited for; the first time it has to be there. after_close:
+    what else is to be let go.
     """
 
-    def __init__(self, name: str, path: str, baud: int, back_s: float, after_close: Callable[[], None]) -> None:
-        self._name = name
+    NAME: ClassVar[str]
+    BAUD: ClassVar[int] = 115_200
+
+    def __init__(
+        self, path: str, run_up_mm: float, reply_s: float, back_s: float, after_close: Callable[[], None]
+    ) -> None:
         self._path = path
-        self._baud = baud
+        self._run_up_mm = run_up_mm
+        self._reply_s = reply_s
         self._back_s = back_s
         self._opened_before = False
         self._after_close = after_close
         self._wire: SerialWire | None = None
         self._lock = threading.RLock()
         self._homed = False
+        self._at_mm = 0.0
+        self._reach = Travel(0.0, 1.0)
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Where it can go and still be approached from below, by the controller's own limits."""
+        return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
 
     def close(self) -> None:
         """Let the rail go; again does nothing."""
@@ -41,17 +59,23 @@ class SerialRail:
         self.close()
 
     def __str__(self) -> str:
-        return f"{self._name} at {self._path}"
+        return f"{self.NAME} at {self._path}"
 
     def _open(self, begin: Callable[[], None]) -> None:
         """Open the line and do what has to be done first; closes it again if that fails."""
-        self._wire = SerialWire(self._path, self._baud, self._back_s if self._opened_before else 0.0)
+        self._wire = SerialWire(self._path, self.BAUD, self._back_s if self._opened_before else 0.0)
         try:
             begin()
         except BaseException:
             self._hang_up()
             raise
         self._opened_before = True
+
+    def _refuse_outside(self, position_mm: float) -> None:
+        """Raise RailLimitError for a stop that is outside the travel."""
+        travel = self.travel_mm
+        if not travel.low_mm <= position_mm <= travel.high_mm:
+            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
 
     def _send(self, data: bytes) -> None:
         try:

@@ -10,14 +10,13 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from labkit.drivers.serial_rail import SerialRail
+from labkit.drivers.serial_rail import TOLERANCE_MM, SerialRail
 from labkit.drivers.zaber_protocol import FLAGS, REASONS, SPEED_UNIT, Reply, command_line, read_reply
 from labkit.drivers.zaber_simulator import simulated_port
-from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
+from labkit.errors import DeviceTimeoutError, PlanError, RailError
 from labkit.lab.devices import Room, Travel
 from labkit.plan import Plan
 
-BAUD = 115_200
 DEVICE, AXIS = 1, 1
 TRIES = 3
 NOBODY = 99
@@ -28,7 +27,6 @@ MOVING_S = 5.0
 """Added to twice the time of a move at full speed: ramps, and settling of an encoder."""
 
 HOMING_S = 60.0
-TOLERANCE_MM = 0.02
 
 
 def open_rail(address: str, plan: Plan, room: Room) -> ZaberRail:
@@ -46,11 +44,9 @@ def open_rail(address: str, plan: Plan, room: Room) -> ZaberRail:
 
 
 class ZaberRail(SerialRail):
-    """A Rail. It must be homed before it moves, and again whenever its position is in doubt.
+    """A Rail. The stage is looked for at once. Raises RailError, DeviceTimeoutError."""
 
-    run_up_mm: every stop is approached from below over this way. reply_s: longest silence; back_s: how long a port
-    that was unplugged is waited for. The stage is looked for at once. Raises RailError, DeviceTimeoutError.
-    """
+    NAME = "the Zaber"
 
     def __init__(
         self,
@@ -61,21 +57,12 @@ class ZaberRail(SerialRail):
         back_s: float = 10.0,
         after_close: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__("the Zaber", path, BAUD, back_s, after_close)
+        super().__init__(path, run_up_mm, reply_s, back_s, after_close)
         self._microstep_mm = microstep_mm
-        self._run_up_mm = run_up_mm
-        self._reply_s = reply_s
         self._number = 0
         self._stopping = False
-        self._at_mm = 0.0
-        self._reach = Travel(0.0, 1.0)
         self._speed_mm_per_s = 1.0
         self._open(self._get_to_know)
-
-    @property
-    def travel_mm(self) -> Travel:
-        """Where it can go and still be approached from below, by its own limits."""
-        return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
 
     def home(self) -> None:
         """Find the home sensor; connects again where the line was lost. Raises RailError, DeviceTimeoutError."""
@@ -99,9 +86,7 @@ class ZaberRail(SerialRail):
         Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
         DeviceTimeoutError.
         """
-        travel = self.travel_mm
-        if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+        self._refuse_outside(position_mm)
         with self._lock:
             if not self._homed:
                 raise RailError(f"{self} does not know where it is; home it first")
@@ -144,7 +129,7 @@ class ZaberRail(SerialRail):
         self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:
             self._reach = Travel(low * self._microstep_mm, high * self._microstep_mm)
-            Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
+            _ = self.travel_mm
         except ValueError as error:
             raise RailError(f"{self} has limits that leave no room to move; check rail.microstep_um") from error
 
@@ -194,7 +179,7 @@ class ZaberRail(SerialRail):
                 self._homed = False
                 raise RailError(f'{self} refused "{command}": {REASONS.get(reply.data, reply.data)}; home it')
         self._homed = False
-        raise DeviceTimeoutError(f"{self} does not answer at {BAUD} baud; look at its power and its cable")
+        raise DeviceTimeoutError(f"{self} does not answer at {self.BAUD} baud; look at its power and its cable")
 
     def _hear(self, number: int) -> Reply | None:
         """The reply with this id, if it comes in time; all else is dropped."""

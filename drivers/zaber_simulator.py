@@ -6,12 +6,11 @@ As rail.address = "zaber:simulated" it stands in for a rail; `python -m labkit.d
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 
-from labkit.drivers.bench import Bench
 from labkit.drivers.pty_port import PtyPort
 from labkit.drivers.simulated_motion import Braking, Move
+from labkit.drivers.simulated_serial import carrying, serve
 from labkit.drivers.zaber_protocol import SPEED_UNIT, checksum
 from labkit.lab.devices import Room
 from labkit.plan import RailSettings
@@ -187,26 +186,14 @@ def simulated_port(rail: RailSettings, microstep_mm: float, room: Room) -> PtyPo
     stops_mm = [rail.direction * (range_mm - rail.range_at_zero_mm) for range_mm in rail.ranges_mm]
     reach = round((max(*stops_mm, 50.0) + 10.0) / microstep_mm)
     controller = ZaberController(reach, speed=50.0 / microstep_mm, carriage=reach // 5)
-    for bench in room.shared.values():
-        if isinstance(bench, Bench):
-            controller.moved = lambda at, bench=bench: _carry(bench, at * microstep_mm)  # type: ignore[misc]
+    carry = carrying(room)
+    controller.moved = lambda carriage: carry(carriage * microstep_mm)
     return PtyPort(controller)
-
-
-def _carry(bench: Bench, carriage_mm: float) -> None:
-    bench.turn_screw(carriage_mm)
-    bench.stand(carriage_mm)
 
 
 def main() -> None:
     """Serve a stage until Ctrl-C."""
-    port = PtyPort(ZaberController())
-    print(f"{port.path}, any baud rate; Ctrl-C ends it", flush=True)
-    try:
-        while True:
-            time.sleep(3600)
-    except KeyboardInterrupt:
-        port.close()
+    serve(PtyPort(ZaberController()))
 
 
 if __name__ == "__main__":
