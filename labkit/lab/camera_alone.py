@@ -14,7 +14,7 @@ from labkit.inference.pose import find_target, grey_image
 from labkit.lab.devices import Adjustable, Camera, Check, Checkable, ExposureSettings, Room, Setting
 from labkit.lab.discover import open_camera
 from labkit.lab.raw import MONO, Counts, Mosaic, read_raw
-from labkit.lab.sharpness import blur_px, edge_px
+from labkit.lab.sharpness import blur_px, sharpest_edge_px
 from labkit.lab.usable import pixel_noise
 from labkit.plan import Plan, load_plan, parse_plan
 from labkit.target import open_target
@@ -101,10 +101,9 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    edges, blur, words = None, None, "not looked for: give a plan that says what it is"
+    blur, words = None, "not looked for: give a plan that says what it is"
     try:
         grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
-        edges = edge_px(grey)
         if alone.planned:
             target = open_target(alone.plan.target)
             blur, words = blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
@@ -115,7 +114,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
         iso=frame.iso or mosaic.iso or 0,
         pixels=(mosaic.counts.shape[0], mosaic.counts.shape[1]),
         colours=tuple(_colours(mosaic)),
-        edge_px=edges,
+        edge_px=sharpest_edge_px(mosaic),
         blur_px=blur,
         target=words,
         problems=check.problems,

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labkit.errors import TargetError
+from labkit.inference.pose import grey_image
+from labkit.lab.raw import Counts, Mosaic
 from labkit.target import Target
 
 Floats = NDArray[np.float64]
 
 FINEST_PX, STEP = 0.8, 1.15
 """Blur circles are tried from this diameter on, each larger than the last by this factor."""
+
+LIT_CELLS = 200
+"""Across a photograph, when its lit part is looked for."""
+
+MOST_ROWS = 1024
+"""Of the lit part, about its middle: a photograph of 24 million pixels is then looked at within a second."""
 
 LARGEST_SHARE = 0.3
 """Of the target's side: a larger blur leaves nothing to be told apart."""
@@ -20,15 +31,43 @@ WORKING_SIDE = 500
 """Pixels across the target at most when the blur is told; a blur worth telling is wide in a larger picture too."""
 
 
-def edge_px(image: ArrayLike) -> float:
-    """Pixels over which the sharpest edges rise: contrast over the steepest slope. 1 at best; large without edges.
+def sharpest_edge_px(mosaic: Mosaic) -> float | None:
+    """edge_px of the lit part of a photograph; None for one that is nearly even, such as a flat."""
+    (top, bottom), (left, right) = _lit_part(mosaic.counts)
+    spare = max(0, bottom - top - MOST_ROWS) // 4 * 2
+    top, bottom = top + spare, bottom - spare
+    part = replace(mosaic, counts=mosaic.counts[top:bottom, left:right])
+    try:
+        return edge_px(grey_image(part.counts - part.black_map(), part.pattern))
+    except TargetError:
+        return None
 
-    image: (rows, cols) grey, such as from `grey_image`.
+
+def edge_px(image: ArrayLike) -> float:
+    """Pixels over which the sharpest edges rise: contrast over the steepest slope. 2.6 at best, 3.2 with colour filters.
+
+    image: (rows, cols) grey, such as from `grey_image`, with a target that fills it. The steepest slope is one that
+    as many pixels exceed as lie along two of its sides: a target has longer edges, and noise is not taken for one.
     """
     grey = cv2.GaussianBlur(np.asarray(image, dtype=np.float32), (0, 0), 0.7)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
     low, high = np.percentile(grey, (1, 99))
-    return float((high - low) / max(float(np.percentile(slope, 99.8)), 1e-9))
+    edge_pixels = min(2 * min(grey.shape), slope.size)
+    return float((high - low) / max(float(np.partition(slope, -edge_pixels, axis=None)[-edge_pixels]), 1e-9))
+
+
+def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Rows and columns, from even to even, of the box around what is brighter than halfway, and a little more."""
+    rows, cols = counts.shape
+    step = max(2, -(-max(rows, cols) // LIT_CELLS) // 2 * 2)
+    coarse = cv2.resize(counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA)
+    lit = coarse.astype(np.float64) >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
+
+    def span(along: NDArray[np.bool_], size: int) -> tuple[int, int]:
+        found = np.flatnonzero(along)
+        return max(0, int(found[0] - 1) * step), min(size // 2 * 2, int(found[-1] + 3) * step)
+
+    return span(lit.any(axis=1), rows), span(lit.any(axis=0), cols)
 
 
 def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
