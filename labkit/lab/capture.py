@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -89,7 +90,8 @@ def capture(
     try:
         _Capture(session, devices, progress, ask).run(check, warn)
     except KeyboardInterrupt:
-        devices.rail.stop()
+        with suppress(DeviceError):  # homing, at the next start, mends a rail that did not even stop
+            devices.rail.stop()
         session.log("interrupted")
         _tell(devices, "interrupted")
         raise
@@ -127,7 +129,7 @@ class _Capture:
         stops = list(dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None))
         if darks:
             self._refuse_uncapped()
-        self._note("began", missing=len(todo), shown_size_mm=target.size_mm)
+        self._note("began", missing=len(todo), total=self._total, shown_size_mm=target.size_mm)
         if check:
             self._look_round(target, stops, len(todo), warn)
         else:

@@ -13,37 +13,15 @@ from labkit.drivers.bench_setup import settings_for
 from labkit.drivers.bench_world import Fault
 from labkit.lab.devices import Room
 from labkit.plan import load_plan
+from tests.plans import SMALL, plan_text, simulated
 
 ADDRESS = "simulated:seed=7"
 
-PLAN = """
-[lens]
-focal_length_mm = 50.0
-f_number = 8.0
-[sensor]
-pixel_pitch_um = 6.0
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 2
-size_mm = 9.0
-[camera]
-address = "simulated:seed=7"
-exposure_s = 0.02
-frames_per_range = 2
-flats_per_range = 2
-darks = 3
-[rail]
-address = "simulated:seed=7"
-ranges_mm = [2000, 2050.5]
-range_at_zero_mm = 1950.0
-[display]
-address = "simulated:seed=7"
-pixel_pitch_mm = 0.1
-pixels = [400, 400]
-"""
+PLAN = plan_text(
+    SMALL,
+    simulated([2000, 2050.5], 1950.0, seed=7),
+    {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 3}},
+)
 
 RoomMaker = Callable[..., Room]
 
