@@ -6,17 +6,16 @@ at once end their addresses in names: `web://0.0.0.0:8642/left` and `web://0.0.0
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
-from urllib.parse import urlsplit
 
 import numpy as np
 
+from labkit.drivers.web_address import parse_address, serving
 from labkit.drivers.web_screen import Order, Report, Screen
-from labkit.drivers.web_server import WebServer
 from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import PanelInfo, Picture, Room, Shown, panel_info
 from labkit.plan import Plan
@@ -27,12 +26,6 @@ HOLD_S = 600.0
 PATIENCE_S = 2.0
 """A display that is right again sooner is not worth a word."""
 
-DEFAULT_PORT = 8642
-RESERVED = ("monitor", "page")
-ALLOWED = (
-    "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) or web://0.0.0.0:8642 (all)"
-)
-
 
 def open_display(address: str, plan: Plan, room: Room) -> WebDisplay:
     """The screen of an address; the first starts the server. Raises PlanError, or DisplayError for a port in use."""
@@ -40,39 +33,13 @@ def open_display(address: str, plan: Plan, room: Room) -> WebDisplay:
         raise PlanError("a web display needs a plan with [display]")
     host, port, name = parse_address(address)
     panel = panel_info(plan.display)
-    where = f"web://{host}:{port}"
-    server = room.shared.get(where)
-    first = server is None
-    if server is None:
-        server = WebServer(host, port, room.wishes)
-        server.start()
-        room.shared[where] = server
-        room.watchers.append(server.monitor)
-    screen = server.add_screen(name, panel)
-
-    def close() -> None:
-        if not server.remove_screen(name):
-            server.close()
-            room.shared.pop(where, None)
-            room.watchers.remove(server.monitor)
-
+    with ExitStack() as stack:
+        server = stack.enter_context(serving(host, port, room))
+        screen = server.add_screen(name, panel)
+        stack.callback(server.remove_screen, name)
+        close = stack.pop_all().close
     room.link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
-    if first:
-        room.link("The operator's page", server.url("monitor"))
     return WebDisplay(screen, close, room.tell, server.monitor.refuse_abort)
-
-
-def parse_address(address: str) -> tuple[str, int, str]:
-    """(host, port, name) of web://HOST:PORT/NAME; without a host, this machine alone. Raises PlanError."""
-    try:
-        parts = urlsplit(address)
-        host, port, name = parts.hostname or "127.0.0.1", parts.port, parts.path.strip("/") or "screen"
-    except ValueError:
-        raise PlanError(f'display.address = "{address}": allowed is {ALLOWED}') from None
-    plain = not (parts.query or parts.fragment or parts.username or parts.password)
-    if parts.scheme != "web" or not plain or not re.fullmatch(r"[a-z0-9-]{1,20}", name) or name in RESERVED:
-        raise PlanError(f'display.address = "{address}": allowed is {ALLOWED}')
-    return host, DEFAULT_PORT if port is None else port, name
 
 
 class WebDisplay:

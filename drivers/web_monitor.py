@@ -6,49 +6,30 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
 from queue import SimpleQueue
 from typing import Any
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
+from labkit.drivers.web_look import Look, look_at
+from labkit.lab.asking import Operator
 from labkit.lab.raw import Mosaic
 from labkit.lab.session import Kind
 
-BINS = 64
-PREVIEW_PX = 900
 LOG_LINES, SHARPNESS_POINTS = 200, 60
-RED = (40, 40, 230)
-"""Blue, green, red of a clipped pixel in the preview."""
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """A photograph at a glance. histogram: share of pixels in 64 equal steps from black to white, and what is beyond."""
-
-    number: int
-    name: str
-    kind: Kind
-    range_mm: float | None
-    clipped_percent: float
-    median_percent: float
-    sharpness: float
-    histogram: list[float]
 
 
 class Monitor:
     """The state of the operator's page. The capture's thread writes it, the server's reads it."""
 
-    def __init__(self, wishes: SimpleQueue[str], now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._wishes = now, wishes
+    def __init__(self, wishes: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._wishes, self._operator = now, wishes, operator
         self._lock = threading.Condition()
         self._listeners: dict[object, Callable[[], None]] = {}
         self._phase, self._doing = "idle", ""
         self._done = self._total = 0
-        self._began: tuple[float, int] | None = None
+        self._first: tuple[float, int] | None = None
+        self._latest_s = 0.0
         self._paused = self._stopping = False
         self._paused_s = 0.0
         self._choices: list[str] = []
@@ -67,26 +48,23 @@ class Monitor:
             self._take_note(event, fields)
             if event != "doing":
                 self._write(in_words(event, fields))
-        self._ring()
+        self.wake()
 
     def took(self, name: str, kind: Kind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
         """A photograph is in the session."""
-        level = levels(mosaic)
-        number = self._look.number + 1 if self._look else 1
-        look = Look(number, name, kind, range_mm, *exposure(mosaic), sharpness(level), histogram(mosaic))
-        preview = picture(level, mosaic.counts >= mosaic.white)
+        look, preview = look_at(self._look.number + 1 if self._look else 1, name, kind, range_mm, mosaic)
         with self._lock:
             self._look, self.preview = look, preview
-            if kind == "target":
-                self._sharpness.append({"name": name, "value": look.sharpness})
-            if self._began is None:
-                self._began = self._now(), done - 1
-                self._paused_s = 0.0
+            if look.edge_px is not None:
+                self._sharpness.append({"name": name, "edge_px": look.edge_px})
+            self._latest_s = self._now()
+            if self._first is None:
+                self._first, self._paused_s = (self._latest_s, done), 0.0
             self._done, self._total = done, total
             # a photograph in the session means that whatever was in trouble has got over it
             self._devices = {device: {**state, "state": "good"} for device, state in self._devices.items()}
             self._devices["camera"] = {"state": "good", "text": f"took {name}"}
-        self._ring()
+        self.wake()
 
     def may_go_on(self) -> None:
         """Hold while paused. Raises KeyboardInterrupt once asked to abort."""
@@ -94,14 +72,17 @@ class Monitor:
         with self._lock:
             while self._paused and not self._stopping:
                 self._lock.wait(0.5)
-            self._paused_s += self._now() - since
+            if self._first is not None:
+                self._paused_s += self._now() - since
         self.refuse_abort()
 
     def refuse_abort(self) -> None:
         """Raise KeyboardInterrupt, once, if the operator pressed abort."""
-        if self._stopping:
+        with self._lock:
+            if not self._stopping:
+                return
             self._stopping = self._paused = False
-            raise KeyboardInterrupt
+        raise KeyboardInterrupt
 
     # the page's side
 
@@ -115,13 +96,21 @@ class Monitor:
                 self._stopping = self._stopping or what == "abort"
                 self._write(f"operator: {what}")
                 self._lock.notify_all()
-        self._ring()
+        self.wake()
+
+    def answer(self, number: int, text: str) -> None:
+        """An answer to the question of that number; ignored if it has been answered."""
+        if self._operator.answer(number, text):
+            with self._lock:
+                self._write(f"operator: {text or 'done'}")
+            self.wake()
 
     def snapshot(self) -> dict[str, Any]:
         """All that the page shows, for JSON; without the displays, which the server knows."""
+        question = self._operator.question
         with self._lock:
             return {
-                "phase": self._shown_phase(),
+                "phase": self._shown_phase(question is not None),
                 "doing": self._doing,
                 "done": self._done,
                 "total": self._total,
@@ -131,6 +120,7 @@ class Monitor:
                 "devices": [{"device": device, **state} for device, state in self._devices.items()],
                 "choices": list(self._choices),
                 "picked": self._picked,
+                "question": asdict(question) if question else None,
                 "log": list(self._log),
             }
 
@@ -144,33 +134,37 @@ class Monitor:
         with self._lock:
             self._listeners.pop(who, None)
 
+    def wake(self) -> None:
+        """Tell every listener that there is something new."""
+        with self._lock:
+            listeners = tuple(self._listeners.values())
+        for tell in listeners:
+            tell()
+
     def _write(self, text: str) -> None:
         self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": text})
 
-    def _ring(self) -> None:
-        with self._lock:
-            listeners = tuple(self._listeners.values())
-        for wake in listeners:
-            wake()
-
-    def _shown_phase(self) -> str:
+    def _shown_phase(self, asking: bool) -> str:
         if self._phase != "capturing":
             return self._phase
-        return "stopping" if self._stopping else "paused" if self._paused else "capturing"
+        return "stopping" if self._stopping else "asking" if asking else "paused" if self._paused else "capturing"
 
-    def _left_s(self) -> float | None:
-        """Seconds left at the pace so far, pauses not counted."""
-        if self._phase != "capturing" or self._began is None or self._paused:
+    def _left_s(self) -> int | None:
+        """Seconds left at the pace so far, pauses not counted; None before two photographs show a pace."""
+        if self._phase != "capturing" or self._first is None or self._paused or self._done <= self._first[1]:
             return None
-        since, already = self._began
-        return (self._now() - since - self._paused_s) / max(1, self._done - already) * (self._total - self._done)
+        since, already = self._first
+        pace_s = (self._latest_s - since - self._paused_s) / (self._done - already)
+        return max(0, round(pace_s * (self._total - self._done) - (self._now() - self._latest_s)))
 
     def _take_note(self, event: str, fields: dict[str, Any]) -> None:
         match event:
             case "doing":
                 self._phase, self._doing = "capturing", str(fields["what"])
             case "began":
-                self._phase, self._began = "capturing", None
+                self._phase, self._first = "capturing", None
+                self._total = int(fields["total"])
+                self._done = self._total - int(fields["missing"])
             case "complete" | "stopped" | "interrupted":
                 self._phase = event
                 self._doing = str(fields.get("error", ""))
@@ -183,56 +177,6 @@ class Monitor:
                 self._devices["rail"] = {"state": "good", "text": f"at {fields['measured_range_mm']:g} mm"}
             case "trouble":
                 self._devices[str(fields["device"])] = {"state": "bad", "text": str(fields["error"])}
-
-
-def levels(mosaic: Mosaic) -> NDArray[np.float32]:
-    """(rows/2, cols/2) light, 0 black to 1 white, each 2×2 cell in one."""
-    rows, cols = (size // 2 * 2 for size in mosaic.counts.shape)
-    counts = mosaic.counts[:rows, :cols].astype(np.float32)
-    cells: NDArray[np.float32] = counts.reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
-    black = float(mosaic.black.mean())
-    return (cells - np.float32(black)) / np.float32(mosaic.white - black)
-
-
-def exposure(mosaic: Mosaic) -> tuple[float, float]:
-    """Percentage of pixels at or above white, and the middle pixel in percent of the way from black to white."""
-    clipped = 100 * np.count_nonzero(mosaic.counts >= mosaic.white) / mosaic.counts.size
-    black = float(mosaic.black.mean())
-    return float(clipped), float(100 * (np.median(mosaic.counts[::3, ::3]) - black) / (mosaic.white - black))
-
-
-def histogram(mosaic: Mosaic) -> list[float]:
-    """Share of pixels in 64 equal steps from black to white; what is below or above counts in the first and last."""
-    of_count = np.bincount(mosaic.counts.ravel(), minlength=1)
-    black = float(mosaic.black.mean())
-    step = np.floor((np.arange(of_count.size) - black) / (mosaic.white - black) * BINS)
-    share = np.bincount(np.clip(step, 0, BINS - 1).astype(int), weights=of_count, minlength=BINS)
-    return [float(value) for value in share / mosaic.counts.size]
-
-
-def sharpness(level: NDArray[np.float32]) -> float:
-    """RMS slope from cell to cell over the mean light, in the middle half of the frame.
-
-    No unit: larger is sharper, for the same target at the same range; exposure cancels. Noise adds to it.
-    """
-    rows, cols = level.shape
-    middle = level[rows // 4 : rows - rows // 4, cols // 4 : cols - cols // 4].astype(np.float64)
-    if min(middle.shape) < 2:
-        return 0.0
-    square = np.mean(np.diff(middle, axis=0) ** 2) + np.mean(np.diff(middle, axis=1) ** 2)
-    return float(np.sqrt(square) / max(float(middle.mean()), 1e-6))
-
-
-def picture(level: NDArray[np.float32], clipped: NDArray[np.bool_]) -> bytes:
-    """A JPEG at most 900 pixels wide, brightened as a screen needs; every patch with a clipped pixel is red."""
-    scale = min(1.0, PREVIEW_PX / level.shape[1])
-    size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
-    small = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
-    grey = np.rint(255 * np.clip(small, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-    colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    colour[cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0] = RED
-    done, jpeg = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return jpeg.tobytes() if done else b""
 
 
 def in_words(event: str, fields: dict[str, Any]) -> str:
@@ -248,5 +192,11 @@ def in_words(event: str, fields: dict[str, Any]) -> str:
             return f"trouble with the {device}, try {attempt}: {error}"
         case "serving", {"picked": picked}:
             return f"showing {picked}"
+        case "preflight", {"problems": problems}:
+            return f"looked round: {'; '.join(problems) or 'all is right'}"
+        case "stopped", {"error": error}:
+            return f"stopped: {error}"
+        case "rejected", {"file": file, "reason": reason}:
+            return f"put aside as {file}: {reason}"
     words = ", ".join(f"{key} {value}" for key, value in fields.items())
     return f"{event}: {words}".rstrip(": ")

@@ -107,6 +107,13 @@ class Screen:
             self.changed.notify_all()
         previous()
 
+    def dismiss(self) -> None:
+        """Let its page go."""
+        with self.changed:
+            wake, self._page, self._report = self._wake, None, None
+            self.changed.notify_all()
+        wake()
+
     def holds(self, page: object) -> bool:
         """Whether this connection is still the screen's, not an older one."""
         return self._page is page

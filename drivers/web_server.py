@@ -13,11 +13,10 @@ from collections.abc import Awaitable, Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Annotated, Any
 
 import uvicorn
-from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
@@ -28,7 +27,7 @@ from labkit.drivers.web_door import HEADERS, Connection, Guard, kept_token
 from labkit.drivers.web_monitor import Monitor
 from labkit.drivers.web_screen import Report, Screen
 from labkit.errors import DisplayError, PlanError
-from labkit.lab.devices import PanelInfo
+from labkit.lab.devices import PanelInfo, Room
 
 START_S = STOP_S = 10.0
 SEND_S = 10.0
@@ -46,7 +45,7 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
 }
-TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4001, 4002, 4003
+GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
 
 
 class Press(BaseModel):
@@ -57,6 +56,18 @@ class Press(BaseModel):
     do: Annotated[str, StringConstraints(max_length=40)]
 
 
+class Answer(BaseModel):
+    """An answer to the question of that number: nothing that a terminal would not take as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    answer: Annotated[int, Field(ge=0, le=2**53)]
+    text: Annotated[str, StringConstraints(pattern=r"^[ -~]{0,24}$")]
+
+
+PRESS_OR_ANSWER: TypeAdapter[Press | Answer] = TypeAdapter(Press | Answer)
+
+
 @cache
 def page_files() -> dict[str, bytes]:
     """Every file that is ever served, by name."""
@@ -64,15 +75,16 @@ def page_files() -> dict[str, bytes]:
 
 
 class WebServer:
-    """Listens on one address for all screens of one host and port. Started by the first of them."""
+    """Listens on one address for the pages of all its users, which it counts for `serving`."""
 
-    def __init__(self, host: str, port: int, wishes: SimpleQueue[str], state: Path | None = None) -> None:
-        """state: the folder that keeps the token. Raises DisplayError if the address cannot be listened on."""
+    def __init__(self, host: str, port: int, room: Room) -> None:
+        """Raises DisplayError if the address cannot be listened on."""
         self._socket = _listen(host, port)
         self._host, self.port = host, self._socket.getsockname()[1]
-        self.token = kept_token(state or _state_folder())
+        self.token = kept_token(_state_folder())
         self.screens: dict[str, Screen] = {}
-        self.monitor = Monitor(wishes)
+        self.monitor = Monitor(room.wishes, room.operator)
+        self.users = 0
         self._monitors = 0
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -126,10 +138,9 @@ class WebServer:
         self.screens[name] = Screen(name, panel, self.url(name))
         return self.screens[name]
 
-    def remove_screen(self, name: str) -> bool:
-        """Take a screen away; returns whether others are left."""
-        del self.screens[name]
-        return bool(self.screens)
+    def remove_screen(self, name: str) -> None:
+        """Take a screen away; its page goes black."""
+        self.screens.pop(name).dismiss()
 
     def _run(self) -> None:
         self._server.run(sockets=[self._socket])
@@ -180,11 +191,13 @@ class WebServer:
         def hear(text: str) -> None:
             screen.hear(socket, Report.model_validate_json(text))
 
-        def message() -> dict[str, Any] | None:
-            return _message(screen) if screen.holds(socket) else None
+        def message() -> dict[str, Any] | int:
+            if screen.holds(socket):
+                return _message(screen)
+            return TAKEN_OVER if self.screens.get(screen.name) is screen else GONE
 
         try:
-            await _converse(socket, hear, message, wake, TAKEN_OVER, 0.0)
+            await _converse(socket, hear, message, wake, 0.0)
         finally:
             screen.leave(socket)
 
@@ -198,10 +211,14 @@ class WebServer:
         self.monitor.listen(socket, wake.ring)
 
         def hear(text: str) -> None:
-            self.monitor.act(Press.model_validate_json(text).do)
+            match PRESS_OR_ANSWER.validate_json(text):
+                case Press(do=what):
+                    self.monitor.act(what)
+                case Answer(answer=number, text=words):
+                    self.monitor.answer(number, words)
 
         try:
-            await _converse(socket, hear, self._overview, wake, CROWDED, AT_MOST_EVERY_S)
+            await _converse(socket, hear, self._overview, wake, AT_MOST_EVERY_S)
         finally:
             self.monitor.unlisten(socket)
             self._monitors -= 1
@@ -209,7 +226,7 @@ class WebServer:
     def _overview(self) -> dict[str, Any]:
         displays = [
             {"name": name, "url": screen.url, "problem": screen.problem, "pixels": list(screen.panel.pixels)}
-            for name, screen in self.screens.items()
+            for name, screen in tuple(self.screens.items())
         ]
         return {**self.monitor.snapshot(), "displays": displays}
 
@@ -237,19 +254,19 @@ class _Alarm:
 async def _converse(
     socket: WebSocket,
     hear: Callable[[str], None],
-    message: Callable[[], dict[str, Any] | None],
+    message: Callable[[], dict[str, Any] | int],
     wake: _Alarm,
-    ended: int,
     pause_s: float,
 ) -> None:
-    """Hear a page and tell it what is new, until it goes, or `message` gives None."""
+    """Hear a page and tell it what is new, until it goes, or `message` gives a code to end by."""
     listener = asyncio.create_task(_listen_to(socket, hear))
-    told, told_at = None, 0.0
+    told: dict[str, Any] | None = None
+    told_at = 0.0
     try:
         while not listener.done():
             news = message()
-            if news is None:
-                await _within(socket.close(ended))
+            if isinstance(news, int):
+                await _within(socket.close(news))
                 return
             if news != told or time.monotonic() - told_at > AT_LEAST_EVERY_S:
                 await _within(socket.send_text(json.dumps(news, ensure_ascii=False)))
@@ -299,7 +316,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener = socket.create_server(where[:2], family=family, backlog=256)
     except OSError as error:
         raise DisplayError(
-            f"cannot listen on {host} port {port}: {error.strerror or error}; give another port in display.address"
+            f"cannot listen on {host} port {port}: {error.strerror or error}; give another port"
         ) from error
     listener.setblocking(False)
     return listener
@@ -309,10 +326,13 @@ def reachable(host: str) -> str:
     """An address for a URL: of a server on all of a machine's addresses, the one that others reach it by."""
     if host not in ("0.0.0.0", "::", ""):
         return f"[{host}]" if ":" in host else host
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+    six = host == "::"
+    with socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # sends nothing: only the route is looked up (RFC 5737 test address)
-            return str(probe.getsockname()[0])
+            # sends nothing: only the route is looked up (test addresses of RFC 3849 and 5737)
+            probe.connect(("2001:db8::1" if six else "192.0.2.1", 9))
+            address = str(probe.getsockname()[0])
+            return f"[{address}]" if six else address
         except OSError:
             return socket.gethostname()
 

@@ -271,23 +271,35 @@ def capture(
     no_preflight: Annotated[
         bool, typer.Option("--no-preflight", help="Begin without looking first whether all is right.")
     ] = False,
+    monitor: Annotated[
+        bool, typer.Option("--monitor", help="Serve an operator's page; a web display brings one anyway.")
+    ] = False,
+    listen: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642 for the lab's network."),
+    ] = None,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.capture import capture as run_capture
     from labkit.lab.capture import picture_for
     from labkit.lab.devices import Room
-    from labkit.lab.discover import open_devices
+    from labkit.lab.discover import open_devices, open_monitor
     from labkit.lab.session import begin, refuse_existing
     from labkit.plan import load_plan
 
     console: Console = ctx.obj
-    again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *["--simulate"][: int(simulate)]])
+    flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
+    flags += ["--listen", listen] if listen else []
+    again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *flags])
     console.hint = f"; every photograph so far is safe, go on with: {again}"
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
     room = Room(link=console.link, tell=console.warn)
-    with open_devices(wanted, "simulated:" if simulate else None, room) as bench, ExitStack() as stack:
+    with ExitStack() as stack:
+        if monitor or listen:
+            stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, room))
+        bench = stack.enter_context(open_devices(wanted, "simulated:" if simulate else None, room))
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
         opened = stack.enter_context(begin(plan, session, resume))
         report = stack.enter_context(console.progress("capturing"))

@@ -1,13 +1,14 @@
 """Devices by address: what stands before the colon is the driver's name, an entry point.
 
-Groups `labkit.cameras`, `labkit.rails` and `labkit.displays`; each entry is a callable (address, plan, room) -> device.
+Groups `labkit.cameras`, `labkit.rails`, `labkit.displays` and `labkit.monitors`; each entry is a callable
+(address, plan, room) -> device.
 A lab adds its own device by an entry point of a package of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -15,11 +16,16 @@ from labkit.errors import PlanError
 from labkit.lab.devices import Camera, Devices, Display, Rail, Room
 from labkit.plan import Plan
 
-GROUPS = {"camera": "labkit.cameras", "rail": "labkit.rails", "display": "labkit.displays"}
+GROUPS = {
+    "camera": "labkit.cameras",
+    "rail": "labkit.rails",
+    "display": "labkit.displays",
+    "monitor": "labkit.monitors",
+}
 
 
 def installed(device: str) -> tuple[str, ...]:
-    """Names of the drivers installed for "camera", "rail" or "display"."""
+    """Names of the drivers installed for "camera", "rail", "display" or "monitor"."""
     return tuple(sorted(entry_points(group=GROUPS[device]).names))
 
 
@@ -41,6 +47,15 @@ def open_display(address: str, plan: Plan, room: Room) -> Display:
     return display
 
 
+def open_monitor(address: str, plan: Plan, room: Room) -> AbstractContextManager[object]:
+    """An operator's page at an address such as web://0.0.0.0:8642, in the room before its devices, until the context ends.
+
+    Raises PlanError, or what the driver raises.
+    """
+    monitor: AbstractContextManager[object] = _open("monitor", address, plan, room)
+    return monitor
+
+
 @contextmanager
 def open_devices(plan: Plan, simulated: str | None = None, room: Room | None = None) -> Iterator[Devices]:
     """All three devices of a plan, opened together and closed together.
@@ -50,7 +65,7 @@ def open_devices(plan: Plan, simulated: str | None = None, room: Room | None = N
     """
     room = room or Room()
     if plan.camera is None or plan.rail is None or plan.display is None:
-        missing = ", ".join(f"[{name}]" for name in GROUPS if getattr(plan, name) is None)
+        missing = ", ".join(f"[{name}]" for name in ("camera", "rail", "display") if getattr(plan, name) is None)
         raise PlanError(f"the plan has no {missing}: to capture, it needs [camera], [rail] and [display]")
     with ExitStack() as stack:
         camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, room))

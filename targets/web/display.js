@@ -10,6 +10,7 @@ const here = location.pathname;
 const BEAT_MS = 1000;
 const ASLEEP_MS = 3000; // three beats missed: the page slept
 const DEAF_MS = 6000; // the server says something every two seconds
+const FETCH_MS = 30000;
 const TAKEN_OVER = 4001;
 const LOST = 1006; // no goodbye: the network; the picture stays
 
@@ -50,7 +51,8 @@ const frame = () => new Promise((done) => requestAnimationFrame(done));
 async function draw(number) {
   drawing = number;
   try {
-    const answer = await fetch(`${here}/picture?${number}`, { cache: "no-store" });
+    const signal = AbortSignal.timeout ? AbortSignal.timeout(FETCH_MS) : undefined;
+    const answer = await fetch(`${here}/picture?${number}`, { cache: "no-store", signal });
     if (!answer.ok) throw new Error(answer.status);
     const options = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
     const bitmap = await createImageBitmap(await answer.blob(), options);

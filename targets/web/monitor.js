@@ -6,7 +6,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const here = location.pathname;
 const DEAF_MS = 6000; // the server says something every two seconds
 const PHASES = {
-  idle: "Ready", capturing: "Capturing", paused: "Paused", stopping: "Stopping", complete: "Complete",
+  idle: "Ready", capturing: "Capturing", asking: "Your turn", paused: "Paused", stopping: "Stopping", complete: "Complete",
   stopped: "Stopped", interrupted: "Interrupted", serving: "Showing",
 };
 const ENDED = ["complete", "stopped", "interrupted"];
@@ -22,9 +22,11 @@ function make(tag, className, ...children) {
   return element;
 }
 
-function send(what) {
-  if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what }));
+function send(message) {
+  if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
+
+const press = (what) => send({ do: what });
 
 function duration(seconds) {
   const minutes = Math.round(seconds / 60);
@@ -33,10 +35,11 @@ function duration(seconds) {
 }
 
 function render(state) {
-  const running = ["capturing", "paused", "stopping"].includes(state.phase);
+  const running = ["capturing", "asking", "paused", "stopping"].includes(state.phase);
   $("phase").textContent = PHASES[state.phase] || state.phase;
   $("phase").dataset.phase = state.phase;
   document.title = state.total ? `${state.done}/${state.total} ${PHASES[state.phase]} – labkit` : "labkit";
+  if (state.phase === "asking") document.title = `● ${document.title}`;
   $("doing").textContent = state.doing;
   $("left").textContent = state.left_s === null ? "" : duration(state.left_s);
   $("count").textContent = state.total ? `${state.done} of ${state.total}` : "";
@@ -48,11 +51,48 @@ function render(state) {
   $("pause").textContent = state.phase === "paused" ? "Go on" : "Pause";
   $("pause").disabled = $("abort").disabled = state.phase === "stopping";
   if (state.phase === "stopping" || !running) askAgain(false);
+  renderQuestion(state.question);
   renderChoices(state);
   renderFrame(state.frame);
-  renderSharpness(state.sharpness, state.frame);
+  renderSharpness(state.sharpness);
   renderDevices(state);
   renderLog(state.log);
+}
+
+function renderQuestion(question) {
+  const form = $("question");
+  const number = question === null ? "" : String(question.number);
+  if (form.dataset.number === number) return; // what is being typed stays
+  form.dataset.number = number;
+  form.hidden = question === null;
+  if (question === null) return;
+  const typed = question.wants === "number";
+  $("asked").textContent = typed ? `${question.text}.` : `${question.text}, then touch Done.`;
+  $("reply").value = $("slip").textContent = "";
+  $("reply").hidden = $("unit").hidden = !typed;
+  $("reply").inputMode = /-\d/.test(question.text) ? "text" : "decimal"; // a tablet's number pad has no minus
+  $("send").textContent = typed ? "Send" : "Done";
+  $("send").disabled = false;
+}
+
+function answer(event) {
+  event.preventDefault();
+  const question = last === null ? null : last.question;
+  if (question === null) return;
+  const text = question.wants === "number" ? $("reply").value.trim() : "";
+  const plain = text.replace(/\s*mm$/, "").replace(",", ".");
+  if (question.wants === "number" && (plain === "" || !Number.isFinite(Number(plain)) || !/^[ -~]*$/.test(text))) {
+    $("slip").textContent = "Type a number, such as 150.25.";
+    $("reply").select();
+    return;
+  }
+  $("slip").textContent = "";
+  if (socket === null || socket.readyState !== WebSocket.OPEN) {
+    $("slip").textContent = "No connection: try again in a moment.";
+    return;
+  }
+  $("send").disabled = true;
+  send({ answer: question.number, text });
 }
 
 function renderChoices(state) {
@@ -62,7 +102,7 @@ function renderChoices(state) {
     const button = make("button", "", name);
     button.type = "button";
     button.setAttribute("aria-pressed", name === state.picked);
-    button.addEventListener("click", () => send(name));
+    button.addEventListener("click", () => press(name));
     return button;
   }));
 }
@@ -72,7 +112,7 @@ function renderFrame(frame) {
   if (frame === null || (last !== null && last.frame !== null && last.frame.number === frame.number)) return;
   const where = frame.range_mm === null ? "" : ` · ${frame.range_mm} mm`;
   $("frame-name").textContent = `${frame.name}${where}`;
-  $("preview").src = `${here}/frame?${frame.number}`;
+  $("preview").src = `${here}/frame?${frame.number}-${Date.now()}`;
   $("preview").hidden = false;
   $("clipped").textContent = `${frame.clipped_percent.toFixed(frame.clipped_percent < 10 ? 2 : 0)} %`;
   $("median").textContent = `middle value ${frame.median_percent.toFixed(0)} %`;
@@ -89,32 +129,37 @@ function renderFrame(frame) {
   }));
 }
 
-function renderSharpness(points, frame) {
-  $("sharpness").textContent = frame === null ? "–" : frame.sharpness.toPrecision(3);
-  const values = points.map((point) => point.value);
+function renderSharpness(points) {
+  if (points.length === 0) return;
+  const values = points.map((point) => point.edge_px);
+  const least = Math.min(...values), span = Math.max(...values) - least || 1;
+  $("sharpness").textContent = `${values[values.length - 1].toFixed(1)} px`;
+  $("best").textContent = `edges rise over this, smaller is sharper; best ${least.toFixed(1)}, ${points[values.indexOf(least)].name}`;
   $("trend").replaceChildren();
   if (values.length < 2) return;
-  const low = Math.min(...values), span = Math.max(...values) - low || 1;
-  const at = (v, i) => `${((200 * i) / (values.length - 1)).toFixed(1)},${(36 - (32 * (v - low)) / span).toFixed(1)}`;
+  // sharper is up
+  const at = (v, i) => `${((200 * i) / (values.length - 1)).toFixed(1)},${(4 + (32 * (v - least)) / span).toFixed(1)}`;
   const line = document.createElementNS(SVG, "path");
   line.setAttribute("d", `M${values.map(at).join(" L")}`);
   $("trend").append(line);
-  const best = points[values.indexOf(Math.max(...values))];
-  $("best").textContent = `best ${best.value.toPrecision(3)}, ${best.name}`;
 }
 
 function renderDevices(state) {
   // a web display speaks for itself, below
   const rows = state.devices.filter((d) => d.device !== "display" || state.displays.length === 0).map((d) => [d.device, d.state === "good", d.text]);
   for (const d of state.displays) rows.push([d.name === "screen" ? "display" : `display ${d.name}`, d.problem === null, d.problem || "ready"]);
+  $("no-devices").hidden = rows.length > 0;
   $("device-list").replaceChildren(...rows.map(([name, good, text]) =>
     make("li", good ? "" : "bad", make("span", "soft", name), make("span", "", text))));
 }
 
 function renderLog(lines) {
   const list = $("log-list");
+  const now = JSON.stringify(lines);
+  if (list.dataset.now === now) return; // whoever scrolls in it is left alone
+  list.dataset.now = now;
   list.replaceChildren(...lines.slice().reverse().map((line) => {
-    const bad = /^(trouble|stopped|rejected)/.test(line.text);
+    const bad = /^(trouble|stopped|put aside)/.test(line.text);
     return make("li", bad ? "trouble" : "", make("span", "soft", line.time), make("span", "", line.text));
   }));
 }
@@ -134,12 +179,14 @@ function offline() {
     $("doing").textContent = "trying again by itself";
   }
   $("actions").hidden = true;
+  renderQuestion(null);
 }
 
 function connect() {
   heard = Date.now();
   const connection = new WebSocket(`ws://${location.host}${here}/socket`);
   socket = connection;
+  connection.onopen = () => { last = null; }; // maybe another session's
   connection.onmessage = (event) => {
     if (socket !== connection) return;
     heard = Date.now();
@@ -166,9 +213,10 @@ setInterval(() => {
   }
 }, 1000);
 
-$("pause").addEventListener("click", () => send(last !== null && last.phase === "paused" ? "resume" : "pause"));
+$("pause").addEventListener("click", () => press(last !== null && last.phase === "paused" ? "resume" : "pause"));
+$("question").addEventListener("submit", answer);
 $("abort").addEventListener("click", () => askAgain(true));
-$("yes").addEventListener("click", () => { askAgain(false); send("abort"); });
+$("yes").addEventListener("click", () => { askAgain(false); press("abort"); });
 $("no").addEventListener("click", () => askAgain(false));
 askAgain(false);
 $("actions").hidden = true;

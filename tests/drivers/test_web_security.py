@@ -21,7 +21,8 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from labkit.drivers import web_door
-from labkit.drivers.web_display import WebDisplay, open_display, parse_address
+from labkit.drivers.web_address import parse_address
+from labkit.drivers.web_display import WebDisplay, open_display
 from labkit.drivers.web_door import kept_token
 from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import Room

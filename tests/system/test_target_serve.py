@@ -18,7 +18,7 @@ def test_a_target_is_served_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.Mon
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         try:
-            display, operator = running.stderr.readline(), running.stderr.readline()
+            operator, display = running.stderr.readline(), running.stderr.readline()
             assert display.startswith('Open this on the display "screen" (2048 × 1536 pixels): http://127.0.0.1:')
             for line, title in ((display, "labkit display"), (operator, "labkit")):
                 (url,) = re.findall(r"http://\S+", line)

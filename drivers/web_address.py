@@ -1,0 +1,70 @@
+"""Web servers by their address: one serves all pages of a host and port, and lives as long as any of them is wanted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from urllib.parse import urlsplit
+
+from labkit.drivers.web_server import WebServer
+from labkit.errors import PlanError
+from labkit.lab.devices import Room
+from labkit.plan import Plan
+
+DEFAULT_PORT = 8642
+RESERVED = ("monitor", "page")
+ALLOWED = (
+    "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) or web://0.0.0.0:8642 (all)"
+)
+
+
+def parse_address(address: str) -> tuple[str, int, str]:
+    """(host, port, name) of web://HOST:PORT/NAME; without a host, this machine alone. Raises PlanError."""
+    try:
+        parts = urlsplit(address)
+        host, port, name = parts.hostname or "127.0.0.1", parts.port, parts.path.strip("/") or "screen"
+    except ValueError:
+        raise PlanError(f'address "{address}": allowed is {ALLOWED}') from None
+    plain = not (parts.query or parts.fragment or parts.username or parts.password)
+    if parts.scheme != "web" or not plain or not re.fullmatch(r"[a-z0-9-]{1,20}", name) or name in RESERVED:
+        raise PlanError(f'address "{address}": allowed is {ALLOWED}')
+    return host, DEFAULT_PORT if port is None else port, name
+
+
+def open_monitor(address: str, plan: Plan, room: Room) -> AbstractContextManager[WebServer]:
+    """The operator's page at an address, for as long as the context lasts.
+
+    `web:` is where the plan's display is served, if it is a web display, and else this machine alone.
+    Raises PlanError, or DisplayError for a port in use.
+    """
+    if address == "web:" and plan.display is not None and plan.display.address.startswith("web:"):
+        address = plan.display.address
+    host, port, _ = parse_address(address)
+    return serving(host, port, room)
+
+
+@contextmanager
+def serving(host: str, port: int, room: Room) -> Iterator[WebServer]:
+    """The room's server at a host and port, started by the first who comes and stopped by the last who goes.
+
+    Its operator's page looks on in the room, and answers questions. Raises DisplayError for a port in use.
+    """
+    where = f"web://{host}:{port}"
+    server: WebServer | None = room.shared.get(where)
+    if server is None:
+        server = room.shared[where] = WebServer(host, port, room)
+        server.start()
+        room.watchers.append(server.monitor)
+        room.operator.attend(server.monitor)
+        room.link("The operator's page", server.url("monitor"))
+    server.users += 1
+    try:
+        yield server
+    finally:
+        server.users -= 1
+        if not server.users:
+            room.operator.leave(server.monitor)
+            room.watchers.remove(server.monitor)
+            del room.shared[where]
+            server.close()
