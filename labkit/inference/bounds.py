@@ -9,7 +9,7 @@ import scipy.fft
 import scipy.linalg
 
 from labkit.imaging.warp import POSE_SIZE
-from labkit.inference.likelihood import FrameData, predict
+from labkit.inference.likelihood import FrameData, predict, slopes
 from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import NAMES, Floats
@@ -107,21 +107,22 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     for k, (frame, detector) in enumerate(zip(problem.frames, state.detectors(), strict=True)):
         own = np.concatenate([np.arange(PER_FRAME) + modes + k * PER_FRAME, np.arange(size - common, size - NOISE)])
         noise = np.array([size - 2, size - 1])
-        weights = _Weights.of(problem, state, k)
-        rest = weights.rest
-        total[np.ix_(own, own)] += rest * weights.both @ rest.T
-        _add(total, own, noise, rest * weights.cross @ weights.noise.T)
-        total[np.ix_(noise, noise)] += weights.noise * weights.square @ weights.noise.T
+        (seen,) = problem.model.evaluate(state.waves, [state.poses[k]], [frame.used], by_waves=False)
+        of = slopes(seen, frame, detector)
+        both, cross, square = of.weights()
+        total[np.ix_(own, own)] += of.of_mean * both @ of.of_mean.T
+        _add(total, own, noise, of.of_mean * cross @ of.of_variance.T)
+        total[np.ix_(noise, noise)] += of.of_variance * square @ of.of_variance.T
         factor = detector.scale * frame.light(detector.unevenness)
         for i, rows in enumerate(blocks):
             here = problem.model.slopes(state.waves, state.poses[k], frame.used, rows) * factor
             at = np.arange(rows.start, rows.stop)
-            total[np.ix_(at, at)] += here * weights.both @ here.T
-            _add(total, at, own, here * weights.both @ rest.T)
-            _add(total, at, noise, here * weights.cross @ weights.noise.T)
+            total[np.ix_(at, at)] += here * both @ here.T
+            _add(total, at, own, here * both @ of.of_mean.T)
+            _add(total, at, noise, here * cross @ of.of_variance.T)
             for columns in blocks[i + 1 :]:
                 there = problem.model.slopes(state.waves, state.poses[k], frame.used, columns) * factor
-                _add(total, at, np.arange(columns.start, columns.stop), here * weights.both @ there.T)
+                _add(total, at, np.arange(columns.start, columns.stop), here * both @ there.T)
     total[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
     return total
 
@@ -129,33 +130,6 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
 def _add(total: Floats, rows: Integers, columns: Integers, block: Floats) -> None:
     total[np.ix_(rows, columns)] += block
     total[np.ix_(columns, rows)] += block.T
-
-
-@dataclass(frozen=True)
-class _Weights:
-    """Of one frame's pixels. rest: slopes of the mean by pose, scale, ambient and unevenness; noise: of the variance by the
-    noise's own two; both, cross, square: what a product of two slopes of the mean, of one with one of the variance, and of
-    two of the variance counts."""
-
-    rest: Floats
-    noise: Floats
-    both: Floats
-    cross: Floats
-    square: Floats
-
-    @classmethod
-    def of(cls, problem: Problem, state: State, k: int) -> "_Weights":
-        frame, detector = problem.frames[k], state.detectors()[k]
-        (seen,) = problem.model.evaluate(state.waves, [state.poses[k]], [frame.used], by_waves=False)
-        mean, variance = predict(seen.mean, frame, detector)
-        light, even = frame.light(detector.unevenness), detector.scale * seen.mean + detector.ambient
-        rest = np.concatenate([detector.scale * seen.by_pose, seen.mean[None], np.ones((1, mean.size))]) * light
-        if len(frame.departures):
-            rest = np.concatenate([rest, frame.departures[:, frame.used] * frame.illumination[frame.used] * even])
-        noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
-        bend = detector.gain * (mean > 0) + 2 * frame.relative_std[frame.used] ** 2 * mean
-        square = 0.5 / variance**2
-        return cls(rest, noise, 1 / variance + bend**2 * square, bend * square, square)
 
 
 DETECTOR = ("light c1", "ambient light c2", "gain c3", "black level c4", "read noise")

@@ -97,13 +97,32 @@ def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> flo
     return float(-0.5 * np.sum((data.counts[data.used] - mean) ** 2 / variance + np.log(variance)))
 
 
-def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
-    """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19), variance's dependence included."""
-    light = data.light(detector.unevenness)
+@dataclass(frozen=True, slots=True)
+class Slopes:
+    """Of one frame's counts, by its parameters in the order of `Score`.
+
+    mean, variance: (pixels,). of_mean: (p - 2, pixels) by all but the noise's two, which change the variance alone:
+    of_variance (2, pixels). bend: (pixels,) d variance / d mean.
+    """
+
+    mean: Floats
+    variance: Floats
+    of_mean: Floats
+    of_variance: Floats
+    bend: Floats
+
+    def weights(self) -> tuple[Floats, Floats, Floats]:
+        """(pixels,) each: what a product of two slopes of the mean adds to the information, of one with one of the
+        variance, and of two of the variance: thesis (3.15), (3.19), variance's dependence included."""
+        square = 0.5 / self.variance**2
+        cross = self.bend * square
+        return 1 / self.variance + self.bend * cross, cross, square
+
+
+def slopes(evaluation: Evaluation, data: FrameData, detector: Detector) -> Slopes:
+    """Mean and variance of the used pixels' counts with their derivatives."""
     mean, variance = predict(evaluation.mean, data, detector)
-    residual = data.counts[data.used] - mean
-    weight = 1 / variance
-    slopes = np.concatenate(
+    of_mean = np.concatenate(
         [
             detector.scale * evaluation.by_waves,
             detector.scale * evaluation.by_pose,
@@ -111,18 +130,25 @@ def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
             np.ones((1, mean.size)),
         ]
     )
-    slopes *= light
+    of_mean *= data.light(detector.unevenness)
     if len(data.departures):
         even = data.illumination[data.used] * (detector.scale * evaluation.mean + detector.ambient)
-        slopes = np.concatenate([slopes, data.departures[:, data.used] * even])
-    bend = detector.gain * (mean > 0) + 2 * data.relative_std[data.used] ** 2 * mean  # d variance / d mean
-    noise = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
-    normalised, square = residual * weight, 0.5 * weight**2
-    rise = 0.5 * (normalised**2 - weight)  # of the log-likelihood with the variance
-    gradient = np.concatenate([slopes @ (normalised + bend * rise), noise @ rise])
-    across = (slopes * (bend * square)) @ noise.T
-    information = np.block(
-        [[(slopes * (weight + bend**2 * square)) @ slopes.T, across], [across.T, (noise * square) @ noise.T]]
-    )
-    chi2 = float(np.sum(residual * normalised))
-    return Score(-0.5 * (chi2 + float(np.sum(np.log(variance)))), gradient, information, chi2, mean.size)
+        of_mean = np.concatenate([of_mean, data.departures[:, data.used] * even])
+    of_variance = np.stack([detector.gain * np.maximum(mean, 0), np.full_like(mean, detector.read_variance)])
+    bend = detector.gain * (mean > 0) + 2 * data.relative_std[data.used] ** 2 * mean
+    return Slopes(mean, variance, of_mean, of_variance, bend)
+
+
+def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
+    """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19)."""
+    of = slopes(evaluation, data, detector)
+    residual = data.counts[data.used] - of.mean
+    normalised = residual / of.variance
+    rise = 0.5 * (normalised**2 - 1 / of.variance)  # of the log-likelihood with the variance
+    gradient = np.concatenate([of.of_mean @ (normalised + of.bend * rise), of.of_variance @ rise])
+    both, cross, square = of.weights()
+    across = of.of_mean @ (of.of_variance * cross).T
+    weighted = of.of_mean * np.sqrt(both)
+    information = np.block([[weighted @ weighted.T, across], [across.T, (of.of_variance * square) @ of.of_variance.T]])
+    chi2 = float(residual @ normalised)
+    return Score(-0.5 * (chi2 + float(np.sum(np.log(of.variance)))), gradient, information, chi2, of.mean.size)

@@ -14,8 +14,8 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import chi2, norm
 
 from labkit.imaging.model import ForwardModel
-from labkit.inference.likelihood import predict, score
-from labkit.inference.solve import NOISE, PER_FRAME, NoisePrior, Problem, State, climb
+from labkit.inference.likelihood import predict
+from labkit.inference.solve import PER_FRAME, NoisePrior, Problem, State, climb
 from labkit.optics.psf import Complexes
 from labkit.optics.zernike import Floats
 
@@ -126,23 +126,13 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
 def _relaxed_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
     """Gradient and information over all fitted parameters, with the relaxation's first of all, as if they were modes."""
     used, poses = [f.used for f in problem.frames], list(state.poses)
-    evaluations = problem.model.evaluate(state.waves, poses, used)
-    spectra = problem.model.scene.spectra(poses)
-    extra, common = len(kernels) + state.waves.size, state.unevenness.size + NOISE
-    size = extra + PER_FRAME * len(used) + common
-    gradient, information = np.zeros(size), np.zeros((size, size))
-    for k, (frame, detector, seen, spectrum) in enumerate(
-        zip(problem.frames, state.detectors(), evaluations, spectra, strict=True)
+    torus, relaxed = problem.model.blur.torus, []
+    for seen, spectrum, u in zip(
+        problem.model.evaluate(state.waves, poses, used), problem.model.scene.spectra(poses), used, strict=True
     ):
-        departures = [problem.model.blur.torus.sample(spectrum * kernel)[frame.used] for kernel in kernels]
-        one = score(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])), frame, detector)
-        own = extra + k * PER_FRAME + np.arange(PER_FRAME)
-        index = np.concatenate([np.arange(extra), own, np.arange(size - common, size)])
-        gradient[index] += one.gradient
-        information[np.ix_(index, index)] += one.information
-    gradient[-NOISE:] -= problem.noise.precision * (state.log_noise - problem.noise.centre)
-    information[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
-    return gradient, information
+        departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
+        relaxed.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
+    return problem.assembled(state, relaxed)[:2]
 
 
 def bootstrap(

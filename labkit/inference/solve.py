@@ -105,19 +105,23 @@ class Problem:
         evaluations = self.model.evaluate(
             state.waves, list(state.poses), [f.used for f in self.frames], by_waves=by_waves
         )
-        modes = state.waves.size
-        common = state.unevenness.size + NOISE
+        return *self.assembled(state, evaluations), evaluations
+
+    def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
+        """The same from evaluations at a state, which may be by more than its modes."""
+        told = len(evaluations[0].by_waves)
+        modes, common = max(told, state.waves.size), state.unevenness.size + NOISE
         size = modes + PER_FRAME * len(self.frames) + common
         gradient, information = np.zeros(size), np.zeros((size, size))
         scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
         for k, one in enumerate(scores):
             own = np.arange(PER_FRAME) + modes + k * PER_FRAME
-            index = np.concatenate([np.arange(modes if by_waves else 0), own, np.arange(size - common, size)])
+            index = np.concatenate([np.arange(told), own, np.arange(size - common, size)])
             gradient[index] += one.gradient
             information[np.ix_(index, index)] += one.information
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
         information[-NOISE:, -NOISE:] += np.diag(self.noise.precision)
-        return gradient, information, scores, evaluations
+        return gradient, information, scores
 
 
 @dataclass(frozen=True)
