@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import _thread
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from labkit.drivers.pty_port import Kind, LineFault, PtyPort
 from labkit.drivers.zaber_rail import ZaberRail
 from labkit.drivers.zaber_simulator import ZaberController
 from labkit.errors import LabkitError
-from labkit.lab.capture import capture, missing
+from labkit.lab.capture import capture, missing, picture_for
 from labkit.lab.devices import (
     Camera,
     CameraInfo,
@@ -40,37 +40,15 @@ from labkit.lab.devices import (
     RawFrame,
     Shown,
 )
+from labkit.lab.discover import open_devices
 from labkit.lab.session import Session, begin, verify
+from labkit.plan import parse_plan
+from tests.plans import SMALL, plan_text, simulated
 
-PLAN = """
-[lens]
-focal_length_mm = 50.0
-f_number = 8.0
-[sensor]
-pixel_pitch_um = 6.0
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 2
-size_mm = 9.0
-[camera]
-address = "simulated:"
-exposure_s = 0.02
-frames_per_range = 1
-flats_per_range = 1
-darks = 0
-[rail]
-address = "simulated:"
-ranges_mm = [2100, 2150, 2050]
-range_at_zero_mm = {zero_mm}
-settle_s = 0.0
-[display]
-address = "simulated:"
-pixel_pitch_mm = 0.1
-pixels = [400, 400]
-"""
+DEVICES = simulated([2100, 2150, 2050], 1950.0)
+ONE_OF_EACH = {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 0}, "rail": {"settle_s": 0}}
+
+Photographs = Mapping[str, bytes]
 
 NEAR_MM = 0.03
 """Rounding to steps or microsteps, and the driver's own tolerance of 0.02 mm."""
@@ -109,7 +87,10 @@ RAILS = {
     ),
 }
 
-GRBL_STEPS: dict[str, tuple[str, int, float]] = {
+Step = tuple[str, int, float]
+"""A command of the driver, its number, and the time after it in s."""
+
+GRBL_STEPS: dict[str, Step] = {
     "asking who it is": (r"\$I", 1, 0.0),
     "asking its settings": (r"\$\$", 1, 0.0),
     "beginning to home": (r"\$H", 1, 0.0),
@@ -127,7 +108,7 @@ GRBL_STEPS: dict[str, tuple[str, int, float]] = {
     "the end of the last move": (r"\$G", 5, 0.0),
 }
 
-ZABER_STEPS: dict[str, tuple[str, int, float]] = {
+ZABER_STEPS: dict[str, Step] = {
     "asking its limits": (r"get limit.*", 1, 0.0),
     "beginning to home": (r"home", 1, 0.0),
     "homing": (r"home", 1, 0.02),
@@ -167,12 +148,16 @@ OPENING = ("asking who it is", "asking its settings", "asking its limits")
 
 
 class Bench:
-    """A camera and a display that ask nothing, beside a rail; notes where the carriage truly is at each exposure."""
+    """A camera and a display that ask nothing, beside a rail; notes where the carriage truly is at each exposure.
 
-    def __init__(self, frame: bytes, setup: Setup, port: PtyPort) -> None:
-        self.frame = frame
+    photographs: of "white" and of "target", whichever is shown.
+    """
+
+    def __init__(self, photographs: Photographs, setup: Setup, port: PtyPort) -> None:
+        self.photographs = photographs
         self.setup = setup
         self.port = port
+        self.shown = "target"
         self.taken: dict[str, float] = {}
         self.before_exposure: Callable[[str], None] = lambda name: None
 
@@ -181,7 +166,7 @@ class Bench:
             return self.setup.carriage_mm(self.port.controller)
 
     def devices(self, rail: Rail) -> Devices:
-        return Devices(StubCamera(self), rail, StubDisplay())
+        return Devices(StubCamera(self), rail, StubDisplay(self))
 
 
 class Stub:
@@ -209,32 +194,46 @@ class StubCamera(Stub, Camera):
         self.bench.before_exposure(path.name)
         self.bench.taken[f"{path.name}.dng"] = self.bench.carriage_mm()
         whole = path.with_name(f"{path.name}.dng")
-        whole.write_bytes(self.bench.frame)
+        whole.write_bytes(self.bench.photographs[self.bench.shown])
         return RawFrame(whole, 0.02, 100)
 
 
 class StubDisplay(Stub, Display):
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+
     @property
     def panel(self) -> PanelInfo:
         return PanelInfo((400, 400), 0.1)
 
     def show(self, picture: Picture) -> Shown:
+        self.bench.shown = picture if isinstance(picture, str) else "target"
         return Shown((400, 400))
 
 
-@pytest.fixture
-def frame(write_dng: Callable[..., Path], tmp_path: Path) -> bytes:
-    """A photograph, evenly lit."""
-    return write_dng(tmp_path / "frame.dng", np.full((32, 32), 6000, dtype=np.uint16)).read_bytes()
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+    """Taken on the simulated bench."""
+    folder = tmp_path_factory.mktemp("photographs")
+    plan = parse_plan(plan_text(SMALL, DEVICES), folder)
+    with open_devices(plan) as devices:
+        devices.camera.configure(ExposureSettings(0.02, 100))
+        devices.rail.home()
+        devices.rail.move_to(150.0)
+        pictures: dict[str, Picture] = {"white": "white", "target": picture_for(plan, devices).grey}
+        for name, picture in pictures.items():
+            devices.display.show(picture)
+            devices.camera.expose(folder / name)
+    return {name: (folder / f"{name}.dng").read_bytes() for name in pictures}
 
 
-def run(setup: Setup, bench: Bench, folder: Path, resume: bool = False) -> str | None:
+def run(setup: Setup, bench: Bench, folder: Path, resume: bool = False, check: bool = False) -> str | None:
     """Capture; None if it came to its end, else the line that it ended with."""
     plan = folder.with_suffix(".toml")
-    plan.write_text(PLAN.format(zero_mm=setup.zero_mm))
+    plan.write_text(plan_text(SMALL, DEVICES, ONE_OF_EACH, {"rail": {"range_at_zero_mm": setup.zero_mm}}))
     try:
         with setup.rail(bench.port) as rail, begin(plan, folder, resume) as session:
-            capture(session, bench.devices(rail), check=False)
+            capture(session, bench.devices(rail), check=check)
     except LabkitError as error:
         return str(error)
     return None
@@ -252,15 +251,17 @@ def wrong_frames(session: Session, bench: Bench, setup: Setup) -> list[str]:
     return found
 
 
-def problems(setup: Setup, step: str, at: tuple[str, int, float], name: str, frame: bytes, folder: Path) -> list[str]:
+def problems(
+    setup: Setup, step: str, at: Step, name: str, photographs: Photographs, folder: Path, check: bool = False
+) -> list[str]:
     """What goes wrong in a capture with one fault: empty if all is as it should be."""
     kind, lasts_s = FAULTS[name]
     command, nth, after_s = at
     port = setup.port([LineFault(kind, command, nth, after_s=after_s, lasts_s=lasts_s)])
     found = []
-    bench = Bench(frame, setup, port)
+    bench = Bench(photographs, setup, port)
     try:
-        ended = run(setup, bench, folder)
+        ended = run(setup, bench, folder, check=check)
         for_good = name == "unplugged for good"
         if for_good != (ended is not None) and step not in OPENING:
             found.append(f"{name}: {ended or 'no error, though the rail is gone'}")
@@ -277,7 +278,7 @@ def left_over(setup: Setup, bench: Bench, folder: Path, ended: str | None) -> li
     """What is wrong with a session once its capture is over, resumed with the trouble mended where it had `ended`."""
     found = []
     if ended:
-        again = Bench(bench.frame, setup, setup.port([]))
+        again = Bench(bench.photographs, setup, setup.port([]))
         again.taken = bench.taken
         problem = run(setup, again, folder, resume=True)
         again.port.close()
@@ -287,12 +288,40 @@ def left_over(setup: Setup, bench: Bench, folder: Path, ended: str | None) -> li
 
 
 @pytest.mark.parametrize(("kind", "step"), CASES)
-def test_every_fault_at_every_step_is_got_over_or_told(kind: str, step: str, frame: bytes, tmp_path: Path) -> None:
+def test_every_fault_at_every_step_is_got_over_or_told(
+    kind: str, step: str, photographs: Photographs, tmp_path: Path
+) -> None:
     at = (ZABER_STEPS if kind == "zaber" else GRBL_STEPS)[step]
-    folders = {name: tmp_path / name.replace(" ", "_") for name in FAULTS}
+    assert side_by_side(lambda name, folder: problems(RAILS[kind], step, at, name, photographs, folder), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "step", "at"),
+    [
+        ("grbl", "homing", (r"\$H", 1, 0.02)),
+        ("grbl", "moving to the near end", (r"G53.*", 1, 0.05)),
+        ("grbl", "where it stands there", (r"\$G", 3, 0.0)),
+        ("grbl", "moving to the far end", (r"G53.*", 3, 0.04)),
+        ("zaber", "homing", ("home", 1, 0.02)),
+        ("zaber", "moving to the near end", ("move.*", 1, 0.04)),
+        ("zaber", "moving to the far end", ("move.*", 3, 0.02)),
+    ],
+)
+def test_every_fault_of_the_look_round_is_got_over_or_told(
+    kind: str, step: str, at: Step, photographs: Photographs, tmp_path: Path
+) -> None:
+    assert (
+        side_by_side(lambda name, folder: problems(RAILS[kind], step, at, name, photographs, folder, True), tmp_path)
+        == []
+    )
+
+
+def side_by_side(find: Callable[[str, Path], list[str]], folder: Path) -> list[str]:
+    """What is found of every fault; they run at the same time."""
     with ThreadPoolExecutor(len(FAULTS)) as pool:
-        results = pool.map(lambda name: problems(RAILS[kind], step, at, name, frame, folders[name]), FAULTS)
-        assert [problem for found in results for problem in found] == []
+        return [
+            found for one in pool.map(lambda name: find(name, folder / name.replace(" ", "_")), FAULTS) for found in one
+        ]
 
 
 COMMANDS = {
@@ -321,11 +350,13 @@ def several(seed: int) -> tuple[Setup, list[LineFault]]:
 
 
 @pytest.mark.parametrize("first", range(0, 48, 12))
-def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(first: int, frame: bytes, tmp_path: Path) -> None:
+def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(
+    first: int, photographs: Photographs, tmp_path: Path
+) -> None:
     def one(seed: int) -> list[str]:
         setup, faults = several(seed)
         port = setup.port(faults)
-        bench = Bench(frame, setup, port)
+        bench = Bench(photographs, setup, port)
         ended = run(setup, bench, tmp_path / str(seed))
         port.close()
         return [f"{seed}: {problem}" for problem in left_over(setup, bench, tmp_path / str(seed), ended)]
@@ -335,28 +366,33 @@ def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(first: int, 
 
 
 @pytest.mark.parametrize("kind", RAILS)
-@pytest.mark.parametrize("name", FAULTS)
-def test_trouble_while_exposing_spoils_no_frame(kind: str, name: str, frame: bytes, tmp_path: Path) -> None:
-    setup, port = RAILS[kind], RAILS[kind].port([])
-    bench = Bench(frame, setup, port)
-    trouble, lasts_s = FAULTS[name]
+def test_trouble_while_exposing_spoils_no_frame(kind: str, photographs: Photographs, tmp_path: Path) -> None:
+    def found(name: str, folder: Path) -> list[str]:
+        setup, port = RAILS[kind], RAILS[kind].port([])
+        bench = Bench(photographs, setup, port)
+        trouble, lasts_s = FAULTS[name]
 
-    def strike(what: str) -> None:
-        if what == "flat_2150_0":
-            port.strike(trouble, lasts_s)
+        def strike(what: str) -> None:
+            if what == "flat_2150_0":
+                port.strike(trouble, lasts_s)
 
-    bench.before_exposure = strike
-    try:
-        ended = run(setup, bench, tmp_path / "s")
-    finally:
-        port.close()
-    assert (ended is None) == (name != "unplugged for good")
-    session = Session.open(tmp_path / "s")
-    assert len(session.frames) == (6 if ended is None else 4)
-    assert wrong_frames(session, bench, setup) == []
+        bench.before_exposure = strike
+        try:
+            ended = run(setup, bench, folder)
+        finally:
+            port.close()
+        session = Session.open(folder)
+        frames = 4 if name == "unplugged for good" else 6
+        if len(session.frames) != frames or (ended is None) != (frames == 6):
+            return [f"{name}: {len(session.frames)} frames, {ended}"]
+        return wrong_frames(session, bench, setup)
+
+    assert side_by_side(found, tmp_path) == []
 
 
-def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(frame: bytes, tmp_path: Path) -> None:
+def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(
+    photographs: Photographs, tmp_path: Path
+) -> None:
     # steps alone do not tell: this holds what docs/bench.md says of rails without an encoder
     port = RAILS["grbl"].port([])
     controller = port.controller
@@ -372,10 +408,10 @@ def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(frame: by
     port.close()
 
 
-def test_ctrl_c_in_mid_move_stops_the_carriage_and_resume_finishes(frame: bytes, tmp_path: Path) -> None:
+def test_ctrl_c_in_mid_move_stops_the_carriage_and_resume_finishes(photographs: Photographs, tmp_path: Path) -> None:
     slow = replace(RAILS["grbl"], port=lambda faults: grbl_port(GRBL, {**FAST, 110: 12_000}, faults=faults))
     port = slow.port([])
-    bench = Bench(frame, slow, port)
+    bench = Bench(photographs, slow, port)
     controller = port.controller
     inner = controller.noticed
 
