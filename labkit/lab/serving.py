@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -17,6 +18,9 @@ from labkit.target import Target
 TARGET = "target"
 CHOICES = (TARGET, *PATTERNS)
 
+RETRY_S = 1.0
+"""After a display has failed; most of them have waited long before they say so."""
+
 
 def serve_target(
     target: Target, displays: Sequence[Display], room: Room, going: Callable[[], bool] = lambda: True
@@ -27,15 +31,23 @@ def serve_target(
     """
     pictures = {name: [_picture(name, target, display) for display in displays] for name in CHOICES}
     queues: list[SimpleQueue[Picture]] = [SimpleQueue() for _ in displays]
+    ended = threading.Event()
+
+    def serving() -> bool:
+        return going() and not ended.is_set()
+
     for display, queue in zip(displays, queues, strict=True):
-        threading.Thread(target=_keep_showing, args=(display, queue, room, going), daemon=True).start()
+        threading.Thread(target=_keep_showing, args=(display, queue, room, serving), daemon=True).start()
     picked = TARGET
-    while going():
-        for watcher in room.watchers:
-            watcher.noted("serving", choices=CHOICES, picked=picked)
-        for queue, picture in zip(queues, pictures[picked], strict=True):
-            queue.put(picture)
-        picked = _next_wish(room, going) or picked
+    try:
+        while going():
+            for watcher in room.watchers:
+                watcher.noted("serving", choices=CHOICES, picked=picked)
+            for queue, picture in zip(queues, pictures[picked], strict=True):
+                queue.put(picture)
+            picked = _next_wish(room, going) or picked
+    finally:
+        ended.set()  # Ctrl-C: displays are closed next, and nobody is to be told of it
 
 
 def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str, Plan]]:
@@ -73,14 +85,20 @@ def _next_wish(room: Room, going: Callable[[], bool]) -> str | None:
 
 
 def _keep_showing(display: Display, queue: SimpleQueue[Picture], room: Room, going: Callable[[], bool]) -> None:
+    """Show the latest of the queue's pictures, again until it is shown or there is a later one."""
+    wanted: Picture | None = None
     while going():
         try:
-            picture = queue.get(timeout=0.2)
+            wanted = queue.get(wanted is None, 0.2)
+            continue
         except Empty:
+            pass
+        if wanted is None:
             continue
         try:
-            display.show(picture)
+            display.show(wanted)
+            wanted = None
         except DisplayError as error:
             if going():
                 room.tell(str(error))
-                queue.put(picture)
+                time.sleep(RETRY_S)

@@ -109,6 +109,17 @@ class Glass:
         decoded = cv2.imdecode(np.frombuffer(self.page.screenshot(scale="device"), np.uint8), cv2.IMREAD_COLOR)
         return np.asarray(decoded, dtype=np.uint8)
 
+    def reads(self, picture: NDArray[Any]) -> None:
+        """Wait until the glass shows these grey values, and nothing else."""
+        for _ in range(400):
+            seen = self.seen()
+            if np.array_equal(seen, np.repeat(picture[:, :, None], 3, axis=2)):
+                return
+            self.page.wait_for_timeout(50)
+        raise AssertionError(
+            f"the glass shows a mean grey of {seen.mean():g}, not {picture.mean():g}, or another picture"
+        )
+
 
 @pytest.fixture
 def glass(launch: Launch) -> Iterator[Callable[..., Glass]]:

@@ -1,0 +1,244 @@
+"""Questions of a capture on the operator's page in real Chromium: no web display, no motor, a lens cap to put on."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labkit.drivers.bench_setup import shared_bench
+from labkit.drivers.web_server import WebServer
+from labkit.errors import PlanError
+from labkit.lab.capture import capture
+from labkit.lab.devices import Camera, CameraInfo, Devices, ExposureSettings, RawFrame, Room
+from labkit.lab.discover import open_camera, open_display, open_monitor, open_rail
+from labkit.lab.session import Session, begin
+from labkit.plan import load_plan
+
+from .conftest import Glass
+from .test_web_monitor import PLAN
+
+OpenGlass = Callable[..., Glass]
+BENCH = "simulated:seed=7"
+FRAMES = 9
+
+
+class BareCamera:
+    """A camera without a cap of its own."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+
+    def identify(self) -> CameraInfo:
+        return self._camera.identify()
+
+    def configure(self, settings: ExposureSettings) -> None:
+        self._camera.configure(settings)
+
+    def expose(self, path: Path) -> RawFrame:
+        return self._camera.expose(path)
+
+    def close(self) -> None:
+        self._camera.close()
+
+    def __enter__(self) -> BareCamera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Night:
+    """A capture on a thread of its own, its operator's page in a browser."""
+
+    def __init__(self, server: WebServer, room: Room, glass: OpenGlass, folder: Path) -> None:
+        self.room, self.server, self._glass, self.folder = room, server, glass, folder
+        self.ended: list[BaseException | None] = []
+        self.page = self.open()
+
+    def open(self) -> Any:
+        return self._glass(self.server.url("monitor"), 844, 390).page
+
+    def begin(self, resume: bool = False) -> None:
+        self._work = threading.Thread(target=self._capture, args=(resume,), daemon=True)
+        self._work.start()
+
+    def end(self) -> BaseException | None:
+        self._work.join(30)
+        return self.ended.pop()
+
+    def reads(self, element: str, words: str, page: Any = None) -> None:
+        """Wait until a page says so."""
+        (page or self.page).wait_for_function(
+            "([id, words]) => document.getElementById(id).textContent.includes(words)",
+            arg=[element, words],
+            timeout=20_000,
+        )
+
+    def asked(self, words: str) -> None:
+        self.reads("asked", words)
+        self.page.wait_for_selector("#question", state="visible", timeout=20_000)
+
+    def types(self, words: str) -> None:
+        self.page.fill("#reply", words)
+        self.page.click("#send")
+
+    def _capture(self, resume: bool) -> None:
+        plan_file = self.folder / "plan.toml"
+        plan = load_plan(plan_file)
+        bench = shared_bench(self.room, BENCH, plan)
+        try:
+            with begin(plan_file, self.folder / "s", resume) as session:
+                camera = BareCamera(open_camera(BENCH, plan, self.room))
+                rail = open_rail("manual:", plan, self.room)
+                display = open_display(BENCH, plan, self.room)
+                devices = Devices(camera, rail, display, bench.wait, self.room.watchers)
+
+                def ask(words: str) -> None:
+                    self.room.operator.ask(words, "done")
+                    bench.covered = words.startswith("Put")
+
+                capture(session, devices, ask=ask, check=False)
+            self.ended.append(None)
+        except BaseException as error:
+            self.ended.append(error)
+
+
+@pytest.fixture
+def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "plan.toml").write_text(
+        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"')
+    )
+    room = Room()
+    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), room):
+        yield Night(room.shared["web://127.0.0.1:0"], room, glass, tmp_path)
+    assert room.watchers == []
+    assert not room.operator._pages
+
+
+def test_a_capture_is_led_from_the_page_alone(night: Night) -> None:
+    night.begin()
+    night.asked("Put the cap on the lens, then touch Done.")
+    assert not night.page.is_visible("#reply")
+    night.reads("phase", "Your turn")
+    night.page.click("#send")
+    night.asked("Take the cap off")
+    night.page.click("#send")
+    night.asked("Set the rail to 50.000 mm")
+    for wrong in ("", "fifty", "5O", "1e999", "١٢", "NaN"):
+        night.types(wrong)
+        assert night.page.inner_text("#slip") == "Type a number, such as 150.25."
+    night.types("15")
+    night.asked("15 mm is more than 2 mm away. Set the rail to 50.000 mm")
+    night.types(" 50,25 mm")
+    night.asked("Set the rail to 100.500 mm")
+    assert night.page.input_value("#reply") == ""
+    night.page.fill("#reply", "100.5")
+    night.page.press("#reply", "Enter")
+    night.reads("phase", "Complete")
+    assert night.end() is None
+    assert not night.page.is_visible("#question")
+    frames = Session.open(night.folder / "s").frames
+    assert len(frames) == FRAMES
+    assert {frame.meta.get("position_mm") for frame in frames} == {None, 50.25, 100.5}
+    night.reads("log-list", "operator: 50,25 mm")
+    night.reads("log-list", "operator: done")
+
+
+def test_abort_ends_a_question_and_the_capture_is_resumed(night: Night) -> None:
+    night.begin()
+    night.asked("Put the cap on")
+    night.page.click("#abort")
+    night.page.click("#yes")
+    night.reads("phase", "Interrupted")
+    assert isinstance(night.end(), KeyboardInterrupt)
+    assert not night.page.is_visible("#question")
+    night.begin(resume=True)
+    for words in ("Put", "Take", "Set the rail to 50", "Set the rail to 100.5"):
+        night.asked(words)
+        if words.startswith("Set"):
+            night.page.fill("#reply", words.split()[-1])
+        night.page.click("#send")
+    night.reads("phase", "Complete")
+    assert night.end() is None
+    assert len(Session.open(night.folder / "s").frames) == FRAMES
+
+
+def test_the_terminal_answers_and_the_page_knows(night: Night, monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = os.openpty()
+    with os.fdopen(far, "r") as keyboard:
+        monkeypatch.setattr("sys.stdin", keyboard)
+        night.begin()
+        for words, typed in (("Put", b"\n"), ("Take", b"\n"), ("Set the rail to 50", b"50\n")):
+            night.asked(words)
+            os.write(near, typed)
+        night.asked("Set the rail to 100")
+        night.types("100.5")  # and the last on the page
+        night.reads("phase", "Complete")
+        assert night.end() is None
+    os.close(near)
+
+
+def test_what_is_typed_outlives_news_and_one_of_two_pages_answers(night: Night) -> None:
+    other = night.open()
+    night.begin()
+    night.asked("Put")
+    night.page.click("#send")
+    night.asked("Take")
+    other.click("#send")
+    night.asked("Set the rail to 50")
+    night.page.fill("#reply", "50.1")
+    night.server.monitor.noted("camera", model="news", serial="1")
+    night.reads("device-list", "news")
+    assert night.page.input_value("#reply") == "50.1"
+    night.page.reload()  # asked again
+    night.asked("Set the rail to 50")
+    other.fill("#reply", "50.3")
+    other.click("#send")
+    night.asked("Set the rail to 100")
+    night.types("100.5")
+    assert night.end() is None
+    frames = Session.open(night.folder / "s").frames
+    assert 50.3 in {frame.meta.get("position_mm") for frame in frames}
+
+
+def test_a_question_is_text_not_html(night: Night) -> None:
+    evil = "<img src=x onerror=\"document.body.textContent='pwned'\">"
+    asking = threading.Thread(target=night.room.operator.ask, args=(evil,), daemon=True)
+    asking.start()
+    night.asked(evil)
+    assert night.page.locator("#question img").count() == 0
+    night.types("1")
+    asking.join(10)
+    assert not asking.is_alive()
+
+
+def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
+    plan, room = load_plan(tmp_path / "plan.toml"), Room()
+    assert plan.display is not None
+    with open_monitor("web:", plan, room) as server:
+        with open_display(plan.display.address, plan, room):
+            assert len(room.watchers) == 1
+            assert list(room.shared.values()) == [server]
+        assert len(room.watchers) == 1
+        assert room.operator.present
+    assert room.watchers == []
+    assert room.shared == {}
+
+
+def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan = load_plan(tmp_path / "plan.toml")
+    with open_monitor("web://127.0.0.1:0", plan, Room()) as server:
+        assert isinstance(server, WebServer)
+        assert server._socket.getsockname()[0] == "127.0.0.1"
+    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"):
+        open_monitor("web://h:x", plan, Room())
