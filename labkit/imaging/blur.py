@@ -58,13 +58,16 @@ class Blur:
 
     def transfer(self, waves: Floats) -> Complexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        difference = self.pupil.psf(waves) - self._perfect_psf
-        return self._perfect + self._centred_pixel * self.torus.half_spectrum_of_window(difference, self._finer)
+        return self._perfect + self.departure(self.pupil.psf(waves) - self._perfect_psf)
+
+    def departure(self, psf: Floats) -> Complexes:
+        """Half plane of the transfer function's departure for one of the PSF, (size, size) on the pupil's window."""
+        return np.asarray(self._centred_pixel * self.torus.half_spectrum_of_window(psf, self._finer))
 
     def transfer_jacobian(self, waves: Floats, only: slice = slice(None)) -> Iterator[Complexes]:
         """Half planes of the transfer function's derivatives by each mode, or only some, one at a time to spare memory."""
         for slope in self.pupil.psf_jacobian(waves, only)[1]:
-            yield self._centred_pixel * self.torus.half_spectrum_of_window(slope, self._finer)
+            yield self.departure(slope)
 
     def spread(self, transfer: Complexes) -> tuple[Complexes, Complexes]:
         """Transforms of t h(t), row and column component (um), of a transfer function's own kernel h.

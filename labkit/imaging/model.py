@@ -115,6 +115,11 @@ class ForwardModel:
             results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
         return results
 
+    def departures(self, psfs: Floats, pose: Pose, used: Bools) -> Floats:
+        """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean."""
+        (spectrum,) = self.scene.spectra([pose])
+        return np.array([self._sample(spectrum * self.blur.departure(psf), used) for psf in psfs])
+
     def slopes(self, waves: Floats, pose: Pose, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives by some of the modes, for those who cannot hold all at once."""
         (spectrum,) = self.scene.spectra([pose])

@@ -12,6 +12,7 @@ import numpy as np
 from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.likelihood import FrameData, predict
+from labkit.inference.retrieval import Retrieval
 from labkit.inference.solve import NoisePrior, Problem, Solution, State, climb
 from labkit.inference.verdict import Verdict, judge
 from labkit.optics.zernike import Floats, is_even
@@ -38,10 +39,22 @@ RANDOM_WAVES = (
 )  # RMS of random starts, at the light's own wavelength; about half of them end in the best optimum
 NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0  # RMS defocus up to which a PSF's window so many lambda N wide serves to search
 CLIMB_STEPS = 25  # climbs that find the best optimum take 10 to 20
+SWEPT = 3  # best values of the sweep that are started from
+PLAUSIBLE = (
+    10.0  # excess of variance, in standard deviations: right optima of sketches showed up to 5, wrong ones above 15
+)
 ENOUGH = 8  # climbs from random starts that come back to the best optimum: then it is returned, accepted or not
 SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less belong to one optimum
 
 Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """Another optimum that a search saw. waves: (modes,) RMS; below: by how much its log-likelihood is less, about."""
+
+    waves: Floats
+    below: float
 
 
 @dataclass(frozen=True)
@@ -49,7 +62,8 @@ class WavefrontFit:
     """The wavefront of one channel at one range.
 
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance; state: all
-    parameters; climbs: made to find it; relative: images (pixels,) of the used pixels of each frame; seconds: it took.
+    parameters; starts: made to find it; others: optima seen on the way, the likeliest first; relative: images (pixels,)
+    of the used pixels of each frame; seconds: it took.
     """
 
     noll: tuple[int, ...]
@@ -58,7 +72,8 @@ class WavefrontFit:
     objective: float
     chi2_per_pixel: float
     verdict: Verdict
-    climbs: int
+    starts: int
+    others: tuple[Other, ...]
     relative: tuple[Floats, ...]
     seconds: float
 
@@ -97,51 +112,40 @@ def fit_wavefront(
     *,
     rng: np.random.Generator,
     starts: Sequence[Floats] = (),
-    max_starts: int = 40,
+    max_climbs: int = 40,
     progress: Progress = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
 
     poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to climb from instead of those
     of the sweep, such as those found at other ranges. rng: for further starts, made while what was found is not accepted.
-    max_starts: climbs at most before the best is returned, rejected.
+    max_climbs: of the likelihood at most before the best is returned, rejected.
     Raises FitError where the frames do not determine the parameters.
     """
     began = perf_counter()
     whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape), tuple(frames), noise)
     first = _first_state(frames[:1], poses[:1], noise, len(optics.noll))
-    rough = Rough(optics, target, frames[0], noise)
-    if len(starts):  # they lie close together, near focus, where only the fine detail tells optima apart
-        sure, band = [replace(first, waves=np.asarray(waves, float)) for waves in starts], 1.0
-    else:
-        progress("defocus sweep")
-        sure, band = [found.state for found in sweep(rough, first)[:2]], rough.sketch_band
-    best = max((_climb_from(rough.problem(start, band), start) for start in sure), key=lambda found: found.objective)
-    progress("whole band")
-    outcome = _finish(whole, best, poses)
-    climbs, again = len(sure), 0
-    if not outcome[1].accepted:
-        problem = rough.problem(best.state, 1.0)
-        best = climb(problem, outcome[0].state.first(), max_steps=CLIMB_STEPS, tolerance=0.3)
-        for start in _more_starts(best, optics, rng):
-            progress(f"climb {climbs + 1}")
-            found, climbs = _climb_from(problem, start), climbs + 1
-            if found.objective > best.objective + SAME_OPTIMUM:
-                best, outcome, again = found, _finish(whole, found, poses), 0
-            else:
-                again += found.objective > best.objective - SAME_OPTIMUM
-            if outcome[1].accepted or again >= ENOUGH or climbs >= max_starts:
-                break
-    solution, verdict, relative = outcome
+    search = _Search(Rough(optics, target, frames[0], noise), rng, max_climbs, progress)
+    best: _Outcome | None = None
+    for state in search.candidates(first, [replace(first, waves=np.asarray(waves, float)) for waves in starts]):
+        progress("whole band")
+        outcome = _finish(whole, search.rough, state, poses)
+        if best is None or outcome.solution.objective > best.solution.objective:
+            best = outcome
+        if best.verdict.accepted:
+            break
+    assert best is not None
+    solution, modes = best.solution, len(optics.noll)
     return WavefrontFit(
         optics.noll,
         solution.state,
-        solution.covariance()[: len(optics.noll), : len(optics.noll)],
+        solution.covariance()[:modes, :modes],
         solution.objective,
         solution.chi2_per_pixel,
-        verdict,
-        climbs,
-        tuple(relative),
+        best.verdict,
+        search.starts,
+        search.others(),
+        tuple(best.relative),
         perf_counter() - began,
     )
 
@@ -161,11 +165,14 @@ class Rough:
         """Share of the pass band for sketches: never less than half as much again as the pixels' own Nyquist frequency."""
         return min(1.0, max(SKETCH_BAND, 0.75 / self.optics.pitch_um * self.optics.airy_um))
 
+    def near(self, state: State) -> bool:
+        """Whether a wavefront is near enough to focus for a PSF's narrow window."""
+        defocus = state.waves[0] if self.optics.noll[0] == 4 else 0.0
+        return bool(abs(defocus) * self.optics.reference_um <= NEAR_WAVES * self.optics.wavelength_um)
+
     def problem(self, state: State, band: float) -> Problem:
         """For wavefronts of about a state's defocus."""
-        waves = state.waves[0] if self.optics.noll[0] == 4 else 0.0
-        near = abs(waves) * self.optics.reference_um <= NEAR_WAVES * self.optics.wavelength_um
-        key = band, NEAR_WINDOW if near else WINDOW_AIRY
+        key = band, NEAR_WINDOW if self.near(state) else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
             model = ForwardModel.build(self.optics, self.target, shape, band=band, window_airy=key[1])
@@ -173,10 +180,83 @@ class Rough:
         return self._made[key]
 
 
-def _climb_from(problem: Problem, start: State) -> Solution:
-    """Pose and light first, then everything: freed at once, from a pose a pixel off, an easy frame ended in a wrong minimum."""
-    settled = climb(problem, start, free_waves=False, max_steps=4, tolerance=1.0)
-    return climb(problem, settled.state, max_steps=CLIMB_STEPS, tolerance=0.3)
+@dataclass
+class _Search:
+    """Where to look for the optimum, the most promising first. starts: made so far; seen: optima and their misfits."""
+
+    rough: Rough
+    rng: np.random.Generator
+    max_climbs: int
+    progress: Progress
+    starts: int = 0
+    seen: list[tuple[Floats, float]] = field(default_factory=list)
+
+    def candidates(self, first: State, given: Sequence[State]) -> Iterator[State]:
+        """States from which the whole problem is worth a climb. given: where to start, instead of a sweep from first."""
+        rough, climbs, band = self.rough, list[Solution](), 1.0
+        if not given:
+            self.progress("defocus sweep")
+            given, band = sweep(rough, first)[:SWEPT], rough.sketch_band
+            climbs = [self._climb_from(rough.problem(given[0], band), given[0])]
+            if self._plausible(climbs[0].state):
+                yield climbs[0].state
+        if rough.near(given[0]):
+            settled = _settle(rough.problem(given[0], rough.sketch_band), given[0])
+            yield from self._retrieved(settled, [state.waves for state in given])
+        climbs += [self._climb_from(rough.problem(start, band), start) for start in given[len(climbs) :]]
+        best = max(climbs, key=lambda found: found.objective).state
+        yield best
+        if not rough.near(best):
+            yield from self._climbed(best)
+        elif not rough.near(given[0]):
+            yield from self._retrieved(best, [])
+
+    def others(self) -> tuple[Other, ...]:
+        """Optima that were seen beside the best."""
+        ordered = sorted(self.seen, key=lambda one: one[1])
+        return tuple(Other(waves, misfit - ordered[0][1]) for waves, misfit in ordered[1:])
+
+    def _climb_from(self, problem: Problem, start: State) -> Solution:
+        """Pose and light first: all freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame."""
+        self.starts += 1
+        return climb(problem, _settle(problem, start), max_steps=CLIMB_STEPS, tolerance=0.3)
+
+    def _plausible(self, sketched: State) -> bool:
+        """Whether the end of a climb in a sketch leaves little enough to be worth a climb of the whole likelihood."""
+        problem = self.rough.problem(sketched, self.rough.sketch_band)
+        return judge(problem, sketched, problem.relative(sketched)).excess < PLAUSIBLE
+
+    def _retrieved(self, state: State, first: Sequence[Floats]) -> Iterator[State]:
+        """Near focus: from the small problem."""
+        rough, before = self.rough, self.starts
+        small = Retrieval.prepare(rough.optics, rough.target, rough.frame, rough.noise, state)
+        for candidate in small.candidates(first, self.rng):
+            self.starts, self.seen = before + small.starts, [(o.state.waves, o.misfit / 2) for o in small.optima]
+            self.progress(f"start {self.starts}")
+            yield candidate
+
+    def _climbed(self, state: State) -> Iterator[State]:
+        """Far from focus, where the small problem is not small: ends of climbs, each if it is better than those before."""
+        problem = self.rough.problem(state, 1.0)
+        best, again = climb(problem, state, max_steps=CLIMB_STEPS, tolerance=0.3), 0
+        self.seen = [(best.state.waves, -best.objective)]
+        for start in _more_starts(best, self.rough.optics, self.rng):
+            if again >= ENOUGH or self.starts >= self.max_climbs:
+                return
+            found = self._climb_from(problem, start)
+            self.progress(f"start {self.starts}")
+            if all(abs(found.objective + misfit) > SAME_OPTIMUM for _, misfit in self.seen):
+                self.seen.append((found.state.waves, -found.objective))
+            if found.objective > best.objective + SAME_OPTIMUM:
+                best, again = found, 0
+                yield found.state
+            else:
+                again += found.objective > best.objective - SAME_OPTIMUM
+
+
+def _settle(problem: Problem, start: State) -> State:
+    """Pose, light and noise alone, a few steps."""
+    return climb(problem, start, free_waves=False, max_steps=4, tolerance=1.0).state
 
 
 def _more_starts(found: Solution, optics: Optics, rng: np.random.Generator) -> Iterator[State]:
@@ -193,21 +273,26 @@ def _more_starts(found: Solution, optics: Optics, rng: np.random.Generator) -> I
         yield replace(state, waves=waves)
 
 
-def sweep(rough: Rough, start: State) -> list[Solution]:
-    """Pose, light and noise fitted at each of a row of defocus values, the likeliest first.
+def sweep(rough: Rough, start: State) -> list[State]:
+    """States at each of a row of defocus values, their light fitted, the one with the least sum of squares first.
 
-    The row goes on outwards while its last value is the likeliest.
+    The row goes on outwards while its last value is the best. The pose is left alone: a pixel hardly changes the order.
     """
-    scale = rough.optics.wavelength_um / rough.optics.reference_um
-    values, found = list(DEFOCUS_WAVES), []
+    scale, frame = rough.optics.wavelength_um / rough.optics.reference_um, rough.frame
+    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+    values, found, best = list(DEFOCUS_WAVES), list[tuple[float, State]](), np.inf
     while values:
         value = values.pop(0)
         state = replace(start, waves=np.append(value * scale, np.zeros(start.waves.size - 1)))
-        problem = rough.problem(state, rough.sketch_band)
-        found.append(climb(problem, state, free_waves=False, max_steps=6, tolerance=0.5))
-        if not values and found[-1].objective == max(s.objective for s in found) and value < FARTHEST_WAVES:
+        (relative,) = rough.problem(state, rough.sketch_band).relative(state)
+        columns = np.stack([light * relative, light], axis=1)
+        levels: Floats = np.linalg.lstsq(columns, counts)[0]
+        misfit = float(np.sum((columns @ levels - counts) ** 2))
+        found.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
+        if not values and misfit < best and value < FARTHEST_WAVES:
             values.append(1.4 * value)
-    return sorted(found, key=lambda s: -s.objective)
+        best = min(best, misfit)
+    return [state for _, state in sorted(found, key=lambda one: one[0])]
 
 
 def _first_state(frames: Sequence[FrameData], poses: Sequence[Pose], noise: NoisePrior, modes: int) -> State:
@@ -217,24 +302,29 @@ def _first_state(frames: Sequence[FrameData], poses: Sequence[Pose], noise: Nois
     return State(np.zeros(modes), tuple(poses), levels[:, 1] - levels[:, 0], levels[:, 0], noise.centre, even)
 
 
-def _finish(whole: Problem, found: Solution, poses: Sequence[Pose]) -> tuple[Solution, Verdict, list[Floats]]:
-    """What a rough problem found carried to the whole one and all its frames, poses first, then everything; and judged."""
-    state = _first_state(whole.frames, poses, whole.noise, found.state.waves.size)
-    drift = found.state.poses[0].v - poses[0].v
+@dataclass(frozen=True)
+class _Outcome:
+    """A maximum of the whole likelihood, judged. relative: images (pixels,) of the used pixels of each frame."""
+
+    solution: Solution
+    verdict: Verdict
+    relative: list[Floats]
+
+
+def _finish(whole: Problem, rough: Rough, found: State, poses: Sequence[Pose]) -> _Outcome:
+    """A state of one frame carried to the whole problem and all its frames, their poses first; and judged."""
+    drift, as_many = found.poses[0].v - poses[0].v, np.ones(len(poses))
     state = replace(
-        state,
-        waves=found.state.waves,
-        poses=(found.state.poses[0], *(p.moved(drift) for p in poses[1:])),
-        scales=np.full(len(poses), found.state.scales[0]),
-        ambients=np.full(len(poses), found.state.ambients[0]),
-        log_noise=found.state.log_noise,
-        unevenness=found.state.unevenness,
+        found,
+        poses=(found.poses[0], *(p.moved(drift) for p in poses[1:])),
+        scales=found.scales * as_many,
+        ambients=found.ambients * as_many,
     )
     if len(poses) > 1:
-        state = climb(whole, state, free_waves=False, max_steps=6, tolerance=1.0).state
+        state = _settle(replace(rough.problem(found, rough.sketch_band), frames=whole.frames), state)
     solution = climb(whole, state)
     relative = whole.relative(solution.state)
-    return solution, judge(whole, solution.state, relative), relative
+    return _Outcome(solution, judge(whole, solution.state, relative), relative)
 
 
 def residuals(fit: WavefrontFit, frames: Sequence[FrameData]) -> list[tuple[Floats, Floats]]:

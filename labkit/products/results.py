@@ -20,6 +20,7 @@ from labkit.optics.zernike import Floats
 from labkit.products.focus import FocusFit
 
 SCHEMA = 1
+OTHERS = 5  # other optima at most that are told of
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = 32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
 
@@ -72,7 +73,11 @@ class Wavefront:
                 "name": fit.verdict.name,
                 "p_value": fit.verdict.p_value,
                 "accepted": fit.verdict.accepted,
-                "starts": fit.climbs,
+                "starts": fit.starts,
+                "others": [
+                    {"waves_rms": [float(x) for x in o.waves], "log_likelihood_below": round(o.below, 1)}
+                    for o in fit.others[:OTHERS]
+                ],
             },
             "seconds": round(fit.seconds, 3),
             "frames": list(self.frames),

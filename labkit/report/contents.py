@@ -174,6 +174,8 @@ def _test(verdict: Verdict | None) -> str:
     words = [verdict.name or "unnamed"]
     words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
     words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
+    if np.isfinite(verdict.next_below):
+        words += [f"next optimum {verdict.next_below:.3g} less likely (log)"]
     return ", ".join(words)
 
 

@@ -26,12 +26,13 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The test of whether a fit stands at the global optimum."""
+    """The test of whether a fit stands at the global optimum. next_below: log-likelihood of the next optimum seen, below."""
 
     name: str
     accepted: bool
     p_value: float
     starts: int | None
+    next_below: float = nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +204,9 @@ def _estimate(entry: dict[str, Any]) -> Estimate:
 def _verdict(test: dict[str, Any] | None) -> Verdict | None:
     if test is None:
         return None
-    return Verdict(str(test.get("name", "")), bool(test["accepted"]), _number(test.get("p_value")), test.get("starts"))
+    name, others = str(test.get("name", "")), test.get("others") or [{}]
+    next_below = _number(others[0].get("log_likelihood_below"))
+    return Verdict(name, bool(test["accepted"]), _number(test.get("p_value")), test.get("starts"), next_below)
 
 
 def _wavefront(entry: dict[str, Any], psfs: dict[str, Any], residuals: dict[str, Any]) -> Wavefront:

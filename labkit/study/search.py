@@ -48,7 +48,7 @@ class Answer:
     accepted: bool
     error: float
     bound: float
-    climbs: int
+    starts: int
     seconds: float
     lost: bool = False
 
@@ -63,7 +63,7 @@ def work(task: tuple[Condition, int]) -> Answer:
     except LabkitError:
         return Answer(False, False, np.nan, np.nan, 0, np.nan, lost=True)
     error, bound = float(np.linalg.norm(trial.error(fit.waves))), float(np.linalg.norm(fit.std))
-    return Answer(error < FOUND_BOUNDS * bound, fit.verdict.accepted, error, bound, fit.climbs, fit.seconds)
+    return Answer(error < FOUND_BOUNDS * bound, fit.verdict.accepted, error, bound, fit.starts, fit.seconds)
 
 
 def run(setting: Setting) -> Outcome:
@@ -92,7 +92,7 @@ def run(setting: Setting) -> Outcome:
                 "rms_bound_when_found": _rms([a.bound for a in found]),
                 "found_but_rejected": sum(not a.accepted for a in found),
                 "wrong_but_accepted": sum(a.accepted for a in wrong),
-                "median_climbs": float(np.median([a.climbs for a in own])),
+                "median_starts": float(np.median([a.starts for a in own])),
                 "median_seconds": float(np.median(seconds)) if seconds else np.nan,
                 "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
             }
