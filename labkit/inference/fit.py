@@ -286,7 +286,7 @@ def sweep(rough: Rough, start: State) -> list[State]:
         state = replace(start, waves=np.append(value * scale, np.zeros(start.waves.size - 1)))
         (relative,) = rough.problem(state, rough.sketch_band).relative(state)
         columns = np.stack([light * relative, light], axis=1)
-        levels: Floats = np.linalg.lstsq(columns, counts)[0]
+        levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
         misfit = float(np.sum((columns @ levels - counts) ** 2))
         found.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
         if not values and misfit < best and value < FARTHEST_WAVES:
