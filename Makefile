@@ -35,7 +35,7 @@ types: .venv/installed-dev
 	cd build/typing && $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
 		--cache-dir $(CURDIR)/.mypy_cache labkit tests $(wildcard benchmarks/*.py examples/*.py)
 
-bench: .venv/installed
+bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
 
 # A whole raw of a real mirrorless camera, out of another project's source archive: fetched, tested against, not kept here.
