@@ -35,7 +35,7 @@ from labkit.target import open_target
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int, str], None]
-"""Told (frames done, frames in all, name of the frame just done)."""
+"""Told (frames done, frames in all, what is done next) as each step begins, and of each frame once it is safe."""
 
 Ask = Callable[[str], object]
 """Asks a person to do something, and returns when it is done."""
@@ -158,9 +158,9 @@ class _Capture:
             frames=frames,
             folder=self._session.folder,
         )
-        for words in found.by_hand if warn else ():
-            assert warn is not None
-            warn(f"check by hand: {words}")
+        if warn:
+            for words in found.by_hand:
+                warn(f"check by hand: {words}")
         self._note(
             "preflight",
             problems=[str(error) for error in found.problems],
@@ -259,6 +259,8 @@ class _Capture:
 
     def _step(self, doing: str) -> None:
         """A step begins, unless someone holds it back."""
+        if self._progress:
+            self._progress(self._done, self._total, doing)
         _tell(self._devices, "doing", what=doing)
         for watcher in self._devices.watchers:
             watcher.may_go_on()

@@ -46,14 +46,15 @@ def test_memory_threads_and_handles_stay_flat_over_500_frames(
     text = text.replace("darks = 3", "darks = 20").replace("flats_per_range = 2", "flats_per_range = 12")
     text = text.replace("frames_per_range = 2", "frames_per_range = 18")
     plan_file.write_text(text.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "grbl:simulated"'))
-    held: list[Held] = []
+    held: dict[int, Held] = {}
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, room=make_room(plan_file)) as devices,
     ):
-        capture(session, devices, progress=lambda done, total, name: held.append(Held.now()))
-    assert len(held) == len(session.frames) == FRAMES
+        capture(session, devices, progress=lambda done, total, step: held.update({done: Held.now()}))
+    assert len(session.frames) == FRAMES
     assert verify(session) == []
-    early, late = held[SETTLED : SETTLED + 50], held[-50:]
-    assert {(one.threads, one.handles) for one in held[SETTLED:]} == {(early[0].threads, early[0].handles)}
+    settled = [held[done] for done in range(SETTLED, FRAMES + 1)]
+    early, late = settled[:50], settled[-50:]
+    assert len({(one.threads, one.handles) for one in settled}) == 1
     assert max(one.memory_bytes for one in late) - max(one.memory_bytes for one in early) < CREEP_BYTES
