@@ -9,13 +9,12 @@ import astropy.units as u
 import numpy as np
 import poppy
 import scipy.fft
-from scipy.special import j1
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.solve import climb
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import Floats
+from labkit.optics.zernike import Floats, zernike
 from labkit.study.annealing import Task, work
 from labkit.study.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
 
@@ -23,7 +22,7 @@ RUNS = 7
 WAVEFRONTS, CAP_S = 4, 30.0  # searched for from nothing; after so long an annealing is ended
 AWAY_WAVES = 0.1  # from the truth, where a local fit starts
 PSF_SIDE, PSF_FINER = 65, 4  # samples of the PSF, and to lambda N
-PSF_ERROR = 1e-3  # summed, as a share of all light: what 3e-4 waves would change
+PSF_ERROR = 3e-3  # summed, as a share of all light: as much as 1e-3 waves change
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -44,7 +43,10 @@ def line(what: str, measured: str, wanted: str = "") -> None:
 
 
 def evaluation() -> None:
-    """Mean and Jacobian of a Bayer frame at ever new poses, against the transforms that they cannot do without."""
+    """Mean and Jacobian of a Bayer frame against the transforms that they cannot do without.
+
+    A climb has drawn the target when it comes to the Jacobian, for it has looked at the mean there before.
+    """
     model = ForwardModel.build(Optics(0.55, 0.45, 2.8, 4.78, 4.78, NOLL), carpet(), (264, 264))
     used = np.zeros((264, 264), bool)
     used[0::2, 1::2] = used[1::2, 0::2] = True
@@ -60,8 +62,12 @@ def evaluation() -> None:
             scipy.fft.fft2(field)
             torus.half_spectrum_of_window(window)
 
-    measured = ratio(lambda: model.evaluate(waves, [next(poses)], [used]), transforms)
-    line("mean and Jacobian / their FFTs, 264 x 264 Bayer, f/2.8, pose drawn too", f"{measured:.2f}", "<= 2.5")
+    held = next(poses)
+    drawn, new = (
+        ratio(lambda p=p: model.evaluate(waves, [p()], [used]), transforms) for p in (lambda: held, poses.__next__)
+    )
+    line("mean and Jacobian / their FFTs, 264 x 264 Bayer, f/2.8", f"{drawn:.2f}", "<= 2.5")
+    line("  and with the target drawn anew, which takes no FFT", f"{new:.2f}")
 
 
 def ours(diameter: int, waves: Floats) -> Floats:
@@ -90,24 +96,29 @@ def poppys(diameter: int, waves: Floats) -> Floats:
     return np.asarray(system.calc_psf(wavelength=WAVELENGTH_UM * 1e-6)[0].data[::-1, ::-1])
 
 
-def enough(psf: Callable[[int, Floats], Floats]) -> int:
-    """Least number of samples across the pupil, of a row of them, with which Airy's disc is right to PSF_ERROR."""
+def exact(waves: Floats) -> Floats:
+    """The same by Gauss's quadrature of the diffraction integral over the disc: it converges faster than any power."""
+    nodes, weights = np.polynomial.legendre.leggauss(96)
+    rho, theta = (1 + nodes[:, None]) / 2, np.arange(384) * (2 * np.pi / 384)
+    path = sum(w * zernike(j, *np.broadcast_arrays(rho, theta)) for j, w in zip(NOLL, waves, strict=True))
+    pupil = (weights[:, None] / 2 * rho * 2 / 384 * np.exp(2j * np.pi * path)).ravel()
     at = (np.arange(PSF_SIDE) - PSF_SIDE // 2) / PSF_FINER
-    r = np.pi * np.hypot(at[:, None], at)
-    r[r == 0] = 1e-9
-    airy = (2 * j1(r) / r) ** 2 * np.pi / 4 / PSF_FINER**2
-    row = (round(32 * 2 ** (k / 4)) for k in count())
-    return next(n for n in row if np.abs(psf(n, np.zeros(len(NOLL))) - airy).sum() < PSF_ERROR)
+    by_row, by_column = (np.exp(-1j * np.pi * at[:, None] * (rho * turn(theta)).ravel()) for turn in (np.sin, np.cos))
+    return np.abs(by_row * pupil @ by_column.T) ** 2 * np.pi / 4 / PSF_FINER**2
 
 
 def psfs() -> None:
     """Our PSF and poppy's of a wavefront of 0.25 waves, each by the coarsest pupil that is right."""
     waves = random_waves(np.random.default_rng(1), len(NOLL), 0.25)
+    truth = exact(waves)
+
+    def enough(psf: Callable[[int, Floats], Floats]) -> int:
+        row = (round(32 * 2 ** (k / 4)) for k in count())
+        return next(n for n in row if np.abs(psf(n, waves) - truth).sum() < PSF_ERROR)
+
     own, other = enough(ours), enough(poppys)
-    apart = np.abs(ours(own, waves) - poppys(other, waves)).sum()
     measured = ratio(lambda: poppys(other, waves), lambda: ours(own, waves))
-    line(f"PSF by poppy / ours, both right to {PSF_ERROR:g} ({other} and {own} samples)", f"{measured:.0f}", "> 1")
-    line("  summed difference of the two for a wavefront of 0.25 waves", f"{apart:.1e}")
+    line(f"PSF by poppy / ours, both right to {PSF_ERROR:g}: {other} and {own} samples", f"{measured:.0f}", "> 1")
 
 
 def local_fit() -> None:
