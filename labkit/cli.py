@@ -280,6 +280,7 @@ def capture(
     ] = None,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
+    from labkit.lab.asking import Operator
     from labkit.lab.capture import capture as run_capture
     from labkit.lab.capture import picture_for
     from labkit.lab.devices import Room
@@ -295,7 +296,7 @@ def capture(
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
-    room = Room(link=console.link, tell=console.warn)
+    room = Room(link=console.link, tell=console.warn, operator=Operator(console.still))
     with ExitStack() as stack:
         if monitor or listen:
             stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, room))

@@ -20,12 +20,13 @@ Report = Callable[[int, int, str], None]
 
 @dataclass(slots=True)
 class Console:
-    """How to speak to whoever ran the command. hint: what to say to someone who pressed Ctrl-C."""
+    """How to speak to whoever ran the command. hint: what to say to someone who pressed Ctrl-C; bar: the one that moves."""
 
     quiet: bool = False
     json: bool = False
     debug: bool = False
     hint: str = ""
+    bar: Progress | None = None
 
     def say(self, text: str) -> None:
         """A line for people: not with --quiet or --json."""
@@ -77,7 +78,23 @@ class Console:
         )
         with Progress(*columns, console=terminal, transient=True) as bar:
             task = bar.add_task(doing, total=None, step="")
-            yield lambda done, total, step: bar.update(task, completed=done, total=total, step=step)
+            self.bar = bar
+            try:
+                yield lambda done, total, step: bar.update(task, completed=done, total=total, step=step)
+            finally:
+                self.bar = None
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        """Nothing moves while someone types."""
+        bar = self.bar
+        if bar is not None:
+            bar.stop()
+        try:
+            yield
+        finally:
+            if bar is not None:
+                bar.start()
 
 
 def error_line(text: object) -> None:

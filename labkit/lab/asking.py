@@ -7,7 +7,8 @@ import sys
 import termios
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Literal, Protocol, TextIO
 
@@ -42,9 +43,13 @@ class Page(Protocol):
 
 
 class Operator:
-    """Whoever sits at the bench. One question at a time is asked, by the capture's thread; any thread may answer."""
+    """Whoever sits at the bench. One question at a time is asked, by the capture's thread; any thread may answer.
 
-    def __init__(self) -> None:
+    still: a context in which the terminal shows nothing else, so that one can type.
+    """
+
+    def __init__(self, still: Callable[[], AbstractContextManager[object]] = nullcontext) -> None:
+        self._still = still
         self._changed = threading.Condition()
         self._count = 0
         self._question: Question | None = None
@@ -73,7 +78,8 @@ class Operator:
             self._question, self._answer = Question(self._count, text, wants), None
         self._ring()
         try:
-            return self._wait(text if wants == "number" else f"{text}, then press Enter").strip()
+            with self._still():
+                return self._wait(text if wants == "number" else f"{text}, then press Enter").strip()
         finally:
             with self._changed:
                 self._question = None
