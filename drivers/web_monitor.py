@@ -34,6 +34,7 @@ class Monitor:
         self._paused_s = 0.0
         self._choices: list[str] = []
         self._picked: str | None = None
+        self._asked = 0
         self._devices: dict[str, dict[str, str]] = {}
         self._log: deque[dict[str, str]] = deque(maxlen=LOG_LINES)
         self._look: Look | None = None
@@ -135,8 +136,12 @@ class Monitor:
             self._listeners.pop(who, None)
 
     def wake(self) -> None:
-        """Tell every listener that there is something new."""
+        """Tell every listener that there is something new; a question too."""
+        question = self._operator.question
         with self._lock:
+            if question is not None and question.number > self._asked:
+                self._asked = question.number
+                self._write(f"asked: {question.text}")
             listeners = tuple(self._listeners.values())
         for tell in listeners:
             tell()

@@ -176,4 +176,4 @@ def size_problem(pixels: tuple[int, int], panel: PanelInfo) -> str | None:
         return f"{has}: it is scaled ×{down:.3g}, set the system's display zoom or scaling to its default"
     if down > 1 or across > 1:
         return f"{has}: this is another panel, or a scaled one; give its true pixels in [display]"
-    return f"{has}: make it full screen by a tap on the page"
+    return f'{has}: make it full screen by its button "Fill the screen"'

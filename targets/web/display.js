@@ -169,7 +169,7 @@ function connect() {
     } else {
       if (event.code !== LOST) { told = null; takeOff(); }
       $("state").textContent = "Waiting for labkit";
-      $("problem").textContent = "";
+      $("problem").textContent = "no connection: tried again every second, nothing needs to be done here";
       setTimeout(() => { if (socket === null) connect(); }, BEAT_MS);
     }
   };

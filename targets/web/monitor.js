@@ -10,6 +10,8 @@ const PHASES = {
   stopped: "Stopped", interrupted: "Interrupted", serving: "Showing",
 };
 const ENDED = ["complete", "stopped", "interrupted"];
+const SAFE = "Every photograph so far is safe: go on with --resume.";
+const LEAST_SPAN = 0.1; // of the sharpest: less is the noise of one frame and the next
 
 let socket = null;
 let heard = 0;
@@ -41,6 +43,8 @@ function render(state) {
   document.title = state.total ? `${state.done}/${state.total} ${PHASES[state.phase]} – labkit` : "labkit";
   if (state.phase === "asking") document.title = `● ${document.title}`;
   $("doing").textContent = state.doing;
+  $("doing").classList.toggle("wrong", state.phase === "stopped");
+  $("safe").textContent = ["stopped", "interrupted"].includes(state.phase) ? SAFE : "";
   $("left").textContent = state.left_s === null ? "" : duration(state.left_s);
   $("count").textContent = state.total ? `${state.done} of ${state.total}` : "";
   $("bar").hidden = !state.total;
@@ -73,6 +77,7 @@ function renderQuestion(question) {
   $("reply").inputMode = /-\d/.test(question.text) ? "text" : "decimal"; // a tablet's number pad has no minus
   $("send").textContent = typed ? "Send" : "Done";
   $("send").disabled = false;
+  if (typed && document.activeElement === document.body && matchMedia("(pointer: fine)").matches) $("reply").focus();
 }
 
 function answer(event) {
@@ -109,6 +114,7 @@ function renderChoices(state) {
 
 function renderFrame(frame) {
   $("empty").hidden = frame !== null;
+  $("light").hidden = frame === null;
   if (frame === null || (last !== null && last.frame !== null && last.frame.number === frame.number)) return;
   const where = frame.range_mm === null ? "" : ` · ${frame.range_mm} mm`;
   $("frame-name").textContent = `${frame.name}${where}`;
@@ -132,7 +138,7 @@ function renderFrame(frame) {
 function renderSharpness(points) {
   if (points.length === 0) return;
   const values = points.map((point) => point.edge_px);
-  const least = Math.min(...values), span = Math.max(...values) - least || 1;
+  const least = Math.min(...values), span = Math.max(Math.max(...values) - least, LEAST_SPAN * least);
   $("sharpness").textContent = `${values[values.length - 1].toFixed(1)} px`;
   $("best").textContent = `edges rise over this, smaller is sharper; best ${least.toFixed(1)}, ${points[values.indexOf(least)].name}`;
   $("trend").replaceChildren();
