@@ -5,12 +5,11 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from labkit.drivers.bench import Bench
 from labkit.drivers.bench_setup import shared_bench
 from labkit.errors import DisplayError
 from labkit.lab.devices import PanelInfo, Picture, Room, Shown
+from labkit.lab.patterns import pattern
 from labkit.plan import Plan
 
 
@@ -35,12 +34,9 @@ class SimulatedDisplay:
         """Show it. Raises DisplayError if it is too large or the display has gone to sleep."""
         if self._bench.trouble("display") == "sleep":
             raise DisplayError("the simulated display went to sleep; wake it, and set Auto-Lock to never")
-        if isinstance(picture, str):
-            grey = {"white": 255, "black": 0}
-            if picture not in grey:
-                raise DisplayError(f'no picture is called "{picture}"; there are {", ".join(grey)}')
-            picture = np.full(self.panel.pixels, grey[picture], dtype=np.uint8)
         try:
+            if isinstance(picture, str):
+                picture = pattern(picture, self.panel)
             self._bench.light(picture)
         except ValueError as error:
             raise DisplayError(str(error)) from error

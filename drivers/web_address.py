@@ -53,8 +53,9 @@ def serving(host: str, port: int, room: Room) -> Iterator[WebServer]:
     where = f"web://{host}:{port}"
     server: WebServer | None = room.shared.get(where)
     if server is None:
-        server = room.shared[where] = WebServer(host, port, room)
+        server = WebServer(host, port, room)
         server.start()
+        room.shared[where] = server
         room.watchers.append(server.monitor)
         room.operator.attend(server.monitor)
         room.link("The operator's page", server.url("monitor"))

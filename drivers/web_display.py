@@ -12,12 +12,11 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from labkit.drivers.web_address import parse_address, serving
 from labkit.drivers.web_screen import Order, Report, Screen
 from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import PanelInfo, Picture, Room, Shown, panel_info
+from labkit.lab.patterns import pattern
 from labkit.plan import Plan
 
 HOLD_S = 600.0
@@ -72,10 +71,7 @@ class WebDisplay:
     def show(self, picture: Picture) -> Shown:
         """Show it; holds until the page confirms it. Raises DisplayError if that takes longer than hold_s."""
         if isinstance(picture, str):
-            grey = {"white": 255, "black": 0}
-            if picture not in grey:
-                raise DisplayError(f'no picture is called "{picture}"; there are {", ".join(grey)}')
-            picture = np.full(self.panel.pixels, grey[picture], dtype=np.uint8)
+            picture = pattern(picture, self.panel)
         order = self._screen.want(picture)
         report = self._hold(lambda: self._screen.confirms(order))
         self._shown = order, report

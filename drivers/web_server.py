@@ -30,8 +30,10 @@ from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import PanelInfo, Room
 
 START_S = STOP_S = 10.0
-SEND_S = 10.0
-"""A page that takes longer to accept a message is let go; it comes back by itself."""
+SEND_S = PONG_S = 10.0
+"""A page that takes longer to accept a message, or to answer a ping, is let go; it comes back by itself."""
+
+PING_S = 5.0
 
 MOST_BYTES = 2048
 """Of a message from a page, and (eight times as many) of a request's head."""
@@ -93,8 +95,8 @@ class WebServer:
                 http=Connection,
                 ws="websockets-sansio",
                 ws_max_size=MOST_BYTES,
-                ws_ping_interval=5.0,
-                ws_ping_timeout=10.0,
+                ws_ping_interval=PING_S,
+                ws_ping_timeout=PONG_S,
                 ws_per_message_deflate=False,
                 lifespan="off",
                 log_config=None,
@@ -115,6 +117,7 @@ class WebServer:
         deadline = time.monotonic() + START_S
         while not self._server.started:
             if time.monotonic() > deadline or not self._thread.is_alive():
+                self.close()
                 raise DisplayError(f"the web server on port {self.port} did not start within {START_S:g} s")
             time.sleep(0.01)
 
@@ -269,7 +272,7 @@ async def _converse(
                 await _within(socket.close(news))
                 return
             if news != told or time.monotonic() - told_at > AT_LEAST_EVERY_S:
-                await _within(socket.send_text(json.dumps(news, ensure_ascii=False)))
+                await _within(socket.send_text(json.dumps(news)))
                 told, told_at = news, time.monotonic()
                 await asyncio.sleep(pause_s)
             await wake.wait(0.5)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import hmac
+import ipaddress
 import itertools
 import json
 import socket
 import stat
 import struct
 import threading
+import time
+import urllib.request
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -22,10 +26,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from labkit.drivers import web_door
+from labkit.drivers import web_door, web_server
 from labkit.drivers.web_address import parse_address
 from labkit.drivers.web_display import WebDisplay, open_display
 from labkit.drivers.web_door import kept_token
+from labkit.drivers.web_server import reachable
 from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import Room
 
@@ -115,6 +120,42 @@ def test_nothing_else_is_there(path: str, lab: Lab, display: WebDisplay) -> None
 )  # fmt: skip
 def test_a_rebound_name_is_not_us(host: str, lab: Lab, display: WebDisplay) -> None:
     assert ask(lab, f"/{lab.server.token}/screen", host=host.format(port=lab.server.port))[0] in (400, 404)
+
+
+def test_every_token_is_compared_in_constant_time(
+    lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[tuple[bytes, bytes]] = []
+
+    class Watch:
+        @staticmethod
+        def compare_digest(a: bytes, b: bytes) -> bool:
+            compared.append((a, b))
+            return hmac.compare_digest(a, b)
+
+    monkeypatch.setattr(web_door, "hmac", Watch)
+    token = lab.server.token
+    given = ["x", "", token[:-1], token[:-1] + "%C3%A9", token]
+    answers = [ask(lab, f"/{one}/screen")[0] for one in given]
+    assert answers == [404, 404, 404, 404, 200]
+    assert [b for _, b in compared] == [token.encode()] * 5
+
+
+def test_an_ipv6_address_is_served_as_it_is_printed(lab: Lab) -> None:
+    try:
+        display = open_display("web://[::1]:0", plan_for(60, 80), lab.room)
+    except DisplayError:
+        pytest.skip("this machine has no IPv6")
+    with display, urllib.request.urlopen(display.url, timeout=10) as answer:
+        assert display.url.startswith("http://[::1]:")
+        assert answer.read() == (WEB / "display.html").read_bytes()
+
+
+def test_a_server_of_all_addresses_prints_one_of_the_same_kind() -> None:
+    name = socket.gethostname()
+    assert reachable("::") == name or ipaddress.IPv6Address(reachable("::").strip("[]"))
+    assert reachable("0.0.0.0") == name or ipaddress.IPv4Address(reachable("0.0.0.0"))
+    assert (reachable("10.0.0.7"), reachable("fe80::1")) == ("10.0.0.7", "[fe80::1]")
 
 
 def test_our_own_names_are_us(lab: Lab, display: WebDisplay) -> None:
@@ -255,6 +296,31 @@ def test_strangers_that_reset_or_never_read_stop_nothing(lab: Lab, display: WebD
         wire.close()
     shows_still(lab, display)
     deaf.close()
+
+
+def test_a_page_that_neither_reads_nor_answers_is_let_go(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web_server, "PING_S", 0.2)
+    monkeypatch.setattr(web_server, "PONG_S", 0.3)
+    display = lab.display(60, 80)
+    here = f"127.0.0.1:{lab.server.port}"
+    with dial(lab) as wire:
+        head = [f"GET /{lab.server.token}/monitor/socket HTTP/1.1", f"Host: {here}", f"Origin: http://{here}"]
+        head += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
+        head += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", ""]
+        wire.sendall("\r\n".join(head).encode())
+        monitor = lab.server.monitor
+        while not monitor._listeners:  # the test's own time limit ends it
+            time.sleep(0.01)
+        while monitor._listeners:
+            monitor.noted("camera", model="x" * 10_000, serial="1")
+            time.sleep(0.01)
+        shows_still(lab, display)
+
+
+def test_what_is_no_text_does_not_silence_the_page(lab: Lab, display: WebDisplay) -> None:
+    lab.server.monitor.noted("camera", model="a name that is no UTF-8: \udcff", serial="\x00")
+    with page(lab, "monitor") as wire:
+        assert "\udcff" in json.loads(wire.recv(timeout=10))["log"][0]["text"]
 
 
 def test_many_operators_pages_are_too_many(lab: Lab, display: WebDisplay) -> None:
