@@ -63,11 +63,11 @@ def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
     coarse = cv2.resize(counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA)
     lit = coarse.astype(np.float64) >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
 
-    def span(along: NDArray[np.bool_], size: int) -> tuple[int, int]:
-        found = np.flatnonzero(along)
-        return max(0, int(found[0] - 1) * step), min(size // 2 * 2, int(found[-1] + 3) * step)
+    def span(found: NDArray[np.intp], size: int) -> tuple[int, int]:
+        return max(0, int(found.min() - 1) * step), min(size // 2 * 2, int(found.max() + 3) * step)
 
-    return span(lit.any(axis=1), rows), span(lit.any(axis=0), cols)
+    along_rows, along_cols = np.nonzero(lit)
+    return span(along_rows, rows), span(along_cols, cols)
 
 
 def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
