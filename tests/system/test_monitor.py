@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -107,3 +110,31 @@ def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(flags: list[
     assert ended.returncode in (1, 2)
     (line,) = ended.stderr.splitlines()
     assert words in line
+
+
+def test_at_a_terminal_what_is_typed_is_not_painted_over(plan: Path) -> None:
+    near, far = os.openpty()
+    with subprocess.Popen(
+        command(plan), stdin=far, stderr=far, stdout=far, env={**os.environ, "TERM": "xterm"}
+    ) as running:
+        os.close(far)
+        try:
+            seen = b""
+            for position in (b"50.000", b"100.500"):
+                while b"type what its scale says in mm:" not in seen:
+                    seen += os.read(near, 4096)
+                os.write(near, position)
+                seen = b""
+                while select.select([near], [], [], 0.5)[0]:  # the bar would be painted ten times a second
+                    seen += os.read(near, 4096)
+                assert seen.strip() == position
+                os.write(near, b"\n")
+                seen = b""
+            with contextlib.suppress(OSError):  # the end of a terminal
+                while more := os.read(near, 4096):
+                    seen += more
+            assert running.wait(timeout=60) == 0
+            assert b"9 frames" in seen
+        finally:
+            running.kill()
+            os.close(near)
