@@ -215,6 +215,28 @@ def test_what_a_device_says_is_text_not_html(table: Table) -> None:
     assert table.operator.page.locator("main img:not(#preview)").count() == 0
 
 
+@pytest.mark.parametrize("width", [320, 390, 1280])
+def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) -> None:
+    display = lab.display(400, 400)
+    server, long = lab.server, "x" * 200
+    page = glass(server.url("monitor"), 800, width).page
+    asking = threading.Thread(target=lab.room.operator.ask, args=(f"Set the rail {long}",), daemon=True)
+    asking.start()
+    server.monitor.noted("began", missing=9999, total=9999)
+    server.monitor.noted("doing", what=long)
+    server.monitor.noted("trouble", device=long, attempt=1, error=long)
+    server.monitor.took(long, "target", 2000.123456, mosaic(np.full((80, 80), 100)), 1, 9999)
+    page.wait_for_selector("#question", state="visible")
+    page.wait_for_selector("#preview", state="visible")
+    page.click("#abort")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    page.fill("#reply", "1")
+    page.click("#send")
+    asking.join(10)
+    assert not asking.is_alive()
+    display.close()
+
+
 def test_the_page_says_when_labkit_is_gone(table: Table, lab: Lab) -> None:
     table.reads("phase", "Ready")
     table.display.close()
