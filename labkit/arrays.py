@@ -1,13 +1,14 @@
 """What an array handed to the mathematics must be, and one line that says so where it is not."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def real_array(name: str, value: ArrayLike, shape: Sequence[int | None], unit: str) -> NDArray[np.float64]:
-    """The value as float64, of the given shape, where None stands for any length.
+def real_array(name: str, value: ArrayLike, shape: Sequence[int | None] | None, unit: str) -> NDArray[np.float64]:
+    """The value as float64, of the given shape, where None stands for any length; None alone for any shape.
 
     Raises ValueError that names the argument, its shape and its unit for another shape, for what is no real number
     and for values that are not finite.
@@ -15,6 +16,7 @@ def real_array(name: str, value: ArrayLike, shape: Sequence[int | None], unit: s
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name}: real numbers are needed ({unit}), not {array.dtype} of shape {array.shape}")
+    shape = array.shape if shape is None else shape
     wanted = (
         "(" + ", ".join("any" if side is None else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
     )
@@ -35,3 +37,10 @@ def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.
     if array.shape != tuple(shape):
         raise ValueError(f"{name} has shape {array.shape}; a mask of shape {tuple(shape)} is needed")
     return array
+
+
+def positive(name: str, value: float, unit: str) -> float:
+    """The value, a finite number above 0. Raises ValueError that names it and its unit for any other."""
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} = {value:g}: a number above 0 is needed ({unit})")
+    return value

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicHermiteSpline
 
+from labkit.arrays import real_array
 from labkit.errors import TargetError
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ class CellTarget:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
+        y_mm, x_mm = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
         around = self.surround or 0.0
         by = _blurred_cells(y_mm, self.size_mm[0], self._row_of, self._core.shape[0], bandwidth_per_mm)
         bx = _blurred_cells(x_mm, self.size_mm[1], self._col_of, self._core.shape[1], bandwidth_per_mm)
@@ -115,7 +117,7 @@ class CellTarget:
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
-        y, x = np.broadcast_arrays(np.asarray(y_mm, dtype=np.float64), np.asarray(x_mm, dtype=np.float64))
+        y, x = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
         row = np.floor(y / self.cell_mm[0] + self.cells.shape[0] / 2)
         col = np.floor(x / self.cell_mm[1] + self.cells.shape[1] / 2)
         inside = (row >= 0) & (row < self.cells.shape[0]) & (col >= 0) & (col < self.cells.shape[1])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.target import SURROUNDS, Floats, low_pass
 
@@ -57,7 +58,7 @@ class SlantedEdge:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        y, x = np.asarray(y_mm, dtype=np.float64), np.asarray(x_mm, dtype=np.float64)
+        y, x = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
         half, around = self.side_mm / 2, self.surround or 0.0
         reach, step = low_pass()
 
@@ -77,7 +78,7 @@ class SlantedEdge:
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
-        y, x = np.broadcast_arrays(np.asarray(y_mm, dtype=np.float64), np.asarray(x_mm, dtype=np.float64))
+        y, x = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
         inside = (np.abs(y) <= self.side_mm / 2) & (np.abs(x) <= self.side_mm / 2)
         return np.where(inside, (x > self.slope * y).astype(np.float64), self.surround or 0.0)
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
@@ -46,6 +47,11 @@ class Optics:
     pitch_um: float
     active_um: float
     noll: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
+            positive(name, getattr(self, name), "um")
+        positive("f_number", self.f_number, "unitless")
 
     @property
     def airy_um(self) -> float:
@@ -89,6 +95,7 @@ class ForwardModel:
 
     def means(self, waves: Floats, poses: list[Pose], used: list[Bools]) -> list[Floats]:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
+        self._checked(poses, used)
         transfer = self.blur.transfer(waves)
         return [
             self._sample(spectrum * transfer, u, self.scene.surround)
@@ -102,6 +109,7 @@ class ForwardModel:
 
         by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.
         """
+        self._checked(poses, used)
         transfer = self.blur.transfer(waves)
         spread = self.blur.spread(transfer)
         spectra = self.scene.spectra(poses)
@@ -124,6 +132,12 @@ class ForwardModel:
         """(modes, pixels) derivatives by some of the modes, for those who cannot hold all at once."""
         (spectrum,) = self.scene.spectra([pose])
         return np.array([self._sample(spectrum * s, used) for s in self.blur.transfer_jacobian(waves, only)])
+
+    def _checked(self, poses: list[Pose], used: list[Bools]) -> None:
+        if len(poses) != len(used):
+            raise ValueError(f"poses, used: {len(poses)} poses and {len(used)} masks; each frame needs one of both")
+        for mask in used:
+            mask_array("used", mask, self.scene.torus.frame)
 
     def _sample(self, spectrum: Complexes, used: Bools, offset: float = 0.0) -> Floats:
         return self.blur.torus.sample(spectrum)[used] + offset

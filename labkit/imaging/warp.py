@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labkit.arrays import real_array
 from labkit.optics.zernike import Floats
 
 POSE_SIZE = 8
@@ -25,17 +26,22 @@ class Pose:
     half_size_mm: tuple[float, float]
 
     def __post_init__(self) -> None:
-        if self.v.shape != (POSE_SIZE,) or not np.all(np.isfinite(self.v)):
-            raise ValueError(f"a pose is {POSE_SIZE} finite numbers, not {self.v}")
+        object.__setattr__(self, "v", real_array("v", self.v, (POSE_SIZE,), "pose: six in pixels, two unitless"))
 
     @classmethod
     def from_corners(cls, corners_px: Floats, size_mm: tuple[float, float]) -> "Pose":
-        """From the four corners (4, 2) as (row, col), in the order of the target's own (0,0), (0,w), (h,w), (h,0)."""
-        row, col = np.asarray(corners_px, float).T
+        """From the four corners (4, 2) as (row, col), in the order of the target's own (0,0), (0,w), (h,w), (h,0).
+
+        Raises ValueError for another shape and for corners of which three lie on a line.
+        """
+        row, col = real_array("corners_px", corners_px, (4, 2), "pixels").T
         one, zero = np.ones(4), np.zeros(4)
         row_equations = np.stack([one, CORNER_Y, CORNER_X, zero, zero, zero, -row * CORNER_Y, -row * CORNER_X], axis=1)
         col_equations = np.stack([zero, zero, zero, one, CORNER_Y, CORNER_X, -col * CORNER_Y, -col * CORNER_X], axis=1)
-        v = np.linalg.solve(np.concatenate([row_equations, col_equations]), np.concatenate([row, col]))
+        try:
+            v = np.linalg.solve(np.concatenate([row_equations, col_equations]), np.concatenate([row, col]))
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"corners_px, shape (4, 2): no three may lie on a line (pixels): {corners_px}") from error
         return cls(v, (size_mm[0] / 2, size_mm[1] / 2))
 
     def moved(self, step: Floats) -> "Pose":

@@ -8,6 +8,7 @@ import numpy.typing as npt
 import scipy.fft
 import scipy.linalg
 
+from labkit.arrays import positive, real_array
 from labkit.imaging.warp import POSE_SIZE
 from labkit.inference.likelihood import FrameData, predict, slopes
 from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
@@ -59,11 +60,7 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
 
     Raises ValueError for a matrix that is not square, symmetric and finite, or other than names.
     """
-    information = np.asarray(information, float)
-    if information.shape != (len(names), len(names)):
-        raise ValueError(f"information is {information.shape}: {len(names)} parameters need a square matrix of as many")
-    if not np.all(np.isfinite(information)) or not np.allclose(information, information.T, rtol=1e-8):
-        raise ValueError("information must be finite and symmetric")
+    information = _symmetric("information", information, len(names), "of the parameters' units, inverse squared")
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
@@ -100,6 +97,7 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     Never holds the derivatives of more than twice so many modes of one frame (thesis Figure 3.4); the price is that they
     are computed more than once. The order of parameters is that of `State.moved`.
     """
+    positive("modes_at_once", modes_at_once, "modes")
     modes, common = state.waves.size, state.unevenness.size + NOISE
     size = modes + PER_FRAME * len(problem.frames) + common
     total = np.zeros((size, size))
@@ -141,7 +139,9 @@ def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
     relative, light: (pixels,) relative image and illumination; c: the five numbers, the last the standard deviation.
     mu = c3 V (c1 u + c2) + c4, Sigma = c3 (mu - c4) + read_noise^2.
     """
-    c1, c2, c3, _, read = c
+    relative = real_array("relative", relative, (None,), "of the target's radiance")
+    light = real_array("light", light, relative.shape, "relative")
+    c1, c2, c3, _, read = real_array("c", c, (len(DETECTOR),), "electrons; counts per electron; counts")
     bright = light * (c1 * relative + c2)
     zero, one = np.zeros_like(bright), np.ones_like(bright)
     means = np.stack([c3 * light * relative, c3 * light, bright, one, zero])
@@ -153,7 +153,7 @@ def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
 def psf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> Floats:
     """(size, size) standard deviation of the PSF's samples by the delta method. covariance: (modes, modes) of waves."""
     slopes = pupil.psf_jacobian(waves)[1]
-    factor = _root(covariance)
+    factor = _root(covariance, len(waves))
     return np.asarray(np.sqrt(np.sum(np.tensordot(factor.T, slopes, 1) ** 2, axis=0)))
 
 
@@ -164,16 +164,23 @@ def mtf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> tuple[Floats, Fl
     """
     psf, slopes = pupil.psf_jacobian(waves)
     transfer = scipy.fft.rfft2(psf)
-    moved = scipy.fft.rfft2(np.tensordot(_root(covariance).T, slopes, 1))
+    moved = scipy.fft.rfft2(np.tensordot(_root(covariance, len(waves)).T, slopes, 1))
     mtf = np.abs(transfer)
     direction = np.divide(np.conj(transfer), mtf, out=np.ones_like(transfer), where=mtf > 0)
     return mtf, np.asarray(np.sqrt(np.sum((moved * direction).real ** 2, axis=0)))
 
 
-def _root(covariance: Floats) -> Floats:
+def _root(covariance: Floats, modes: int) -> Floats:
     """A matrix A with A A^T = covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(_symmetric("covariance", covariance, modes, "waves RMS squared"))
     return np.asarray(vectors * np.sqrt(values.clip(0)))
+
+
+def _symmetric(name: str, matrix: Floats, size: int, unit: str) -> Floats:
+    matrix = real_array(name, matrix, (size, size), unit)
+    if not np.allclose(matrix, matrix.T, rtol=1e-8):
+        raise ValueError(f"{name}, shape {matrix.shape}: it is not symmetric ({unit})")
+    return matrix
 
 
 def uniform_bound(
@@ -183,23 +190,26 @@ def uniform_bound(
 
     covariance: (p, p) of an unbiased estimate. multipliers: (n,) positive, from large (delta near 0) to small. norm: (p, p) C
     of the norm ||d||^2 = d^T C d, the identity by default.
-    Raises ValueError for a multiplier that is not positive.
+    Raises ValueError for a multiplier that is not positive, and for matrices that are not symmetric and finite.
     """
+    multipliers = real_array("multipliers", multipliers, (None,), "the parameter's unit squared")
     if np.any(multipliers <= 0):
-        raise ValueError("multipliers must be positive")
+        raise ValueError(f"multipliers, shape {multipliers.shape}: all must be above 0 (the parameter's unit squared)")
     size = len(covariance)
+    covariance = _symmetric("covariance", covariance, size, "of the parameters' units, squared")
+    norm = None if norm is None else _symmetric("norm", norm, size, "of the parameters' units, inverse squared")
     root = np.eye(size) if norm is None else np.asarray(scipy.linalg.sqrtm(norm).real)
     inverse = np.linalg.inv(root)
     beta, vectors = np.linalg.eigh(inverse @ covariance @ inverse)
     part = (root[index] @ vectors) ** 2
-    lam = np.asarray(multipliers, float)[:, None]
+    lam = multipliers[:, None]
     delta = np.sqrt(np.sum((beta / (lam + beta)) ** 2 * part, axis=1))
     return delta, np.asarray(np.sum(lam**2 * beta / (lam + beta) ** 2 * part, axis=1))
 
 
 def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None) -> float:
     """Slope of the uniform bound at no bias, in the parameter's unit squared: -2 || row of the covariance ||, thesis §3.5."""
-    row = covariance[index]
+    row = _symmetric("covariance", covariance, len(covariance), "of the parameters' units, squared")[index]
     weighted = row if norm is None else np.linalg.solve(norm, row)
     return float(-2 * np.sqrt(row @ weighted))
 

@@ -10,6 +10,7 @@ from importlib import resources
 import numpy as np
 from scipy.optimize import minimize
 
+from labkit.arrays import positive, real_array
 from labkit.inference.fit import twin_signs
 from labkit.optics.zernike import Floats, noll_to_nm, zernike
 
@@ -27,9 +28,14 @@ def _samples() -> tuple[Floats, Floats]:
     return share, np.stack([zernike(j, rho, theta).ravel() for j in NOLL])
 
 
+def _over_noll(name: str, waves: Floats) -> Floats:
+    return real_array(name, waves, (len(NOLL),), "waves RMS of Noll 4 to 15")
+
+
 def rotated(waves: Floats, angle: float) -> Floats:
     """The same wavefront (12,) turned about the axis by an angle in radians."""
-    turned = np.array(waves, float)
+    waves = _over_noll("waves", waves)
+    turned = waves.copy()
     for k, j in enumerate(NOLL):
         n, m = noll_to_nm(j)
         if m > 0:
@@ -42,6 +48,7 @@ def rotated(waves: Floats, angle: float) -> Floats:
 
 def strehl(waves: Floats) -> tuple[float, Floats]:
     """Strehl ratio of a wavefront (12,) over Noll 4 to 15, waves RMS, and its gradient (12,)."""
+    waves = _over_noll("waves", waves)
     weights, modes = _samples()
     field = weights * np.exp(2j * np.pi * (waves @ modes))
     total = field.sum()
@@ -51,6 +58,9 @@ def strehl(waves: Floats) -> tuple[float, Floats]:
 
 def highest_on_shell(start: Floats, rms: float) -> Floats:
     """Climb on the sphere of one RMS to a local maximum of the Strehl ratio; start: (12,), not zero."""
+    start = _over_noll("start", start)
+    positive("rms", rms, "waves")
+    positive("length of start", float(np.linalg.norm(start)), "waves RMS")
 
     def lowered(direction: Floats) -> tuple[float, Floats]:
         length = np.linalg.norm(direction)
@@ -67,7 +77,7 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
 
 def is_trivial(one: Floats, other: Floats, tolerance: float) -> bool:
     """Whether one is the other, its negative or a twin, turned by any angle, but for a tolerance (waves RMS)."""
-    even = twin_signs(NOLL)
+    one, other, even = _over_noll("one", one), _over_noll("other", other), twin_signs(NOLL)
     alike = [
         rotated(a, angle) for a in (other, -other, even * other, -even * other) for angle in np.arange(180) * np.pi / 90
     ]
@@ -87,9 +97,8 @@ def candidates(waves: Floats, rms: float = 0.2) -> Floats:
     Each perturbation is taken with its trivial associates: negative, twins, and all of them turned TURNS times.
     Raises ValueError for a wavefront of another number of modes.
     """
-    waves = np.asarray(waves, float)
-    if waves.shape != (len(NOLL),):
-        raise ValueError(f"waves is {waves.shape}: {len(NOLL)} values, waves RMS of Noll 4 to 15, are needed")
+    waves = _over_noll("waves", waves)
+    positive("rms", rms, "waves")
     shells, found = shipped()
     own, even = found[shells == shells[np.argmin(np.abs(shells - rms))]], twin_signs(NOLL)
     signed = np.concatenate([own, -own, own * even, -own * even])

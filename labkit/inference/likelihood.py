@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labkit.arrays import mask_array, real_array
 from labkit.imaging.model import Bools, Evaluation
 from labkit.optics.zernike import Floats
 
@@ -34,16 +35,17 @@ class FrameData:
     departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
-        shapes = {np.shape(a) for a in (self.counts, self.used, self.illumination, self.relative_std)}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-            raise ValueError(f"counts, used, illumination and relative_std must be one (rows, columns): {shapes}")
-        if len(self.departures) and self.departures.shape[1:] != self.counts.shape:
-            raise ValueError(f"departures are {self.departures.shape}: they must be (k, {self.counts.shape})")
+        if np.ndim(self.counts) != 2:
+            raise ValueError(f"counts has shape {np.shape(self.counts)}; (rows, columns) is needed (counts)")
+        mask_array("used", self.used, self.counts.shape)
         if not self.used.any():
-            raise ValueError("no pixel of the frame is used")
-        for name in ("counts", "illumination", "relative_std"):
-            if not np.all(np.isfinite(getattr(self, name)[self.used])):
-                raise ValueError(f"{name} has a used pixel that is not finite")
+            raise ValueError(f"used, shape {self.used.shape}: no pixel of the frame is used")
+        for name, unit in (("counts", "counts"), ("illumination", "relative"), ("relative_std", "relative")):
+            value = np.asarray(getattr(self, name))
+            same = value.shape == self.counts.shape  # what is not used may be anything
+            real_array(name, np.where(self.used, value, np.zeros_like(value)) if same else value, self.used.shape, unit)
+        if len(self.departures):
+            real_array("departures", self.departures, (None, *self.used.shape), "relative")
 
     def light(self, unevenness: Floats) -> Floats:
         """Relative illumination (pixels,) of the used pixels. unevenness: (k,) c, none of them for none."""
@@ -85,8 +87,14 @@ class Score:
 
 
 def predict(relative: Floats, data: FrameData, detector: Detector) -> tuple[Floats, Floats]:
-    """Mean and variance (pixels,) of the used pixels' counts from their relative image (pixels,)."""
-    mean = data.light(detector.unevenness) * (detector.scale * relative + detector.ambient)
+    """Mean and variance (pixels,) of the used pixels' counts from their relative image (pixels,).
+
+    Raises ValueError for an image of other pixels.
+    """
+    light = data.light(detector.unevenness)
+    if np.shape(relative) != light.shape:
+        raise ValueError(f"relative has shape {np.shape(relative)}; {light.shape} is needed (of the target's radiance)")
+    mean = light * (detector.scale * relative + detector.ambient)
     spread = data.relative_std[data.used] * mean
     return mean, detector.gain * np.maximum(mean, 0.0) + detector.read_variance + spread**2
 

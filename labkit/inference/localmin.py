@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.stats import chi2, norm
 
+from labkit.arrays import positive, real_array
 from labkit.imaging.model import ForwardModel
 from labkit.inference.likelihood import predict
 from labkit.inference.solve import PER_FRAME, NoisePrior, Problem, State, climb
@@ -65,7 +66,10 @@ def one_sided(problem: Problem, state: State) -> LocalTest:
 
 def rao_score(gradient: Floats, information: Floats) -> float:
     """s^T F^-1 s, (4.26); chi-squared with as many degrees of freedom as parameters at the truth."""
-    scale = 1 / np.sqrt(np.diag(information))
+    gradient = real_array("gradient", gradient, (None,), "log-likelihoods for a unit of each parameter")
+    information = real_array("information", information, (gradient.size,) * 2, "of those units, inverse squared")
+    diagonal = np.diag(information)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # what the data do not move at all adds nothing
     scaled, gradient = information * np.outer(scale, scale), gradient * scale
     return float(gradient @ np.linalg.lstsq(scaled, gradient, rcond=1e-12)[0])
 
@@ -82,6 +86,12 @@ class Relaxation:
     """
 
     directions: Floats
+
+    def __post_init__(self) -> None:
+        side = np.shape(self.directions)[-1] if np.ndim(self.directions) else 0
+        real_array("directions", self.directions, (None, side, side), "PSF")
+        if not side % 2:
+            raise ValueError(f"directions has shape {self.directions.shape}; an odd side is needed (PSF)")
 
     @property
     def degrees(self) -> int:
@@ -119,6 +129,9 @@ def embedding(problem: Problem, state: State, relaxation: Relaxation) -> LocalTe
 
 def wilson_hilferty(statistic: float, degrees: int) -> float:
     """Normal deviate of a chi-squared statistic, by the cube root."""
+    positive("degrees", degrees, "degrees of freedom")
+    if not statistic >= 0:
+        raise ValueError(f"statistic = {statistic:g}: a chi-squared one is not negative (unitless)")
     spread = 2 / (9 * degrees)
     return float(((statistic / degrees) ** (1 / 3) - (1 - spread)) / np.sqrt(spread))
 
@@ -146,6 +159,7 @@ def bootstrap(
 
     The calibration of the noise is drawn anew as well, within its standard errors.
     """
+    positive("draws", draws, "sets of data")
     values = []
     truth = _calibrated(problem, state)
     seen = problem.relative(truth)
@@ -163,6 +177,7 @@ def bootstrap(
 
 def against(test: LocalTest, drawn: Floats) -> LocalTest:
     """The same test with its p-value by bootstrap: rank among statistics (draws,) drawn at the right optimum."""
+    drawn = real_array("drawn", drawn, (None,), "the statistic's")
     return replace(test, p_value=float((1 + np.sum(drawn >= test.statistic)) / (1 + drawn.size)))
 
 
@@ -212,6 +227,12 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
 
 @cache
 def shipped_relaxation(degrees: int) -> Relaxation:
-    """The first of the 16 directions that `benchmarks/make_relaxation.py` found at the conditions of thesis §3.8."""
+    """The first of the 16 directions that `benchmarks/make_relaxation.py` found at the conditions of thesis §3.8.
+
+    Raises ValueError for more or none.
+    """
     with resources.as_file(resources.files("labkit.inference") / "relaxation.npz") as path:
-        return Relaxation(np.load(path)["directions"][:degrees].astype(float))
+        directions = np.load(path)["directions"]
+    if not 1 <= degrees <= len(directions):
+        raise ValueError(f"degrees = {degrees}: 1 to {len(directions)} directions are shipped")
+    return Relaxation(directions[:degrees].astype(float))

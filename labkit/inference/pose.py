@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.inference.registration import Agreement, parent_agreement, quick_agreement, register
 from labkit.inference.squares import central_square, square_hypotheses
@@ -45,7 +46,7 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     of the target's own (0, 0), (0, w), (h, w), (h, 0). Where several poses look the same (a carpet has eight), the one
     that turns it least. Raises TargetError if the target is not in the frame, or not wholly.
     """
-    picture = _normalised(np.asarray(image, dtype=np.float64))
+    picture = _normalised(_picture("image", image))
     seen: list[Agreement] = []
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
@@ -66,8 +67,12 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
     of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,
     and shifts nothing. Raises TargetError for a picture that is nearly even.
     """
-    mosaic = np.asarray(counts, dtype=np.float64)
+    mosaic = _picture("counts", counts)
     height, width = len(pattern), len(pattern[0])
+    if mosaic.shape[0] < height or mosaic.shape[1] < width:
+        raise ValueError(
+            f"counts has shape {mosaic.shape}; at least one cell of the filter, {(height, width)}, is needed"
+        )
     grey = np.empty_like(mosaic)
     contrast = 0.0
     for row in range(height):
@@ -85,6 +90,12 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
         return grey
     kernel = np.array([0.25, 0.5, 0.25])
     return np.asarray(cv2.sepFilter2D(grey, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
+
+
+def _picture(name: str, value: ArrayLike) -> Floats:
+    """As float64 with its NaN, which stand where there is no value."""
+    real_array(name, np.nan_to_num(value) if np.asarray(value).dtype.kind == "f" else value, (None, None), "any scale")
+    return np.asarray(value, dtype=np.float64)
 
 
 def _normalised(image: Floats) -> Singles:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
+from labkit.arrays import positive, real_array
 from labkit.errors import FitError
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.warp import POSE_SIZE, Pose
@@ -21,13 +22,19 @@ STRAY = 0.5  # of the target's size: corners are known to about a pixel before a
 class NoisePrior:
     """What flats and darks say about the noise: independent measurements that join the likelihood.
 
-    gain: counts per electron; read_variance: counts^2; the stds are relative.
+    gain: counts per electron; read_variance: counts^2; the stds are relative. All are positive, ValueError otherwise.
     """
 
     gain: float
     gain_std: float
     read_variance: float
     read_variance_std: float
+
+    def __post_init__(self) -> None:
+        positive("gain", self.gain, "counts per electron")
+        positive("read_variance", self.read_variance, "counts^2")
+        positive("gain_std", self.gain_std, "relative")
+        positive("read_variance_std", self.read_variance_std, "relative")
 
     @property
     def centre(self) -> Floats:
@@ -49,6 +56,14 @@ class State:
     ambients: Floats
     log_noise: Floats
     unevenness: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        frames = len(self.poses)
+        real_array("waves", self.waves, (None,), "waves RMS, one for each mode")
+        real_array("scales", self.scales, (frames,), "counts, one for each pose")
+        real_array("ambients", self.ambients, (frames,), "counts, one for each pose")
+        real_array("log_noise", self.log_noise, (NOISE,), "logarithms of counts per electron and of counts^2")
+        real_array("unevenness", self.unevenness, (None,), "relative")
 
     @property
     def gain(self) -> float:

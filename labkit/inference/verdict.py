@@ -36,7 +36,12 @@ def judge(problem: Problem, state: State, relative: list[Floats], model_error: f
     excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a
     relative model_error in the residual variance included. likeness: correlation over several lags, a portmanteau as of
     Box and Pierce. Two one-sided tests, Bonferroni; where the noise was not calibrated, excess tells nothing.
+    Raises ValueError for relative images of other frames.
     """
+    if len(relative) != len(problem.frames):
+        raise ValueError(
+            f"relative: {len(relative)} images (of the target's radiance) for {len(problem.frames)} frames"
+        )
     gain, read_variance = np.exp(problem.noise.centre)
     total, pixels, photons = 0.0, 0, 0.0
     across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from labkit.arrays import positive, real_array
 from labkit.optics.zernike import Floats
 
 Convention = Literal["corrected", "thesis"]
@@ -34,7 +35,7 @@ class ThinLens:
 
         Raises ValueError for a range not beyond the focal length.
         """
-        range_mm = np.asarray(range_mm, float)
+        range_mm = real_array("range_mm", range_mm, None, "mm")
         if np.any(range_mm <= self.focal_length_mm):
             raise ValueError(f"range must exceed the focal length, {self.focal_length_mm:g} mm: {range_mm}")
         return range_mm * self.focal_length_mm / (range_mm - self.focal_length_mm)
@@ -57,6 +58,7 @@ def defocus_waves(
     target_mm, focus_mm: ranges, broadcast together; positive where the target lies beyond best focus.
     Thesis (4.40), with the sagitta about the exit pupil as (E.2) and (E.9) have it, unless convention is "thesis".
     """
+    positive("reference_nm", reference_nm, "nm")
     half_squared = (lens.exit_pupil_mm / 2.0) ** 2
     path_mm = _sagitta_mm(lens.pupil_to_image_mm(target_mm, convention), half_squared)
     path_mm = path_mm - _sagitta_mm(lens.pupil_to_image_mm(focus_mm, convention), half_squared)
@@ -76,6 +78,6 @@ def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: 
 
 def ground_sample_mm(lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float) -> Floats:
     """What one pixel spans on a target at a range, mm. Thesis (2.35)."""
-    return np.asarray(
-        (np.asarray(range_mm, float) - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm
-    )
+    range_mm = real_array("range_mm", range_mm, None, "mm")
+    positive("pixel_pitch_um", pixel_pitch_um, "um")
+    return np.asarray((range_mm - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm)

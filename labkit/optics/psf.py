@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from labkit.arrays import real_array
+from labkit.arrays import positive, real_array
 from labkit.optics.pupil import disc_area
 from labkit.optics.zernike import Floats, zernike
 
@@ -41,6 +41,9 @@ class Pupil:
     noll: tuple[int, ...]
 
     def __post_init__(self) -> None:
+        for name in ("wavelength_um", "reference_um"):
+            positive(name, getattr(self, name), "um")
+        positive("f_number", self.f_number, "unitless")
         nyquist_um = self.wavelength_um * self.f_number / 2
         if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
             raise ValueError(
@@ -126,5 +129,5 @@ class Pupil:
 
 def diffraction_mtf(frequency: Floats) -> Floats:
     """MTF of a perfect circular pupil at frequencies in units of the incoherent cutoff 1/(lambda N)."""
-    nu = np.minimum(np.abs(frequency), 1.0)
+    nu = np.minimum(np.abs(real_array("frequency", frequency, None, "1/(lambda N)")), 1.0)
     return np.asarray(2 / np.pi * (np.arccos(nu) - nu * np.sqrt(1 - nu**2)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from labkit.arrays import positive, real_array
 from labkit.optics.zernike import Floats
 
 
@@ -22,7 +23,10 @@ def disc_area(offsets: Floats, radius: float) -> Floats:
 
     offsets: (n,) coordinates of the squares' centres along either axis, in samples from the disc's centre.
     radius: in samples. Returns (n, n), 0..1. Thesis (G.1)-(G.3), in closed form.
+    Raises ValueError for offsets of another shape or not finite, and for no radius.
     """
+    offsets = real_array("offsets", offsets, (None,), "samples")
+    positive("radius", radius, "samples")
     low, high = offsets - 0.5, offsets + 0.5
 
     def corner(rows: Floats, columns: Floats) -> Floats:

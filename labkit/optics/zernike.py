@@ -6,6 +6,8 @@ from math import comb, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from labkit.arrays import real_array
+
 Floats = npt.NDArray[np.float64]
 
 NAMES = {
@@ -58,9 +60,11 @@ def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
     """Noll mode j on the unit disc, unit RMS.
 
     rho, theta: (...,) pupil polar coordinates, rho in 0..1. Returns (...,), unitless.
-    Raises ValueError for j < 1. Thesis (2.39)-(2.41), (2.40) corrected.
+    Raises ValueError for j < 1, and for coordinates of two shapes or not finite. Thesis (2.39)-(2.41), (2.40) corrected.
     """
     n, m = noll_to_nm(j)
+    rho = real_array("rho", rho, None, "pupil radii")
+    theta = real_array("theta", theta, rho.shape, "radians")
     if m == 0:
         return sqrt(n + 1) * radial(n, 0, rho)
     angular = np.cos(m * theta) if m > 0 else np.sin(-m * theta)

@@ -59,7 +59,7 @@ def test_they_beat_other_directions_by_far() -> None:
 def test_candidates_lie_on_the_shell_around_a_wavefront() -> None:
     around = candidates(WAVES)
     np.testing.assert_allclose(np.linalg.norm(around - WAVES, axis=1), 0.2, rtol=1e-6)
-    with pytest.raises(ValueError, match=r"waves is \(3,\): 12 values"):
+    with pytest.raises(ValueError, match=r"waves has shape \(3,\); \(12,\) is needed"):
         candidates(np.zeros(3))
 
 

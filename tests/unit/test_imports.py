@@ -91,7 +91,7 @@ def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
 
 @pytest.mark.parametrize("path", modules("targets"), ids=name)
 def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> None:
-    assert {room(dotted) for dotted in imported(path)} <= {None, "errors", "plan", "target", "targets"}
+    assert {room(dotted) for dotted in imported(path)} <= {None, "arrays", "errors", "plan", "target", "targets"}
 
 
 @pytest.mark.parametrize("path", modules("drivers"), ids=name)

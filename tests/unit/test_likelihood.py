@@ -79,7 +79,7 @@ def test_light_of_low_order_multiplies_the_illumination() -> None:
 
 def test_departures_of_another_shape_are_refused() -> None:
     _, frame = case(np.random.default_rng(9))
-    with pytest.raises(ValueError, match=r"departures are \(5, 3, 4\)"):
+    with pytest.raises(ValueError, match=r"departures has shape \(5, 3, 4\); \(any, 12, 15\) is needed"):
         replace(frame, departures=low_orders(3, 4))
 
 
