@@ -52,7 +52,7 @@ class SimulatedCamera:
                 self._settings = None
                 raise CameraError("the simulated camera dropped off USB while exposing; look at its cable")
             case "card_full":
-                raise CameraError("the simulated camera's card is full; empty it, then go on with --resume")
+                raise CameraError("the simulated camera's card is full; empty it")
         return self._write(path, self._settings)
 
     def cover(self, closed: bool) -> None:

@@ -90,7 +90,7 @@ def _failed(error: BaseException, console: Console) -> int:
             error_line(f"{usage} See labkit --help.")
         return error.exit_code
     if isinstance(error, LabkitError):
-        error_line(error)
+        error_line(f"{error}{console.hint}")
         return error.exit_status
     if isinstance(error, OSError):
         error_line(f"{error.filename or 'the system'}: {error.strerror or error}")
@@ -282,27 +282,33 @@ def capture(
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.asking import Operator
     from labkit.lab.capture import capture as run_capture
-    from labkit.lab.capture import picture_for
+    from labkit.lab.capture import missing, picture_for
     from labkit.lab.devices import Room
     from labkit.lab.discover import open_devices, open_monitor
-    from labkit.lab.session import begin, refuse_existing
+    from labkit.lab.session import JOURNAL, begin, refuse_existing
     from labkit.plan import load_plan
 
     console: Console = ctx.obj
     flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
     flags += ["--listen", listen] if listen else []
     again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *flags])
-    console.hint = f"; every photograph so far is safe, go on with: {again}"
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
     room = Room(link=console.link, tell=console.warn, operator=Operator(console.still))
     with ExitStack() as stack:
+        going_on = resume and (session / JOURNAL).exists()
+        if going_on and not missing(opened := stack.enter_context(begin(plan, session, resume))):
+            console.say(f"{session}: {len(opened.frames)} frames, all that the plan asks for")
+            console.answer({"session": str(session), "frames": len(opened.frames)})
+            return
         if monitor or listen:
             stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, room))
         bench = stack.enter_context(open_devices(wanted, "simulated:" if simulate else None, room))
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
-        opened = stack.enter_context(begin(plan, session, resume))
+        console.hint = f"; every photograph so far is safe, go on with: {again}"
+        if not going_on:
+            opened = stack.enter_context(begin(plan, session, resume))
         report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)

@@ -20,7 +20,7 @@ Report = Callable[[int, int, str], None]
 
 @dataclass(slots=True)
 class Console:
-    """How to speak to whoever ran the command. hint: what to say to someone who pressed Ctrl-C; bar: the one that moves."""
+    """How to speak to whoever ran the command. hint: what to say where a command is cut short; bar: the one that moves."""
 
     quiet: bool = False
     json: bool = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 Tables = Mapping[str, Any]
@@ -24,15 +24,15 @@ PORTRAIT: Tables = {
 }
 """The lens and sensor of the thesis, before a target that is small enough to be fitted fast."""
 
-IPAD: Tables = {"display": {"panel": "ipad-9.7-retina"}}
+IPAD: Tables = {"panel": "ipad-9.7-retina", "pixel_pitch_mm": None, "pixels": None}
+"""Of [display], in place of a small panel."""
 
 
-def simulated(ranges_mm: list[float], range_at_zero_mm: float, seed: int = 1) -> Tables:
+def simulated(ranges_mm: Sequence[float], range_at_zero_mm: float, address: str = "simulated:") -> Tables:
     """All three devices, on one simulated bench."""
-    address = f"simulated:seed={seed}"
     return {
         "camera": {"address": address, "exposure_s": 0.02},
-        "rail": {"address": address, "ranges_mm": ranges_mm, "range_at_zero_mm": range_at_zero_mm},
+        "rail": {"address": address, "ranges_mm": [*ranges_mm], "range_at_zero_mm": range_at_zero_mm},
         "display": {"address": address, "pixel_pitch_mm": 0.1, "pixels": [400, 400]},
     }
 

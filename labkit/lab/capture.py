@@ -300,7 +300,7 @@ class _Capture:
         if _likeness(mosaic) != _likeness(first):
             return RawError(f"{what} is {_likeness(mosaic)}; the session's frames are {_likeness(first)}")
         if problem:
-            return DataError(f"{what} {problem}, then go on with --resume ({self._camera.exposure_s:g} s was set)")
+            return DataError(f"{what} {problem} ({self._camera.exposure_s:g} s was set)")
         return None
 
     def _try(self, device: str, action: Callable[[], Result], recover: Callable[[], object]) -> Result:

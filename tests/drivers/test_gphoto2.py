@@ -24,6 +24,7 @@ from labkit.lab.devices import Adjustable, Camera, Checkable, ExposureSettings, 
 from labkit.lab.discover import open_camera
 from labkit.lab.raw import read_raw
 from labkit.plan import Sensor, parse_plan
+from tests.plans import SMALL, plan_text
 
 gphoto2 = pytest.importorskip("gphoto2")
 
@@ -310,27 +311,11 @@ def test_the_photograph_of_an_exposure_in_flight_is_not_overwritten(
     assert (tmp_path / "a.dng").read_bytes() == b"mine"
 
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 2
-size_mm = 9.0
-"""
-
-
 def test_it_is_opened_by_address(scene: Scene) -> None:
-    with open_camera("gphoto2:", parse_plan(PLAN, Path()), Room()) as camera:
+    with open_camera("gphoto2:", parse_plan(plan_text(SMALL), Path()), Room()) as camera:
         assert camera.identify().serial == "0.1"
     with pytest.raises(PlanError, match="allowed is gphoto2: for the only camera"):
-        open_camera("gphoto2:nikon", parse_plan(PLAN, Path()), Room())
+        open_camera("gphoto2:nikon", parse_plan(plan_text(SMALL), Path()), Room())
 
 
 def test_a_body_that_wants_live_view_first_is_given_it(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:

@@ -19,32 +19,13 @@ from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailL
 from labkit.lab.devices import Camera, Coverable, Display, ExposureSettings, Rail, Room
 from labkit.lab.discover import installed, open_camera, open_devices
 from labkit.plan import Plan, parse_plan
+from tests.plans import IPAD, SMALL, plan_text, simulated
 
-TEXT = """
-[lens]
-focal_length_mm = 50.0
-f_number = 8.0
-[sensor]
-pixel_pitch_um = 6.0
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 2
-size_mm = 9.0
-[camera]
-address = "simulated:"
-exposure_s = 0.02
-[rail]
-address = "simulated:"
-ranges_mm = [2000, 2100]
-range_at_zero_mm = 2200.0
-direction = -1
-[display]
-address = "simulated:"
-panel = "ipad-9.7-retina"
-"""
+TEXT = plan_text(
+    SMALL,
+    simulated([2000, 2100], 2200.0),
+    {"rail": {"direction": -1}, "display": IPAD},
+)
 
 
 def plan(**changes: str) -> Plan:

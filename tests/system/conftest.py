@@ -19,7 +19,7 @@ ADDRESS = "simulated:seed=7"
 
 PLAN = plan_text(
     SMALL,
-    simulated([2000, 2050.5], 1950.0, seed=7),
+    simulated([2000, 2050.5], 1950.0, ADDRESS),
     {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 3}},
 )
 

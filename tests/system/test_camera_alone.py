@@ -12,26 +12,14 @@ from numpy.typing import NDArray
 from labkit.cli import run
 from labkit.drivers import gphoto2_camera
 from labkit.drivers.dng import RawTags, write_raw
+from tests.plans import PORTRAIT, plan_text
 
 pytest.importorskip("gphoto2")
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 3
-size_mm = 20.0
-[camera]
-address = "gphoto2:usb:001,001"
-exposure_s = 0.02
-"""
+PLAN = plan_text(
+    PORTRAIT,
+    {"target": {"order": 3, "size_mm": 20.0}, "camera": {"address": "gphoto2:usb:001,001", "exposure_s": 0.02}},
+)
 
 
 @pytest.fixture

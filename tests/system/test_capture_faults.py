@@ -80,7 +80,7 @@ class WatchedBench(Bench):
 
 
 def run(plan_file: Path, folder: Path, bench: Bench, *watchers: Watcher) -> Session:
-    room = Room({"simulated:seed=1": bench}, bench.wait, [*watchers])
+    room = Room({"simulated:": bench}, bench.wait, [*watchers])
     with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, room=room) as devices:
         capture(session, devices)
     return session

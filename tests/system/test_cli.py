@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,44 +16,37 @@ import pytest
 
 from labkit import __version__
 from labkit.cli import run
+from labkit.drivers import bench_setup
+from labkit.drivers.bench_world import BenchSettings
+from labkit.drivers.simulated_camera import SimulatedCamera
+from labkit.errors import CameraError
 from labkit.lab.session import Session
+from tests.plans import IPAD, PORTRAIT, SMALL, plan_text, simulated
 
 WriteDng = Callable[..., Path]
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 3
-size_mm = 20.78
-[camera]
-address = "simulated:"
-exposure_s = 0.02
-frames_per_range = 2
-flats_per_range = 2
-darks = 2
-[rail]
-address = "simulated:"
-ranges_mm = [3000, 3100]
-range_at_zero_mm = 2950.0
-settle_s = 0
-[display]
-address = "simulated:"
-panel = "ipad-9.7-retina"
-"""
+PLAN = plan_text(
+    PORTRAIT,
+    {"target": {"order": 3, "size_mm": 20.78}},
+    simulated([3000, 3100], 2950.0),
+    {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}, "display": IPAD},
+)
 
 
 @pytest.fixture
 def plan(tmp_path: Path) -> Path:
     path = tmp_path / "plan.toml"
     path.write_text(PLAN)
+    return path
+
+
+@pytest.fixture
+def quick_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One whose capture takes a moment in this process, and seconds in one of its own."""
+    monkeypatch.setattr(bench_setup, "BenchSettings", partial(BenchSettings, halo_um=100.0))
+    path = tmp_path / "quick.toml"
+    few = {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}}
+    path.write_text(plan_text(SMALL, simulated([2000, 2050], 1950.0), few))
     return path
 
 
@@ -222,9 +216,9 @@ def test_progress_shows_the_time_left_on_a_terminal(frames: Path, plan: Path, tm
     assert "\x1b" not in out
 
 
-def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(plan: Path, tmp_path: Path) -> None:
+def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(quick_plan: Path, tmp_path: Path) -> None:
     session = tmp_path / "session"
-    command = labkit("capture", plan, session)
+    command = labkit("capture", quick_plan, session)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         # the journal is there before the first photograph, and the capture takes seconds after that
         while not (session / "journal.jsonl").exists():
@@ -232,12 +226,37 @@ def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(plan: Path, tm
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert f"labkit capture {plan} {session} --resume" in one_line(err)
+    assert f"labkit capture {quick_plan} {session} --resume" in one_line(err)
     assert out == ""
     assert run(["verify", str(session)]) == 0
-    assert run(["capture", str(plan), str(session), "--resume"]) == 0
+    assert run(["capture", str(quick_plan), str(session), "--resume"]) == 0
     assert len(Session.open(session).frames) == 10
     assert run(["verify", str(session)]) == 0
+
+
+def test_resuming_what_is_complete_needs_no_devices(
+    quick_plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    assert run(["capture", str(quick_plan), str(session)]) == 0
+    with quick_plan.open("a") as file:
+        file.write("# a comment\n")
+    assert run(["capture", str(quick_plan), str(session), "--resume", "--listen", "no address"]) == 0
+    assert capsys.readouterr().out.endswith(": 10 frames, all that the plan asks for\n")
+
+
+def test_a_capture_that_its_camera_ends_says_how_to_go_on(
+    quick_plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unplugged(camera: SimulatedCamera, path: Path) -> None:
+        raise CameraError("it is gone")
+
+    monkeypatch.setattr(SimulatedCamera, "expose", unplugged)
+    session = tmp_path / "a session"
+    assert run(["capture", str(quick_plan), str(session), "--no-preflight"]) == 1
+    resume = f"labkit capture {quick_plan} '{session}' --resume"
+    said = one_line(capfd.readouterr().err)
+    assert said == f"labkit: it is gone; every photograph so far is safe, go on with: {resume}\n"
 
 
 def test_resuming_with_another_plan_is_refused(

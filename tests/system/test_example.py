@@ -9,40 +9,16 @@ import pytest
 from labkit.drivers.bench import Bench
 from labkit.drivers.bench_setup import settings_for
 from labkit.plan import load_plan
+from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 ROOT = Path(__file__).parents[2]
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 4.0
-[sensor]
-pixel_pitch_um = 4.78
-cfa_pattern = "RGGB"
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 4
-size_mm = 15.6
-[fit]
-zernike_noll = [4, 15]
-[camera]
-address = "simulated:"
-exposure_s = 0.02
-frames_per_range = 1
-flats_per_range = 2
-darks = 2
-[rail]
-address = "simulated:"
-ranges_mm = [3000, 3200]
-range_at_zero_mm = 2950.0
-settle_s = 0
-[display]
-address = "simulated:"
-panel = "ipad-9.7-retina"
-"""
+PLAN = plan_text(
+    PORTRAIT,
+    {"lens": {"f_number": 4.0}, "sensor": {"cfa_pattern": "RGGB"}, "fit": {"zernike_noll": [4, 15]}},
+    simulated([3000, 3200], 2950.0),
+    {"camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}, "display": IPAD},
+)
 
 
 def test_the_example_measures_a_lens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

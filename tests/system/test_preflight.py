@@ -22,6 +22,7 @@ from labkit.lab.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
 from labkit.plan import load_plan
 from labkit.target import open_target
+from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 from .conftest import RoomMaker
 
@@ -169,35 +170,12 @@ def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_room:
     assert len(session.frames) == 11
 
 
-SHARP = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 4
-size_mm = 15.6
-[camera]
-address = "simulated:"
-exposure_s = 0.02
-[rail]
-address = "simulated:"
-ranges_mm = [3000, 3400]
-range_at_zero_mm = 2400.0
-[display]
-address = "simulated:"
-panel = "ipad-9.7-retina"
-"""
+SHARP = plan_text(PORTRAIT, simulated([2600, 3000, 3400], 2400.0), {"display": IPAD})
 
 
 def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
-    path.write_text(SHARP.replace("[3000, 3400]", "[2600, 3000, 3400]"))
+    path.write_text(SHARP)
     plan = load_plan(path)
     target = open_target(plan.target)
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)

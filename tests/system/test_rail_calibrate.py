@@ -9,31 +9,13 @@ from pathlib import Path
 import pytest
 
 from labkit.cli import run
-
-PLAN = """
-[lens]
-focal_length_mm = 50.0
-f_number = 8.0
-[sensor]
-pixel_pitch_um = 6.0
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 2
-size_mm = 9.0
-[rail]
-address = "{address}"
-ranges_mm = [2000, 2050]
-range_at_zero_mm = 1950.0
-microstep_um = 0.5
-"""
+from tests.plans import SMALL, plan_text
 
 
 def calibrate(address: str, answers: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
     plan = tmp_path / "plan.toml"
-    plan.write_text(PLAN.format(address=address))
+    rail = {"address": address, "ranges_mm": [2000, 2050], "range_at_zero_mm": 1950.0, "microstep_um": 0.5}
+    plan.write_text(plan_text(SMALL, {"rail": rail}))
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(["", *answers, ""])))
     return run(["rail", "calibrate", str(plan), *options])
 

@@ -32,42 +32,18 @@ from labkit.lab.session import Session, begin, verify
 from labkit.plan import load_plan
 from labkit.products.wavefront import fit_session
 from labkit.summary import read_results
+from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 from .conftest import RoomMaker
 
 pytest.importorskip("gphoto2")
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 4.0
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 4
-size_mm = 15.6
-[fit]
-zernike_noll = [4, 15]
-reference_wavelength_nm = 450
-[camera]
-address = "simulated:seed=3"
-exposure_s = 0.02
-frames_per_range = 2
-flats_per_range = 6
-darks = 4
-[rail]
-address = "simulated:seed=3"
-ranges_mm = [3000, 3150, 3300]
-range_at_zero_mm = 2950.0
-settle_s = 0
-[display]
-address = "simulated:seed=3"
-panel = "ipad-9.7-retina"
-"""
+PLAN = plan_text(
+    PORTRAIT,
+    {"lens": {"f_number": 4.0}, "fit": {"zernike_noll": [4, 15], "reference_wavelength_nm": 450}},
+    simulated([3000, 3150, 3300], 2950.0, "simulated:seed=3"),
+    {"camera": {"frames_per_range": 2, "flats_per_range": 6, "darks": 4}, "rail": {"settle_s": 0}, "display": IPAD},
+)
 
 
 class CameraOnTheBench:

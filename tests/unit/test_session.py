@@ -10,24 +10,12 @@ import pytest
 
 from labkit.errors import PlanError, SessionError
 from labkit.lab.session import Session, begin, verify
+from tests.plans import PORTRAIT, plan_text
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 5
-size_mm = 46.8
-"""
+PLAN = plan_text(PORTRAIT, {"target": {"order": 5, "size_mm": 46.8}})
 
 
 class PowerCutError(BaseException):

@@ -16,6 +16,7 @@ from labkit.target_file import read_spec, render_file
 from labkit.targets.noise import noise_cells
 from labkit.targets.slanted_edge import SlantedEdge
 from labkit.targets.tribar import tribar_cells, triple
+from tests.plans import PORTRAIT, plan_text
 
 Floats = NDArray[np.float64]
 KINDS = ["tribar:order=3,size_mm=25.4", "checkerboard:cells=9,size_mm=25.4", "noise:cells=32,size_mm=25.4"]
@@ -114,18 +115,7 @@ def test_a_target_without_cells_is_printed_finely(tmp_path: Path) -> None:
     assert b"/MediaBox [ 0 0 72 72 ]" in render_file(target, tmp_path / "edge.pdf").path.read_bytes()
 
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-size_mm = 30.0
-"""
+PLAN = plan_text(PORTRAIT, {"target": {"kind": None, "order": None, "size_mm": 30.0}})
 
 
 @pytest.mark.parametrize(
