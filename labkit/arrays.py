@@ -39,6 +39,14 @@ def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.
     return array
 
 
+def symmetric(name: str, value: ArrayLike, size: int, unit: str) -> NDArray[np.float64]:
+    """The value as a symmetric matrix (size, size) of float64. Raises ValueError as `real_array` does, and for any other."""
+    matrix = real_array(name, value, (size, size), unit)
+    if not np.allclose(matrix, matrix.T, rtol=1e-8):
+        raise ValueError(f"{name}, shape {matrix.shape}: it is not symmetric ({unit})")
+    return matrix
+
+
 def positive(name: str, value: float, unit: str) -> float:
     """The value, a finite number above 0. Raises ValueError that names it and its unit for any other."""
     if not (math.isfinite(value) and value > 0):

@@ -1,14 +1,14 @@
 """How well frames can tell: Fisher information, Cramér-Rao bounds and what follows from them (thesis §3.4, §3.5)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
 import scipy.linalg
 
-from labkit.arrays import positive, real_array
+from labkit.arrays import positive, real_array, symmetric
 from labkit.imaging.warp import POSE_SIZE
 from labkit.inference.likelihood import FrameData, predict, slopes
 from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
@@ -16,31 +16,6 @@ from labkit.optics.psf import Pupil
 from labkit.optics.zernike import NAMES, Floats
 
 Integers = npt.NDArray[np.signedinteger]
-
-SINGULAR = 1e-12  # smallest eigenvalue of the information, scaled to a unit diagonal, that rounding does not explain
-TELLING_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
-
-
-@dataclass(frozen=True)
-class Bound:
-    """What a Fisher information allows.
-
-    names: (p,) of the parameters; covariance: (p, p) of any unbiased estimate, of the determined combinations where some
-    are not; undetermined: those that the data leave open, in words; none where all is determined.
-    """
-
-    names: tuple[str, ...]
-    covariance: Floats
-    undetermined: tuple[str, ...] = ()
-
-    @property
-    def std(self) -> Floats:
-        """(p,) infinite for a parameter that has part in an undetermined combination."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    def rms(self, first: int, last: int) -> float:
-        """Root of the trace over a range of parameters: of the wavefront, where these are its modes."""
-        return float(np.linalg.norm(self.std[first:last]))
 
 
 def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
@@ -53,42 +28,6 @@ def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
     ]
     light = [f"unevenness {k + 1}" for k in range(state.unevenness.size)]
     return (*modes, *frames, *light, "log gain", "log read variance")
-
-
-def bound_of(information: Floats, names: Sequence[str]) -> Bound:
-    """The Cramér-Rao bound of an information matrix (p, p), singular or not.
-
-    Raises ValueError for a matrix that is not square, symmetric and finite, or other than names.
-    """
-    information = _symmetric("information", information, len(names), "of the parameters' units, inverse squared")
-    diagonal = np.diag(information)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    open_ = values < SINGULAR * len(names) * max(1.0, values[-1])
-    inverse = (vectors[:, ~open_] / values[~open_]) @ vectors[:, ~open_].T
-    covariance = inverse * np.outer(scale, scale)
-    lost = np.flatnonzero(np.abs(vectors[:, open_]).max(axis=1, initial=0.0) > 1e-6)
-    covariance[lost, lost] = np.inf
-    words = tuple(_in_words(direction, scale, names) for direction in _plainest(vectors[:, open_]))
-    return Bound(tuple(names), covariance, words)
-
-
-def _plainest(directions: Floats) -> Floats:
-    """(k, p) the span of directions (p, k) by combinations of few parameters: each has one parameter to itself."""
-    if directions.shape[1] == 0:
-        return directions.T
-    own = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
-    return np.asarray(np.linalg.solve(directions[own].T, directions.T))
-
-
-def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
-    """A direction that changes nothing in the data: scaled, to say which parameters have part in it; then in their units."""
-    named = [int(i) for i in np.flatnonzero(np.abs(direction) > TELLING_SHARE * np.abs(direction).max())]
-    if len(named) == 1:
-        return names[named[0]]
-    parts = direction * scale
-    parts = parts / parts[max(named, key=lambda i: abs(parts[i]))]
-    return " ".join(f"{parts[i]:+.2g} {names[i]}" for i in named)
 
 
 def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:
@@ -172,15 +111,8 @@ def mtf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> tuple[Floats, Fl
 
 def _root(covariance: Floats, modes: int) -> Floats:
     """A matrix A with A A^T = covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(_symmetric("covariance", covariance, modes, "waves RMS squared"))
+    values, vectors = np.linalg.eigh(symmetric("covariance", covariance, modes, "waves RMS squared"))
     return np.asarray(vectors * np.sqrt(values.clip(0)))
-
-
-def _symmetric(name: str, matrix: Floats, size: int, unit: str) -> Floats:
-    matrix = real_array(name, matrix, (size, size), unit)
-    if not np.allclose(matrix, matrix.T, rtol=1e-8):
-        raise ValueError(f"{name}, shape {matrix.shape}: it is not symmetric ({unit})")
-    return matrix
 
 
 def uniform_bound(
@@ -196,8 +128,8 @@ def uniform_bound(
     if np.any(multipliers <= 0):
         raise ValueError(f"multipliers, shape {multipliers.shape}: all must be above 0 (the parameter's unit squared)")
     size = len(covariance)
-    covariance = _symmetric("covariance", covariance, size, "of the parameters' units, squared")
-    norm = None if norm is None else _symmetric("norm", norm, size, "of the parameters' units, inverse squared")
+    covariance = symmetric("covariance", covariance, size, "of the parameters' units, squared")
+    norm = None if norm is None else symmetric("norm", norm, size, "of the parameters' units, inverse squared")
     root = np.eye(size) if norm is None else np.asarray(scipy.linalg.sqrtm(norm).real)
     inverse = np.linalg.inv(root)
     beta, vectors = np.linalg.eigh(inverse @ covariance @ inverse)
@@ -209,7 +141,7 @@ def uniform_bound(
 
 def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None) -> float:
     """Slope of the uniform bound at no bias, in the parameter's unit squared: -2 || row of the covariance ||, thesis §3.5."""
-    row = _symmetric("covariance", covariance, len(covariance), "of the parameters' units, squared")[index]
+    row = symmetric("covariance", covariance, len(covariance), "of the parameters' units, squared")[index]
     weighted = row if norm is None else np.linalg.solve(norm, row)
     return float(-2 * np.sqrt(row @ weighted))
 

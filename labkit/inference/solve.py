@@ -7,9 +7,9 @@ import numpy as np
 import scipy.linalg
 
 from labkit.arrays import positive, real_array
-from labkit.errors import FitError
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.inference.determined import bound_of
 from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
 from labkit.optics.zernike import Floats
 
@@ -151,19 +151,8 @@ class Solution:
     converged: bool
 
     def covariance(self) -> Floats:
-        """Cramér-Rao covariance over all parameters.
-
-        Raises FitError where the data do not determine them.
-        """
-        try:
-            with np.errstate(divide="raise"):
-                scale = 1 / np.sqrt(np.diag(self.information))
-            factor = scipy.linalg.cho_factor(self.information * np.outer(scale, scale))
-        except (FloatingPointError, ValueError, scipy.linalg.LinAlgError) as error:
-            raise FitError(
-                "the frames do not determine the wavefront and the pose: the Fisher information is singular"
-            ) from error
-        return np.asarray(scipy.linalg.cho_solve(factor, np.diag(scale))) * scale[:, None]
+        """Cramér-Rao covariance over all parameters; infinite variances where the data do not determine them."""
+        return bound_of(self.information, ["?"] * len(self.information)).covariance
 
 
 def climb(

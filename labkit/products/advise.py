@@ -10,7 +10,8 @@ import numpy as np
 from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import Bound, bound_of, fisher_information, parameter_names
+from labkit.inference.bounds import fisher_information, parameter_names
+from labkit.inference.determined import Bound, bound_of
 from labkit.inference.likelihood import FrameData
 from labkit.inference.solve import NoisePrior, Problem, State
 from labkit.lab.devices import panel_info

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from labkit.execute import run_all
 from labkit.imaging.model import ForwardModel
-from labkit.inference.bounds import Bound, bound_of, parameter_names
+from labkit.inference.bounds import parameter_names
+from labkit.inference.determined import Bound, bound_of
 from labkit.inference.solve import NoisePrior, Problem
 from labkit.optics.zernike import Floats
 from labkit.plan import TargetSpec

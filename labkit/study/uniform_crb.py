@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from labkit.execute import run_all
 from labkit.imaging.model import ForwardModel
-from labkit.inference.bounds import bias_sensitivity, bound_of, fisher_information, parameter_names, uniform_bound
+from labkit.inference.bounds import bias_sensitivity, fisher_information, parameter_names, uniform_bound
+from labkit.inference.determined import bound_of
 from labkit.inference.solve import Problem
 from labkit.optics.zernike import Floats
 from labkit.study.conditions import AIRY_UM, FRAME, carpet, draw_trial, optics

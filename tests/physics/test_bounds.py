@@ -11,7 +11,6 @@ from scipy.optimize import NonlinearConstraint, minimize
 from labkit.inference.bounds import (
     DETECTOR,
     bias_sensitivity,
-    bound_of,
     detector_information,
     expected,
     fisher_information,
@@ -20,6 +19,7 @@ from labkit.inference.bounds import (
     psf_std,
     uniform_bound,
 )
+from labkit.inference.determined import bound_of
 from labkit.inference.likelihood import low_orders
 from labkit.inference.solve import Problem, climb
 from labkit.optics.psf import Pupil

@@ -11,8 +11,9 @@ import pytest
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import bias_sensitivity, bound_of, detector_information, mtf_std, psf_std, uniform_bound
+from labkit.inference.bounds import bias_sensitivity, detector_information, mtf_std, psf_std, uniform_bound
 from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
+from labkit.inference.determined import bound_of
 from labkit.inference.likelihood import Detector, FrameData, low_orders, predict
 from labkit.inference.localmin import (
     LocalTest,
