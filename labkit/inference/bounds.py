@@ -13,21 +13,20 @@ from labkit.imaging.warp import POSE_SIZE
 from labkit.inference.likelihood import FrameData, predict, slopes
 from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import NAMES, Floats
+from labkit.optics.zernike import Floats, mode_name
 
 Integers = npt.NDArray[np.signedinteger]
 
 
 def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
     """Names of all parameters of a state, in their order."""
-    modes = [NAMES.get(j, f"mode {j}") for j in noll]
     frames = [
         f"{name} of frame {k + 1}"
         for k in range(len(state.poses))
         for name in (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
     ]
     light = [f"unevenness {k + 1}" for k in range(state.unevenness.size)]
-    return (*modes, *frames, *light, "log gain", "log read variance")
+    return (*(mode_name(j) for j in noll), *frames, *light, "log gain", "log read variance")
 
 
 def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:

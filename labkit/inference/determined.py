@@ -53,6 +53,22 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
     return Bound(tuple(names), covariance, words)
 
 
+def inverse(information: Floats) -> Floats:
+    """Covariance (p, p) of an information: entries huge where it is singular, never infinite."""
+    diagonal = np.diag(information)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    least = SINGULAR * len(values) * max(1.0, values[-1])
+    return np.asarray((vectors / values.clip(least)) @ vectors.T * np.outer(scale, scale))
+
+
+def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[str, ...]:
+    """Combinations of parameters of one unit whose standard error exceeds an error, in words."""
+    covariance = symmetric("covariance", covariance, len(names), "of the parameters' unit, squared")
+    values, vectors = np.linalg.eigh(covariance)
+    return tuple(_in_words(d, np.ones(len(names)), names) for d in _plainest(vectors[:, values > error**2]))
+
+
 def _plainest(directions: Floats) -> Floats:
     """(k, p) the span of directions (p, k) by combinations of few parameters: each has one parameter to itself."""
     if directions.shape[1] == 0:

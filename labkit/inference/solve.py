@@ -9,7 +9,7 @@ import scipy.linalg
 from labkit.arrays import positive, real_array
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.inference.determined import bound_of
+from labkit.inference.determined import inverse
 from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
 from labkit.optics.zernike import Floats
 
@@ -151,8 +151,8 @@ class Solution:
     converged: bool
 
     def covariance(self) -> Floats:
-        """Cramér-Rao covariance over all parameters; infinite variances where the data do not determine them."""
-        return bound_of(self.information, ["?"] * len(self.information)).covariance
+        """Cramér-Rao covariance over all parameters; huge, never infinite, where the data do not determine them."""
+        return inverse(self.information)
 
 
 def climb(

@@ -4,30 +4,40 @@ A wrong optimum leaves structure behind, of two kinds that are asked for separat
 measured beforehand, and likeness between nearby pixels.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2, norm
 
+from labkit.inference.determined import worse_than
 from labkit.inference.likelihood import predict
 from labkit.inference.solve import Problem, State
-from labkit.optics.zernike import Floats
+from labkit.optics.zernike import Floats, mode_name
 
 SIGNIFICANCE = 1e-3
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # rows and columns, in pixels
+LEAST_TOLD = 0.25  # waves RMS: a combination of modes with a larger standard error was not measured
 UNCALIBRATED = 0.3  # relative standard error of the noise's variance beyond which it cannot serve as a measure
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """p_value: chance of residuals this odd at the truth. excess: of variance, standard normal at the truth. likeness: sum
-    of squares over the lags of LAGS that exist, each standard normal there; name: of the test."""
+    of squares over the lags of LAGS that exist, each standard normal there; name: of the test; undetermined: combinations
+    of modes that the data do not tell, in words."""
 
     p_value: float
     accepted: bool
     excess: float
     likeness: float
     name: str = "residuals"
+    undetermined: tuple[str, ...] = ()
+
+    def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
+        """The same, rejected if a covariance (modes, modes), waves RMS squared, says that the data do not tell every mode."""
+        open_ = worse_than(LEAST_TOLD, covariance, [mode_name(j) for j in noll])
+        return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
 
 def judge(problem: Problem, state: State, relative: list[Floats], model_error: float = 0.01) -> Verdict:

@@ -26,6 +26,11 @@ NAMES = {
 }
 
 
+def mode_name(j: int) -> str:
+    """The usual name of a Noll mode; its number where it has none."""
+    return NAMES.get(j, f"mode {j}")
+
+
 @cache
 def noll_to_nm(j: int) -> tuple[int, int]:
     """Radial order n and signed azimuthal order m of Noll mode j; m < 0 stands for the sine.

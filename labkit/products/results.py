@@ -73,6 +73,7 @@ class Wavefront:
                 "name": fit.verdict.name,
                 "p_value": fit.verdict.p_value,
                 "accepted": fit.verdict.accepted,
+                "undetermined": list(fit.verdict.undetermined),
                 "starts": fit.starts,
                 "others": [
                     {"waves_rms": [float(x) for x in o.waves], "log_likelihood_below": round(o.below, 1)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.errors import DataError, FitError, SessionError
+from labkit.errors import DataError, SessionError
 from labkit.execute import default_workers, run_all
 from labkit.imaging.model import Optics
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
@@ -55,7 +55,7 @@ def fit_session(
 
     range_mm, channel: only these. workers: processes, by default one a processor. Raises SessionError for photographs
     that are missing or were altered, DataError for frames that cannot answer what was asked (too few ranges for a focus:
-    after writing), TargetError for a target that is not in a frame, FitError for a fit that fails.
+    after writing), TargetError for a target that is not in a frame.
     """
     plan = session.plan
     if damage := altered(session):
@@ -82,20 +82,18 @@ def fit_session(
 
 
 def fit_task(task: Task) -> WavefrontFit:
-    """Do one fit."""
+    """Do one fit; what its frames do not determine is rejected."""
     seen = task.observation
-    try:
-        return fit_wavefront(
-            task.optics,
-            task.target,
-            seen.frames,
-            seen.poses,
-            seen.noise,
-            rng=np.random.default_rng(SEED),
-            starts=task.starts,
-        )
-    except FitError as error:
-        raise FitError(f"{task.label}: {error}") from error
+    fit = fit_wavefront(
+        task.optics,
+        task.target,
+        seen.frames,
+        seen.poses,
+        seen.noise,
+        rng=np.random.default_rng(SEED),
+        starts=task.starts,
+    )
+    return replace(fit, verdict=fit.verdict.knowing(fit.covariance, fit.noll))
 
 
 def _optics(plan: Plan, channel: str) -> Optics:
@@ -239,7 +237,12 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
     doubts = []
     for w in wavefronts:
         where = f"{w.channel}" if w.range_mm is None else f"{w.channel} at {w.range_mm:g} mm"
-        if not w.fit.verdict.accepted:
+        if w.fit.verdict.undetermined:
+            doubts.append(
+                f"{where}: the frames do not determine {', '.join(w.fit.verdict.undetermined)}; "
+                "is the target lit, sharp and large enough?"
+            )
+        elif not w.fit.verdict.accepted:
             doubts.append(
                 f"{where}: what is left of the data is not noise alone (p = {w.fit.verdict.p_value:.1g}); "
                 "the optimum may be a wrong one, or the model lacks something"

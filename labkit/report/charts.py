@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from scipy import special
 
 from labkit.optics.psf import diffraction_mtf
-from labkit.optics.zernike import NAMES
+from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.quantities import millimetres, plus_minus
 from labkit.report.reading import Floats, Focus, Measurement, Residuals, Wavefront
@@ -131,11 +131,6 @@ def _bars(axes: Axes, modes: Sequence[int], fits: Sequence[Wavefront], inks: dic
     axes.set_xlim(-0.6, len(modes) - 0.4)
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", length=0)
-
-
-def mode_name(j: int) -> str:
-    """The usual name of a Noll mode; its number where it has none."""
-    return NAMES.get(j, f"mode {j}")
 
 
 def _mode_label(j: int) -> str:

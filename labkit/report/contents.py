@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
-from labkit.report.charts import half_contrast, mode_name, mtf
+from labkit.report.charts import half_contrast, mtf
 from labkit.report.quantities import MINUS, UNKNOWN, decimals, fixed, millimetres, plus_minus
 from labkit.report.reading import Estimate, Focus, Measurement, Verdict, Wavefront
 from labkit.report.style import channel_inks

@@ -134,7 +134,7 @@ def test_the_covariance_is_the_inverse_of_the_information(solution: Solution) ->
 
 
 @pytest.mark.parametrize("flaw", ["no information", "two parameters alike"])
-def test_what_is_not_determined_has_infinite_errors_and_nothing_else_has(solution: Solution, flaw: str) -> None:
+def test_what_is_not_determined_has_huge_errors_and_nothing_else_has(solution: Solution, flaw: str) -> None:
     information = solution.information.copy()
     if flaw == "no information":
         information[1], information[:, 1] = 0, 0
@@ -142,8 +142,9 @@ def test_what_is_not_determined_has_infinite_errors_and_nothing_else_has(solutio
         information[1], information[:, 1] = information[0], information[:, 0]
         information[1, 1] = information[0, 0]
     std = np.sqrt(np.diag(replace(solution, information=information).covariance()))
-    assert np.flatnonzero(np.isinf(std)).tolist() == ([1] if flaw == "no information" else [0, 1])
-    np.testing.assert_array_less(0, std)
+    larger = std / np.sqrt(np.diag(solution.covariance())) > 100
+    assert np.flatnonzero(larger).tolist() == ([1] if flaw == "no information" else [0, 1])
+    assert np.all(np.isfinite(std))
 
 
 def test_a_step_moves_each_parameter_in_its_own_place() -> None:

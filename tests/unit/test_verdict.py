@@ -64,6 +64,17 @@ def test_louder_noise_says_nothing_where_it_was_not() -> None:
     assert sum(not v.accepted for v in judged) <= 2
 
 
+def test_modes_that_the_data_do_not_tell_are_named_and_rejected() -> None:
+    accepted = verdict(0, GREEN, CALIBRATED)
+    told = np.diag([1e-4, 4e-4, 1e-4])
+    assert accepted.knowing(told, (4, 8, 11)) == accepted
+    opposed = np.array([1.0, 0.0, -2.0])
+    seen = accepted.knowing(told + 9 * np.outer(opposed, opposed), (4, 8, 11))
+    assert not seen.accepted
+    assert seen.undetermined == ("-0.5 defocus +1 spherical",)
+    assert accepted.knowing(np.diag([1e-4, 1.0, 1e-4]), (4, 8, 11)).undetermined == ("horizontal coma",)
+
+
 @pytest.mark.parametrize("prior", [CALIBRATED, UNKNOWN], ids=["calibrated", "unknown"])
 @pytest.mark.parametrize("used", [np.ones(SHAPE, bool), GREEN, RED], ids=["mono", "green", "red"])
 def test_a_pattern_is_rejected_whether_or_not_the_noise_is_known(used: NDArray[np.bool_], prior: NoisePrior) -> None:
