@@ -63,9 +63,8 @@ def evaluation() -> None:
             torus.half_spectrum_of_window(window)
 
     held = next(poses)
-    drawn, new = (
-        ratio(lambda p=p: model.evaluate(waves, [p()], [used]), transforms) for p in (lambda: held, poses.__next__)
-    )
+    drawn = ratio(lambda: model.evaluate(waves, [held], [used]), transforms)
+    new = ratio(lambda: model.evaluate(waves, [next(poses)], [used]), transforms)
     line("mean and Jacobian / their FFTs, 264 x 264 Bayer, f/2.8", f"{drawn:.2f}", "<= 2.5")
     line("  and with the target drawn anew, which takes no FFT", f"{new:.2f}")
 
@@ -104,7 +103,7 @@ def exact(waves: Floats) -> Floats:
     pupil = (weights[:, None] / 2 * rho * 2 / 384 * np.exp(2j * np.pi * path)).ravel()
     at = (np.arange(PSF_SIDE) - PSF_SIDE // 2) / PSF_FINER
     by_row, by_column = (np.exp(-1j * np.pi * at[:, None] * (rho * turn(theta)).ravel()) for turn in (np.sin, np.cos))
-    return np.abs(by_row * pupil @ by_column.T) ** 2 * np.pi / 4 / PSF_FINER**2
+    return np.asarray(np.abs(by_row * pupil @ by_column.T) ** 2 * np.pi / 4 / PSF_FINER**2)
 
 
 def psfs() -> None:

@@ -131,7 +131,7 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         (lambda: circle_of_confusion_mm(LENS, 60.0, 500.0), "range must exceed the focal length, 70 mm"),
         (lambda: ground_sample_mm(LENS, np.nan, 4.8), "range_mm"),
         (lambda: Pose.from_corners(np.zeros((4, 2)), (2.0, 2.0)), "no three may lie on a line"),
-        (lambda: FrameData(ONE, ONE, ONE, ONE), "used: a boolean mask of shape"),
+        (lambda: FrameData(ONE, ONE, ONE, ONE), "used: a boolean mask of shape"),  # type: ignore[arg-type]
         (lambda: FrameData(ONE, ~USED, ONE, ONE), "no pixel of the frame is used"),
         (
             lambda: FrameData(ONE[0], USED, ONE, ONE),
