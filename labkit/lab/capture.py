@@ -158,9 +158,8 @@ class _Capture:
             frames=frames,
             folder=self._session.folder,
         )
-        if warn:
-            for words in found.by_hand:
-                warn(f"check by hand: {words}")
+        if warn and found.by_hand:
+            warn(f"check by hand: {'; '.join(found.by_hand)}")
         self._note(
             "preflight",
             problems=[str(error) for error in found.problems],
@@ -197,7 +196,7 @@ class _Capture:
         rail, asked_mm = self._devices.rail, _position_mm(self._rail, range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
         self._devices.wait(self._rail.settle_s)
-        measured_mm = self._rail.range_at_zero_mm + self._rail.direction * at_mm
+        measured_mm = _range_mm(self._rail, at_mm)
         meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
         self._note("moved", range_mm=range_mm, **meta)
         self._standing = range_mm, meta
@@ -327,13 +326,13 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
     """
     _, rail = _settings(plan)
     travel = devices.rail.travel_mm
-    for range_mm in rail.ranges_mm:
-        position_mm = _position_mm(rail, range_mm)
-        if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise PlanError(
-                f"rail.ranges_mm has {range_mm:g} mm, rail position {position_mm:g} mm: "
-                f"the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
-            )
+    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= _position_mm(rail, mm) <= travel.high_mm]
+    if beyond:
+        places = ", ".join(f"{mm:g} mm (rail position {_position_mm(rail, mm):g} mm)" for mm in beyond)
+        raise PlanError(
+            f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
+            f"ranges {_range_mm(rail, travel.low_mm):g} to {_range_mm(rail, travel.high_mm):g} mm"
+        )
     return panel_picture(open_target(plan.target), devices.display.panel)
 
 
@@ -344,6 +343,10 @@ def _tell(devices: Devices, event: str, **fields: Any) -> None:
 
 def _position_mm(rail: RailSettings, range_mm: float) -> float:
     return (range_mm - rail.range_at_zero_mm) * rail.direction
+
+
+def _range_mm(rail: RailSettings, position_mm: float) -> float:
+    return rail.range_at_zero_mm + rail.direction * position_mm
 
 
 def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:

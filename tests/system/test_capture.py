@@ -184,8 +184,9 @@ def test_a_range_beyond_the_rail_is_refused_before_anything_moves(
     plan_file: Path, tmp_path: Path, make_room: RoomMaker
 ) -> None:
     room = make_room(plan_file)
-    plan_file.write_text(plan_file.read_text().replace("2050.5", "2450"))
-    with pytest.raises(PlanError, match=r"rail position 500 mm: the rail goes from -5 to 105\.5 mm"):
+    plan_file.write_text(plan_file.read_text().replace("2050.5", "2450, 1940"))
+    words = r"2450 mm \(rail position 500 mm\), 1940 mm \(rail position -10 mm\): the rail goes from -5 to 105\.5 mm"
+    with pytest.raises(PlanError, match=f"{words}, ranges 1945 to 2055.5 mm"):
         run(plan_file, tmp_path / "s", room)
     assert Session.open(tmp_path / "s").frames == ()
 
