@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
+from types import TracebackType
 from urllib.parse import urlsplit
 
 from labkit.drivers.web_server import WebServer
@@ -41,31 +41,38 @@ def open_monitor(address: str, plan: Plan, room: Room) -> AbstractContextManager
     if address == "web:" and plan.display is not None and plan.display.address.startswith("web:"):
         address = plan.display.address
     host, port, _ = parse_address(address)
-    return serving(host, port, room)
+    return Serving(host, port, room)
 
 
-@contextmanager
-def serving(host: str, port: int, room: Room) -> Iterator[WebServer]:
-    """The room's server at a host and port, started by the first who comes and stopped by the last who goes.
+class Serving(AbstractContextManager[WebServer]):
+    """The room's server at a host and port, started by the first who enters and stopped by the last who leaves.
 
     Its operator's page looks on in the room, and answers questions. Raises DisplayError for a port in use.
     """
-    where = f"web://{host}:{port}"
-    server: WebServer | None = room.shared.get(where)
-    if server is None:
-        server = WebServer(host, port, room)
-        server.start()
-        room.shared[where] = server
-        room.watchers.append(server.monitor)
-        room.operator.attend(server.monitor)
-        room.link("The operator's page", server.url("monitor"))
-    server.users += 1
-    try:
-        yield server
-    finally:
+
+    def __init__(self, host: str, port: int, room: Room) -> None:
+        self._host, self._port, self._room = host, port, room
+        self._where = f"web://{host}:{port}"
+
+    def __enter__(self) -> WebServer:
+        room = self._room
+        server: WebServer | None = room.shared.get(self._where)
+        if server is None:
+            server = WebServer(self._host, self._port, room)
+            server.start()
+            room.shared[self._where] = server
+            room.watchers.append(server.monitor)
+            room.operator.attend(server.monitor)
+            room.link("The operator's page", server.url("monitor"))
+        server.users += 1
+        return server
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        room = self._room
+        server: WebServer = room.shared[self._where]
         server.users -= 1
         if not server.users:
             room.operator.leave(server.monitor)
             room.watchers.remove(server.monitor)
-            del room.shared[where]
+            del room.shared[self._where]
             server.close()

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
-from labkit.drivers.web_address import parse_address, serving
+from labkit.drivers.web_address import Serving, parse_address
 from labkit.drivers.web_screen import Order, Report, Screen
 from labkit.errors import DisplayError, PlanError
 from labkit.lab.devices import PanelInfo, Picture, Room, Shown, panel_info
@@ -33,7 +33,7 @@ def open_display(address: str, plan: Plan, room: Room) -> WebDisplay:
     host, port, name = parse_address(address)
     panel = panel_info(plan.display)
     with ExitStack() as stack:
-        server = stack.enter_context(serving(host, port, room))
+        server = stack.enter_context(Serving(host, port, room))
         screen = server.add_screen(name, panel)
         stack.callback(server.remove_screen, name)
         close = stack.pop_all().close

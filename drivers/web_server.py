@@ -77,7 +77,7 @@ def page_files() -> dict[str, bytes]:
 
 
 class WebServer:
-    """Listens on one address for the pages of all its users, which it counts for `serving`."""
+    """Listens on one address for the pages of all its users, which it counts for `Serving`."""
 
     def __init__(self, host: str, port: int, room: Room) -> None:
         """Raises DisplayError if the address cannot be listened on."""
