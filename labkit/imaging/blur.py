@@ -62,7 +62,9 @@ class Blur:
 
     def departure(self, psf: Floats) -> Complexes:
         """Half plane of the transfer function's departure for one of the PSF, (size, size) on the pupil's window."""
-        return np.asarray(self._centred_pixel * self.torus.half_spectrum_of_window(psf, self._finer))
+        departure = self.torus.half_spectrum_of_window(psf, self._finer)
+        departure *= self._centred_pixel
+        return departure
 
     def transfer_jacobian(self, waves: Floats, only: slice = slice(None)) -> Iterator[Complexes]:
         """Half planes of the transfer function's derivatives by each mode, or only some, one at a time to spare memory."""

@@ -113,10 +113,11 @@ class ForwardModel:
         transfer = self.blur.transfer(waves)
         spread = self.blur.spread(transfer)
         spectra = self.scene.spectra(poses)
+        product = np.empty_like(transfer)  # fresh memory for each costs as much as the multiplication
         slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
         for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
             for spectrum, u, out in zip(spectra, used, slopes, strict=True):
-                out[mode] = self._sample(spectrum * slope, u)
+                out[mode] = self._sample(np.multiply(spectrum, slope, out=product), u)
         results = []
         for spectrum, pose, u, by_mode in zip(spectra, poses, used, slopes, strict=True):
             mean = self._sample(spectrum * transfer, u, self.scene.surround)
