@@ -110,7 +110,7 @@ def _best_focus_mm(colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np
 
 def _rail(rail: RailSettings) -> TrueRail:
     """A rail that reaches every range, and a little more on either side."""
-    stops = [rail.direction * (range_mm - rail.range_at_zero_mm) for range_mm in rail.ranges_mm]
+    stops = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     return TrueRail(
         low_mm=min(0.0, *stops) - 5.0,
         high_mm=max(0.0, *stops) + 5.0,

@@ -36,7 +36,7 @@ def grbl_port(
 
 def simulated_port(rail: RailSettings, room: Room) -> PtyPort:
     """A controller whose travel holds the plan's stops; it moves the carriage of the room's simulated bench, if any."""
-    stops_mm = [rail.direction * (range_mm - rail.range_at_zero_mm) for range_mm in rail.ranges_mm]
+    stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     zero_at_home = min(stops_mm) >= 0
     reach_mm = max(abs(mm) for mm in stops_mm) + 10.0 + rail.run_up_mm
     port = grbl_port(settings={130: reach_mm, 131: reach_mm, 132: reach_mm}, options="VZ" if zero_at_home else "V")

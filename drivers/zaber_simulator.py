@@ -183,7 +183,7 @@ class ZaberController:
 
 def simulated_port(rail: RailSettings, microstep_mm: float, room: Room) -> PtyPort:
     """A stage whose travel holds the plan's stops; it moves the carriage of the room's simulated bench, if any."""
-    stops_mm = [rail.direction * (range_mm - rail.range_at_zero_mm) for range_mm in rail.ranges_mm]
+    stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     reach = round((max(*stops_mm, 50.0) + 10.0) / microstep_mm)
     controller = ZaberController(reach, speed=50.0 / microstep_mm, carriage=reach // 5)
     carry = carrying(room)

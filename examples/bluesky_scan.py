@@ -36,14 +36,14 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
     assert plan.camera
     assert plan.rail
     folder.mkdir(parents=True, exist_ok=True)
-    zero_mm, direction = plan.rail.range_at_zero_mm, plan.rail.direction
-    ends = sorted(direction * (range_mm - zero_mm) for range_mm in (min(plan.rail.ranges_mm), max(plan.rail.ranges_mm)))
+    rail_settings = plan.rail
+    ends = sorted(map(rail_settings.position_mm, (min(rail_settings.ranges_mm), max(rail_settings.ranges_mm))))
     found: list[tuple[float, str]] = []
 
     def note(kind: str, document: Any) -> None:
         if kind == "event":
             data = document["data"]
-            found.append((zero_mm + direction * data["rail"], data["camera_file"]))
+            found.append((rail_settings.range_mm(data["rail"]), data["camera_file"]))
 
     with open_devices(plan) as bench:
         bench.camera.configure(ExposureSettings(plan.camera.exposure_s, plan.camera.iso))

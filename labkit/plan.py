@@ -215,6 +215,14 @@ class RailSettings(Table):
             )
         return ranges_mm
 
+    def position_mm(self, range_mm: float) -> float:
+        """Where the rail stands at a range."""
+        return self.direction * (range_mm - self.range_at_zero_mm)
+
+    def range_mm(self, position_mm: float) -> float:
+        """The range when the rail stands at a position."""
+        return self.range_at_zero_mm + self.direction * position_mm
+
 
 class DisplaySettings(Table):
     """The glass the target is shown on: a panel by name, or its pitch and (height, width) in pixels."""

@@ -8,9 +8,10 @@ carriage was measured to stand is in the frame's meta, as `position_mm` and `mea
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -193,10 +194,10 @@ class _Capture:
             return self._standing[1]
         self._standing = None
         self._step(f"moving to {range_mm:g} mm")
-        rail, asked_mm = self._devices.rail, _position_mm(self._rail, range_mm)
+        rail, asked_mm = self._devices.rail, self._rail.position_mm(range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
         self._devices.wait(self._rail.settle_s)
-        measured_mm = _range_mm(self._rail, at_mm)
+        measured_mm = self._rail.range_mm(at_mm)
         meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
         self._note("moved", range_mm=range_mm, **meta)
         self._standing = range_mm, meta
@@ -326,12 +327,12 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
     """
     _, rail = _settings(plan)
     travel = devices.rail.travel_mm
-    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= _position_mm(rail, mm) <= travel.high_mm]
+    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= rail.position_mm(mm) <= travel.high_mm]
     if beyond:
-        places = ", ".join(f"{mm:g} mm (rail position {_position_mm(rail, mm):g} mm)" for mm in beyond)
+        places = ", ".join(f"{mm:g} mm (rail position {rail.position_mm(mm):g} mm)" for mm in beyond)
         raise PlanError(
             f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
-            f"ranges {_range_mm(rail, travel.low_mm):g} to {_range_mm(rail, travel.high_mm):g} mm"
+            f"ranges {rail.range_mm(travel.low_mm):g} to {rail.range_mm(travel.high_mm):g} mm"
         )
     return panel_picture(open_target(plan.target), devices.display.panel)
 
@@ -339,14 +340,6 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
 def _tell(devices: Devices, event: str, **fields: Any) -> None:
     for watcher in devices.watchers:
         watcher.noted(event, **fields)
-
-
-def _position_mm(rail: RailSettings, range_mm: float) -> float:
-    return (range_mm - rail.range_at_zero_mm) * rail.direction
-
-
-def _range_mm(rail: RailSettings, position_mm: float) -> float:
-    return rail.range_at_zero_mm + rail.direction * position_mm
 
 
 def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
@@ -363,13 +356,7 @@ def _likeness(mosaic: Mosaic) -> str:
 def _set_aside(file: Path, folder: Path) -> Path:
     """Move a file into a folder under a name that is free there."""
     folder.mkdir(exist_ok=True)
-    aside = next(path for path in _names(folder, file) if not path.exists())
+    numbered = (folder / f"{file.stem}-{number}{file.suffix}" for number in count(1))
+    aside = next(path for path in chain([folder / file.name], numbered) if not path.exists())
     file.rename(aside)
     return aside
-
-
-def _names(folder: Path, file: Path) -> Iterator[Path]:
-    number = 0
-    while True:
-        yield folder / (f"{file.stem}-{number}{file.suffix}" if number else file.name)
-        number += 1
