@@ -40,9 +40,7 @@ RANDOM_WAVES = (
 NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0  # RMS defocus up to which a PSF's window so many lambda N wide serves to search
 CLIMB_STEPS = 25  # climbs that find the best optimum take 10 to 20
 SWEPT = 3  # best values of the sweep that are started from
-PLAUSIBLE = (
-    10.0  # excess of variance, in standard deviations: right optima of sketches showed up to 5, wrong ones above 15
-)
+PLAUSIBLE = 0.005  # of a sweep's excess variance is left by right optima of sketches, more by wrong ones
 ENOUGH = 8  # climbs from random starts that come back to the best optimum: then it is returned, accepted or not
 SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less belong to one optimum
 
@@ -198,7 +196,7 @@ class _Search:
             self.progress("defocus sweep")
             given, band = sweep(rough, first)[:SWEPT], rough.sketch_band
             climbs = [self._climb_from(rough.problem(given[0], band), given[0])]
-            if self._plausible(climbs[0].state):
+            if self._excess(climbs[0].state) < PLAUSIBLE * self._excess(given[0]):
                 yield climbs[0].state
         if rough.near(given[0]):
             settled = _settle(rough.problem(given[0], rough.sketch_band), given[0])
@@ -221,10 +219,10 @@ class _Search:
         self.starts += 1
         return climb(problem, _settle(problem, start), max_steps=CLIMB_STEPS, tolerance=0.3)
 
-    def _plausible(self, sketched: State) -> bool:
-        """Whether the end of a climb in a sketch leaves little enough to be worth a climb of the whole likelihood."""
+    def _excess(self, sketched: State) -> float:
+        """Of variance, in a sketch: what a state leaves unexplained."""
         problem = self.rough.problem(sketched, self.rough.sketch_band)
-        return judge(problem, sketched, problem.relative(sketched)).excess < PLAUSIBLE
+        return judge(problem, sketched, problem.relative(sketched)).excess
 
     def _retrieved(self, state: State, first: Sequence[Floats]) -> Iterator[State]:
         """Near focus: from the small problem."""

@@ -32,8 +32,8 @@ DRAWN_WAVES, DRAWN_TILT = (0.05, 0.4), 0.15  # RMS of what is drawn for them, at
 START_WAVES = (0.1, 0.3)  # of random starts
 SAME = 0.01  # ends whose misfits differ relatively by less are one optimum, or its twin: not all are carried to their bottom
 WORTH = 1.1  # times the least misfit seen: an optimum that is worth a climb
-LEAST, PATIENCE = 4, 8  # starts before the first offer; and from one offer to the next unless
-CLEAR, SURE = 2.0, 2  # the next misfit is larger by a factor, or an optimum is met again
+LEAST, PATIENCE = 4, 16  # starts before the best optimum is offered: where it is clear, and where it is not
+CLEAR = 2.0  # the next misfit is larger by this factor
 ENOUGH, MOST = 8, 100  # times the best optimum is met, or starts made, before the search ends
 EVALUATIONS = 30  # of one start, at most
 
@@ -94,14 +94,15 @@ class Retrieval:
 
         first: wavefronts (modes,) to start from before random ones. Ends when it keeps coming back to one best optimum.
         """
-        starts, since = [*first], 0
-        while self.starts < MOST and not (self.optima and self.optima[0].met >= ENOUGH):
+        starts, since, done = [*first], 0, False
+        while not done:
             self._add(self._descend(starts.pop(0) if starts else self._random_waves(rng)))
             self.starts, since = self.starts + 1, since + 1
             least, second = [o.misfit for o in (*self.optima, self.optima[0])[:2]]
             fresh = next((o for o in self.optima if not o.offered and o.misfit < WORTH * least), None)
-            clear = fresh is self.optima[0] and second > CLEAR * least
-            if fresh and self.starts >= max(LEAST, len(first)) and (clear or fresh.met >= SURE or since >= PATIENCE):
+            clear = fresh is self.optima[0] and second > CLEAR * least and self.starts >= max(LEAST, len(first))
+            done = self.starts >= MOST or self.optima[0].met >= ENOUGH
+            if fresh and (clear or done or since >= PATIENCE):
                 fresh.offered, since = True, 0
                 yield fresh.state
 
