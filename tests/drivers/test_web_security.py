@@ -227,11 +227,17 @@ def test_a_button_that_is_none_does_nothing(lab: Lab, display: WebDisplay) -> No
     lab.server.monitor.refuse_abort()
 
 
-def test_an_answer_to_no_open_question_does_nothing(lab: Lab, display: WebDisplay) -> None:
+def test_an_answer_to_no_open_question_does_nothing(
+    lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heard: list[str] = []
+    arrived = threading.Event()
+    answer = lab.server.monitor.answer
+    monkeypatch.setattr(lab.server.monitor, "answer", lambda *given: (answer(*given), arrived.set()))
     asking = threading.Thread(target=lambda: heard.append(lab.room.operator.ask("How far?")), daemon=True)
     with page(lab, "monitor") as wire:
         wire.send('{"answer": 1, "text": "too early"}')
+        assert arrived.wait(10)
         asking.start()
         while json.loads(wire.recv(timeout=10))["question"] != {"number": 1, "text": "How far?", "wants": "number"}:
             pass
