@@ -233,7 +233,12 @@ def test_an_answer_to_no_open_question_does_nothing(
     heard: list[str] = []
     arrived = threading.Event()
     answer = lab.server.monitor.answer
-    monkeypatch.setattr(lab.server.monitor, "answer", lambda *given: (answer(*given), arrived.set()))
+
+    def hear(number: int, text: str) -> None:
+        answer(number, text)
+        arrived.set()
+
+    monkeypatch.setattr(lab.server.monitor, "answer", hear)
     asking = threading.Thread(target=lambda: heard.append(lab.room.operator.ask("How far?")), daemon=True)
     with page(lab, "monitor") as wire:
         wire.send('{"answer": 1, "text": "too early"}')
