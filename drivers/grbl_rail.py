@@ -99,6 +99,11 @@ class GrblRail(SerialRail):
             self._at_mm = at_mm
             return at_mm
 
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        with self._lock:
+            self._check_ready()
+
     def stop(self) -> None:
         """Feed hold, then drop what is queued. A carriage that came to rest in hold keeps its position.
 

@@ -88,10 +88,7 @@ class ZaberRail(SerialRail):
         """
         self._refuse_outside(position_mm)
         with self._lock:
-            if not self._homed:
-                raise RailError(f"{self} does not know where it is; home it first")
-            self._stopping = False
-            self._check_in_place(self._at_mm, "was left at")
+            self.check_still()
             for stop_mm in (position_mm - self._run_up_mm, position_mm):
                 distance_mm = abs(stop_mm - self._at_mm)
                 self._homed = False  # until it is known to have arrived
@@ -100,6 +97,14 @@ class ZaberRail(SerialRail):
                 self._homed = True
                 self._at_mm = self._check_in_place(stop_mm, "was sent to")
             return self._at_mm
+
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        with self._lock:
+            if not self._homed:
+                raise RailError(f"{self} does not know where it is; home it first")
+            self._stopping = False
+            self._check_in_place(self._at_mm, "was left at")
 
     def stop(self) -> None:
         """Brake and stand; the position is kept. May be called from another thread than the one that moves.

@@ -282,10 +282,10 @@ def capture(
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.lab.asking import Operator
     from labkit.lab.capture import capture as run_capture
-    from labkit.lab.capture import missing, picture_for
     from labkit.lab.devices import Room
     from labkit.lab.discover import open_devices, open_monitor
     from labkit.lab.session import JOURNAL, begin, refuse_existing
+    from labkit.lab.shots import missing, picture_for
     from labkit.plan import load_plan
 
     console: Console = ctx.obj

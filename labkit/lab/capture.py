@@ -10,7 +10,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,14 +24,13 @@ from labkit.errors import (
     RailLimitError,
     RawError,
 )
-from labkit.lab.devices import Attentive, Coverable, Devices, ExposureSettings, Picture, RawFrame
-from labkit.lab.picture import PanelPicture, panel_picture
+from labkit.lab.devices import Attentive, Coverable, Devices, ExposureSettings, Picture, RawFrame, Steadfast
+from labkit.lab.picture import PanelPicture
 from labkit.lab.preflight import Hands, preflight
 from labkit.lab.raw import Mosaic, read_raw
-from labkit.lab.session import Kind, Session
+from labkit.lab.session import Session
+from labkit.lab.shots import Shot, bench_settings, missing, picture_for, shots
 from labkit.lab.usable import exposure_problem
-from labkit.plan import CameraSettings, Plan, RailSettings
-from labkit.target import open_target
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int, str], None]
@@ -45,31 +43,6 @@ EXPOSING, REJECTED = ".exposing", "rejected"
 
 TRIES = 3
 """How often a device may fail at one step before the capture stops."""
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """A photograph to take: its name without the suffix, which the camera chooses."""
-
-    name: str
-    kind: Kind
-    range_mm: float | None
-
-
-def shots(plan: Plan) -> tuple[Shot, ...]:
-    """Every photograph that a plan asks for, in the order of taking. Raises PlanError without [camera] or [rail]."""
-    camera, rail = _settings(plan)
-    found = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
-    for range_mm in rail.ranges_mm:
-        found += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
-        found += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
-    return tuple(found)
-
-
-def missing(session: Session) -> tuple[Shot, ...]:
-    """What the session's plan asks for and its journal has not."""
-    done = {Path(frame.file).stem for frame in session.frames}
-    return tuple(shot for shot in shots(session.plan) if shot.name not in done)
 
 
 def capture(
@@ -111,7 +84,7 @@ class _Capture:
         self._devices = devices
         self._progress = progress
         self._ask = ask
-        self._camera, self._rail = _settings(session.plan)
+        self._camera, self._rail = bench_settings(session.plan)
         self._total = len(shots(session.plan))
         self._done = 0
         self._first: Mosaic | None = None
@@ -140,9 +113,9 @@ class _Capture:
         self._take_darks(darks)
         for range_mm in stops:
             here = [shot for shot in todo if shot.range_mm == range_mm]
-            meta = self._go_to(range_mm)
-            self._take("white", [shot for shot in here if shot.kind == "flat"], meta)
-            self._take(target.grey, [shot for shot in here if shot.kind == "target"], meta)
+            self._go_to(range_mm)
+            self._take("white", [shot for shot in here if shot.kind == "flat"])
+            self._take(target.grey, [shot for shot in here if shot.kind == "target"])
         self._note("complete")
 
     def _look_round(
@@ -208,7 +181,7 @@ class _Capture:
             return
         self._cover(True)
         try:
-            self._take("black", todo, {})
+            self._take("black", todo)
         except BaseException:
             if isinstance(self._devices.camera, Coverable):  # but no trouble waits for a person
                 self._devices.camera.cover(False)
@@ -229,17 +202,36 @@ class _Capture:
                 f"run this at a terminal or with --monitor, or set camera.darks = 0"
             )
 
-    def _take(self, picture: Picture, todo: list[Shot], meta: dict[str, Any]) -> None:
+    def _take(self, picture: Picture, todo: list[Shot]) -> None:
         if not todo:
             return
         self._step("showing " + (picture if isinstance(picture, str) else "the target"))
         self._show(picture)
         for shot in todo:
             self._step(f"taking {shot.name}")
-            self._keep(self._photograph(picture, shot), shot, meta)
+            self._keep(*self._photograph_in_place(picture, shot), shot)
 
     def _show(self, picture: Picture) -> None:
         self._try("display", lambda: self._devices.display.show(picture), lambda: None)
+
+    def _photograph_in_place(self, picture: Picture, shot: Shot) -> tuple[RawFrame, dict[str, Any]]:
+        """Photograph at the shot's range, again if the rail did not stay there; what is to be noted of the place as well."""
+        if shot.range_mm is None:
+            return self._photograph(picture, shot), {}
+        rail = self._devices.rail
+        for attempt in range(1, TRIES + 1):
+            meta = self._go_to(shot.range_mm)
+            raw = self._photograph(picture, shot)
+            try:
+                if isinstance(rail, Steadfast):
+                    rail.check_still()
+                return raw, meta
+            except DeviceError as error:
+                self._standing = None
+                self._note("trouble", device="rail", attempt=attempt, error=f"after {shot.name}: {error}")
+                if attempt == TRIES:
+                    raise
+        raise AssertionError("unreachable: the last attempt returns or raises")
 
     def _photograph(self, picture: Picture, shot: Shot) -> RawFrame:
         """Expose, again if the display lost its picture meanwhile."""
@@ -272,7 +264,7 @@ class _Capture:
         folder.mkdir()
         return self._devices.camera.expose(folder / shot.name)
 
-    def _keep(self, raw: RawFrame, shot: Shot, meta: dict[str, Any]) -> None:
+    def _keep(self, raw: RawFrame, meta: dict[str, Any], shot: Shot) -> None:
         """Commit a photograph, or put it aside and raise if it is useless."""
         if problem := self._problem(raw.path, shot):
             aside = _set_aside(raw.path, self._session.folder / REJECTED)
@@ -319,33 +311,9 @@ class _Capture:
         raise AssertionError("unreachable: the last attempt returns or raises")
 
 
-def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
-    """The target as the display will show it; to be asked before a session is begun.
-
-    Raises TargetError or PlanError for a plan that these devices cannot run: a target that does not fit the panel, a
-    range that the rail does not reach.
-    """
-    _, rail = _settings(plan)
-    travel = devices.rail.travel_mm
-    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= rail.position_mm(mm) <= travel.high_mm]
-    if beyond:
-        places = ", ".join(f"{mm:g} mm (rail position {rail.position_mm(mm):g} mm)" for mm in beyond)
-        raise PlanError(
-            f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
-            f"ranges {rail.range_mm(travel.low_mm):g} to {rail.range_mm(travel.high_mm):g} mm"
-        )
-    return panel_picture(open_target(plan.target), devices.display.panel)
-
-
 def _tell(devices: Devices, event: str, **fields: Any) -> None:
     for watcher in devices.watchers:
         watcher.noted(event, **fields)
-
-
-def _settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
-    if plan.camera is None or plan.rail is None:
-        raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
-    return plan.camera, plan.rail
 
 
 def _likeness(mosaic: Mosaic) -> str:

@@ -209,6 +209,15 @@ class Rail(AbstractContextManager["Rail"], Protocol):
         ...
 
 
+@runtime_checkable
+class Steadfast(Protocol):
+    """A rail that can tell whether it was moved."""
+
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        ...
+
+
 class Display(AbstractContextManager["Display"], Protocol):
     """A panel that shows targets, pixel for pixel."""
 

@@ -18,11 +18,12 @@ from labkit.errors import (
     RailError,
     SessionError,
 )
-from labkit.lab.capture import capture, missing
+from labkit.lab.capture import capture
 from labkit.lab.devices import Devices, Room
 from labkit.lab.discover import open_devices
 from labkit.lab.raw import read_raw
 from labkit.lab.session import Session, begin, verify
+from labkit.lab.shots import missing
 
 from .conftest import RoomMaker
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.lab.capture import capture, missing
+from labkit.lab.capture import capture
 from labkit.lab.devices import Room
 from labkit.lab.discover import open_devices
 from labkit.lab.raw import read_raw
 from labkit.lab.session import Session, begin, verify
+from labkit.lab.shots import missing
 
 from .conftest import RoomMaker
 

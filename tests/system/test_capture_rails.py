@@ -27,7 +27,7 @@ from labkit.drivers.pty_port import Kind, LineFault, PtyPort
 from labkit.drivers.zaber_rail import ZaberRail
 from labkit.drivers.zaber_simulator import ZaberController
 from labkit.errors import LabkitError
-from labkit.lab.capture import capture, missing, picture_for
+from labkit.lab.capture import capture
 from labkit.lab.devices import (
     Camera,
     CameraInfo,
@@ -42,6 +42,7 @@ from labkit.lab.devices import (
 )
 from labkit.lab.discover import open_devices
 from labkit.lab.session import Session, begin, verify
+from labkit.lab.shots import missing, picture_for
 from labkit.plan import parse_plan
 from tests.plans import SMALL, plan_text, simulated
 
@@ -365,29 +366,50 @@ def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(
         assert [problem for found in pool.map(one, range(first, first + 12)) for problem in found] == []
 
 
+def once(name: str, do: Callable[[], None]) -> Callable[[str], None]:
+    """To be called before each exposure: does it before the first of that name."""
+    left = [do]
+    return lambda what: left.pop()() if what == name and left else None
+
+
 @pytest.mark.parametrize("kind", RAILS)
 def test_trouble_while_exposing_spoils_no_frame(kind: str, photographs: Photographs, tmp_path: Path) -> None:
     def found(name: str, folder: Path) -> list[str]:
         setup, port = RAILS[kind], RAILS[kind].port([])
         bench = Bench(photographs, setup, port)
-        trouble, lasts_s = FAULTS[name]
-
-        def strike(what: str) -> None:
-            if what == "flat_2150_0":
-                port.strike(trouble, lasts_s)
-
-        bench.before_exposure = strike
+        bench.before_exposure = once("flat_2150_0", lambda: port.strike(*FAULTS[name]))
         try:
             ended = run(setup, bench, folder)
         finally:
             port.close()
         session = Session.open(folder)
-        frames = 4 if name == "unplugged for good" else 6
+        frames = 2 if name == "unplugged for good" else 6  # what was taken while it went is not trusted
         if len(session.frames) != frames or (ended is None) != (frames == 6):
             return [f"{name}: {len(session.frames)} frames, {ended}"]
         return wrong_frames(session, bench, setup)
 
     assert side_by_side(found, tmp_path) == []
+
+
+def test_a_frame_during_which_the_stage_was_moved_is_taken_again(photographs: Photographs, tmp_path: Path) -> None:
+    setup, port = RAILS["zaber"], RAILS["zaber"].port([])
+    bench = Bench(photographs, setup, port)
+    controller = port.controller
+    assert isinstance(controller, ZaberController)
+
+    def knock() -> None:
+        with port.lock:
+            controller.position += 3 / MICROSTEP_MM
+
+    bench.before_exposure = once("target_2150_0", knock)
+    ended = run(setup, bench, tmp_path / "s")
+    port.close()
+    session = Session.open(tmp_path / "s")
+    assert (ended, len(session.frames)) == (None, 6)
+    assert wrong_frames(session, bench, setup) == []
+    trouble = [event["error"] for event in session.events if event["event"] == "trouble"]
+    assert trouble[0].startswith("after target_2150_0: the Zaber at ")
+    assert "was left at 120.000 mm and stands at 123.000 mm" in trouble[0]
 
 
 def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(

@@ -13,12 +13,13 @@ import pytest
 from labkit.drivers.bench_world import Fault
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.inference.pose import find_target, grey_image
-from labkit.lab.capture import capture, picture_for
+from labkit.lab.capture import capture
 from labkit.lab.devices import Check, Devices, ExposureSettings, Picture, Shown
 from labkit.lab.discover import open_devices
 from labkit.lab.raw import read_raw
 from labkit.lab.session import Session, begin
 from labkit.lab.sharpness import blur_px, edge_px
+from labkit.lab.shots import picture_for
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
 from labkit.plan import load_plan
 from labkit.target import open_target
