@@ -96,7 +96,7 @@ class Retrieval:
         """
         starts, since, done = [*first], 0, False
         while not done:
-            self._add(self._descend(starts.pop(0) if starts else self._random_waves(rng)))
+            self._add(self.descend(starts.pop(0) if starts else self.random_waves(rng)))
             self.starts, since = self.starts + 1, since + 1
             least, second = [o.misfit for o in (*self.optima, self.optima[0])[:2]]
             fresh = next((o for o in self.optima if not o.offered and o.misfit < WORTH * least), None)
@@ -106,13 +106,15 @@ class Retrieval:
                 fresh.offered, since = True, 0
                 yield fresh.state
 
-    def _random_waves(self, rng: np.random.Generator) -> Floats:
+    def random_waves(self, rng: np.random.Generator) -> Floats:
+        """A start, (modes,)."""
         direction = rng.normal(size=self.state.waves.size)
         scale = self.optics.wavelength_um / self.optics.reference_um
         return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(*START_WAVES) * scale)
 
-    def _descend(self, waves: Floats) -> Optimum:
-        """From a wavefront (modes,); a point is tilts and modes, then scale and ambient."""
+    def descend(self, waves: Floats) -> Optimum:
+        """Where one start, a wavefront (modes,), ends."""
+        # a point is tilts and modes, then scale and ambient
         start = np.concatenate([np.zeros(len(TILTS)), waves, self.state.scales[:1], self.state.ambients[:1]])
         components, perfect = _components(self.pupil)
         size = start.size - 2

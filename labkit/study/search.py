@@ -8,10 +8,12 @@ from matplotlib.figure import Figure
 
 from labkit.errors import LabkitError
 from labkit.execute import run_all
-from labkit.study.conditions import NOLL, WAVES_RMS, draw_trial
+from labkit.inference.retrieval import Retrieval
+from labkit.study.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
 from labkit.study.runner import Claim, Outcome, Setting
 
 FOUND_BOUNDS = 6.0  # an estimate this many times the bound from the truth, or its twin, has found the optimum
+NEAR_TRUTH, STARTS = 0.05, 12  # waves RMS; starts a trial that are counted
 NOLL_22 = tuple(range(4, 26))
 
 
@@ -42,7 +44,8 @@ QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
 
 @dataclass(frozen=True)
 class Answer:
-    """found: the true optimum; lost: the target was not found; error, bound: waves RMS."""
+    """found: the true optimum; right_starts: share of random starts that end there, the pose known; lost: the target was
+    not found; error, bound: waves RMS."""
 
     found: bool
     accepted: bool
@@ -50,6 +53,7 @@ class Answer:
     bound: float
     starts: int
     seconds: float
+    right_starts: float
     lost: bool = False
 
 
@@ -61,9 +65,18 @@ def work(task: tuple[Condition, int]) -> Answer:
     try:
         fit = trial.fit(rng)
     except LabkitError:
-        return Answer(False, False, np.nan, np.nan, 0, np.nan, lost=True)
+        return Answer(False, False, np.nan, np.nan, 0, np.nan, np.nan, lost=True)
     error, bound = float(np.linalg.norm(trial.error(fit.waves))), float(np.linalg.norm(fit.std))
-    return Answer(error < FOUND_BOUNDS * bound, fit.verdict.accepted, error, bound, fit.starts, fit.seconds)
+    found, right = error < FOUND_BOUNDS * bound, _right_starts(trial, rng)
+    return Answer(found, fit.verdict.accepted, error, bound, fit.starts, fit.seconds, right)
+
+
+def _right_starts(trial: Trial, rng: np.random.Generator) -> float:
+    """Share of starts whose end is nearer to the truth than NEAR_TRUTH."""
+    here = trial.state(np.zeros(len(trial.noll)))
+    small = Retrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
+    ends = [small.descend(small.random_waves(rng)).state.waves for _ in range(STARTS)]
+    return float(np.mean([np.linalg.norm(trial.error(waves)) < NEAR_TRUTH for waves in ends]))
 
 
 def run(setting: Setting) -> Outcome:
@@ -92,6 +105,7 @@ def run(setting: Setting) -> Outcome:
                 "rms_bound_when_found": _rms([a.bound for a in found]),
                 "found_but_rejected": sum(not a.accepted for a in found),
                 "wrong_but_accepted": sum(a.accepted for a in wrong),
+                "right_starts": float(np.nanmean([a.right_starts for a in own])),
                 "median_starts": float(np.median([a.starts for a in own])),
                 "median_seconds": float(np.median(seconds)) if seconds else np.nan,
                 "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
@@ -103,6 +117,13 @@ def run(setting: Setting) -> Outcome:
         for claim in (
             Claim(f"global optimum found from nothing, {condition.label}", None, row["found"], "", row["trials"]),
             Claim(f"time of a global fit, median, {condition.label}", None, row["median_seconds"], "s", row["trials"]),
+            Claim(
+                f"random starts that end right, {condition.label}",
+                None,
+                row["right_starts"],
+                "",
+                STARTS * row["trials"],
+            ),
         )
     ]
     at = next(row for row in rows if row["snr"] == 50.0)
@@ -128,8 +149,18 @@ def run(setting: Setting) -> Outcome:
         left.legend()
         for count, marker in ((12, "o-"), (22, "s-")):
             own = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
-            right.plot([r["waves_rms"] for r in own], [100 * r["found"] for r in own], marker, label=f"{count} modes")
-        right.set(xlabel="waves RMS", ylabel="optimum found / %", ylim=(0, 103), title="Stronger wavefronts, SNR 75")
+            waves = [r["waves_rms"] for r in own]
+            (line,) = right.plot(waves, [100 * r["found"] for r in own], marker, label=f"{count} modes, found")
+            right.plot(
+                waves,
+                [100 * r["right_starts"] for r in own],
+                marker[0] + ":",
+                color=line.get_color(),
+                label=f"{count} modes, of single starts",
+            )
+        right.set(
+            xlabel="waves RMS", ylabel="in the right optimum / %", ylim=(0, 103), title="Stronger wavefronts, SNR 75"
+        )
         right.legend()
         return figure
 
