@@ -80,30 +80,6 @@ class GrblRail(SerialRail):
             self._at_mm = self._rest()
             self._homed = True
 
-    def move_to(self, position_mm: float) -> float:
-        """Go there from below; the position that the controller reports once it stands, in mm.
-
-        Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
-        DeviceTimeoutError.
-        """
-        self._refuse_outside(position_mm)
-        with self._lock:
-            self._check_ready()
-            below_mm = position_mm - self._run_up_mm
-            allowed_s = grbl.moving_s(self._settings, abs(below_mm - self._at_mm) + self._run_up_mm)
-            moves = [f"G53 G0 X{mm:.4f}" for mm in (below_mm, position_mm)]
-            self._carry_out([*moves, "G4 P0.01"], 2 * allowed_s)
-            at_mm = self._rest()
-            if abs(at_mm - position_mm) > TOLERANCE_MM:
-                raise self._lost(f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm")
-            self._at_mm = at_mm
-            return at_mm
-
-    def check_still(self) -> None:
-        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
-        with self._lock:
-            self._check_ready()
-
     def stop(self) -> None:
         """Feed hold, then drop what is queued. A carriage that came to rest in hold keeps its position.
 
@@ -111,13 +87,17 @@ class GrblRail(SerialRail):
         """
         if self._wire is None:
             return
-        self._send(RESET if self._homing else HOLD)
-        with self._lock:
-            # to reset what still rolls loses steps, and Idle afterwards does not prove that it did not
-            self._homed = self._homed and not self._homing and self._has_braked()
-            self._reset()
-            if self._homed:
-                self._at_mm = self._rest()
+        self._stopping = True
+        try:
+            self._send(RESET if self._homing else HOLD)
+            with self._lock:
+                # to reset what still rolls loses steps, and Idle afterwards does not prove that it did not
+                self._homed = self._homed and not self._homing and self._has_braked()
+                self._reset()
+                if self._homed:
+                    self._at_mm = self._rest()
+        finally:
+            self._stopping = False
 
     def close(self) -> None:
         """Stop what is under way and let the rail go; again does nothing."""
@@ -138,8 +118,19 @@ class GrblRail(SerialRail):
             return False
         return report is not None and report.state in KEPT
 
+    def _approach(self, position_mm: float) -> float:
+        below_mm = position_mm - self._run_up_mm
+        allowed_s = grbl.moving_s(self._settings, abs(below_mm - self._at_mm) + self._run_up_mm)
+        moves = [f"G53 G0 X{mm:.4f}" for mm in (below_mm, position_mm)]
+        self._refuse_stopped()
+        self._carry_out([*moves, "G4 P0.01"], 2 * allowed_s)
+        at_mm = self._rest()
+        if abs(at_mm - position_mm) > TOLERANCE_MM:
+            raise self._lost(f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm")
+        self._at_mm = at_mm
+        return at_mm
+
     def _check_ready(self) -> None:
-        """Raise unless the carriage is known to stand where it was left."""
         if self._homed and not self._under_way:
             self._hear_out()
         if not self._homed or self._under_way:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
 from typing import ClassVar, Self
@@ -15,7 +16,7 @@ TOLERANCE_MM = 0.02
 """Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
 
 
-class SerialRail:
+class SerialRail(ABC):
     """A line at `path`, opened by `_open`; whatever breaks it is told as RailError and closes it.
 
     It must be homed before it moves, and again whenever its position is in doubt.
@@ -39,6 +40,7 @@ class SerialRail:
         self._wire: SerialWire | None = None
         self._lock = threading.RLock()
         self._homed = False
+        self._stopping = False  # another thread wants it to stand
         self._at_mm = 0.0
         self._reach = Travel(0.0, 1.0)
 
@@ -46,6 +48,24 @@ class SerialRail:
     def travel_mm(self) -> Travel:
         """Where it can go and still be approached from below, by the controller's own limits."""
         return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
+
+    def move_to(self, position_mm: float) -> float:
+        """Go there from below; the position that the controller reports once it stands, in mm.
+
+        Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
+        DeviceTimeoutError.
+        """
+        travel = self.travel_mm
+        if not travel.low_mm <= position_mm <= travel.high_mm:
+            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+        with self._lock:
+            self._check_ready()
+            return self._approach(position_mm)
+
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        with self._lock:
+            self._check_ready()
 
     def close(self) -> None:
         """Let the rail go; again does nothing."""
@@ -71,11 +91,18 @@ class SerialRail:
             raise
         self._opened_before = True
 
-    def _refuse_outside(self, position_mm: float) -> None:
-        """Raise RailLimitError for a stop that is outside the travel."""
-        travel = self.travel_mm
-        if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+    def _refuse_stopped(self) -> None:
+        """Raise if a stop was asked for before anything moved, which the controller would not know of."""
+        if self._stopping:
+            raise RailError(f"{self} was stopped before it moved")
+
+    @abstractmethod
+    def _check_ready(self) -> None:
+        """Raise unless the carriage is known to stand where it was left."""
+
+    @abstractmethod
+    def _approach(self, position_mm: float) -> float:
+        """Go to a place within the travel, from below; where it then stands."""
 
     def _send(self, data: bytes) -> None:
         try:

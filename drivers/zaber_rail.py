@@ -60,14 +60,13 @@ class ZaberRail(SerialRail):
         super().__init__(path, run_up_mm, reply_s, back_s, after_close)
         self._microstep_mm = microstep_mm
         self._number = 0
-        self._stopping = False
         self._speed_mm_per_s = 1.0
         self._open(self._get_to_know)
 
     def home(self) -> None:
         """Find the home sensor; connects again where the line was lost. Raises RailError, DeviceTimeoutError."""
         with self._lock:
-            self._homed = self._stopping = False
+            self._homed = False
             if self._wire is None:
                 self._open(self._get_to_know)
             self._ask("stop")
@@ -80,32 +79,6 @@ class ZaberRail(SerialRail):
             self._at_mm = self._position_mm()
             self._homed = True
 
-    def move_to(self, position_mm: float) -> float:
-        """Go there from below; the position that the stage reports once it stands, in mm.
-
-        Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
-        DeviceTimeoutError.
-        """
-        self._refuse_outside(position_mm)
-        with self._lock:
-            self.check_still()
-            for stop_mm in (position_mm - self._run_up_mm, position_mm):
-                distance_mm = abs(stop_mm - self._at_mm)
-                self._homed = False  # until it is known to have arrived
-                self._ask(f"move abs {round(stop_mm / self._microstep_mm)}")
-                self._await_rest(MOVING_S + 2 * distance_mm / self._speed_mm_per_s)
-                self._homed = True
-                self._at_mm = self._check_in_place(stop_mm, "was sent to")
-            return self._at_mm
-
-    def check_still(self) -> None:
-        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
-        with self._lock:
-            if not self._homed:
-                raise RailError(f"{self} does not know where it is; home it first")
-            self._stopping = False
-            self._check_in_place(self._at_mm, "was left at")
-
     def stop(self) -> None:
         """Brake and stand; the position is kept. May be called from another thread than the one that moves.
 
@@ -114,12 +87,15 @@ class ZaberRail(SerialRail):
         if self._wire is None:
             return
         self._stopping = True
-        self._send(command_line(DEVICE, AXIS, NOBODY, "stop"))
-        with self._lock:
-            self._ask("stop")
-            self._await_rest(self._reply_s + MOVING_S, stale_faults=True)
-            self._homed = not self._ask("").is_fault
-            self._at_mm = self._position_mm()
+        try:
+            self._send(command_line(DEVICE, AXIS, NOBODY, "stop"))
+            with self._lock:
+                self._ask("stop")
+                self._await_rest(self._reply_s + MOVING_S, stale_faults=True)
+                self._homed = not self._ask("").is_fault
+                self._at_mm = self._position_mm()
+        finally:
+            self._stopping = False
 
     def close(self) -> None:
         """Stop it and let it go; again does nothing."""
@@ -127,6 +103,22 @@ class ZaberRail(SerialRail):
             with contextlib.suppress(RailError):
                 self._send(command_line(DEVICE, AXIS, NOBODY, "stop"))
         super().close()
+
+    def _check_ready(self) -> None:
+        if not self._homed:
+            raise RailError(f"{self} does not know where it is; home it first")
+        self._check_in_place(self._at_mm, "was left at")
+
+    def _approach(self, position_mm: float) -> float:
+        for stop_mm in (position_mm - self._run_up_mm, position_mm):
+            self._refuse_stopped()
+            distance_mm = abs(stop_mm - self._at_mm)
+            self._homed = False  # until it is known to have arrived
+            self._ask(f"move abs {round(stop_mm / self._microstep_mm)}")
+            self._await_rest(MOVING_S + 2 * distance_mm / self._speed_mm_per_s)
+            self._homed = True
+            self._at_mm = self._check_in_place(stop_mm, "was sent to")
+        return self._at_mm
 
     def _get_to_know(self) -> None:
         """Limits and speed. Raises RailError for limits that leave no room."""

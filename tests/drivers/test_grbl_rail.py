@@ -227,6 +227,24 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         assert carriage_mm(port) == pytest.approx(-100.0, abs=STEP_MM)
 
 
+def test_a_stop_just_before_a_move_is_obeyed() -> None:
+    with a_port() as port, a_rail(port) as rail:
+        rail.home()
+        before_mm = carriage_mm(port)
+        stopper = threading.Thread(target=rail.stop)
+
+        def stop(command: str) -> None:  # while the driver looks whether it may move
+            if command == "?" and not stopper.ident:
+                stopper.start()
+
+        controller_of(port).noticed = stop
+        with pytest.raises(RailError, match="was stopped"):
+            rail.move_to(-150.0)
+        stopper.join(10)
+        assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
+        assert rail.move_to(-150.0) == pytest.approx(-150.0, abs=0.01)
+
+
 def test_a_stop_while_homing_loses_the_position() -> None:
     with a_port({25: 3000}) as port, a_rail(port) as rail:
         homing = threading.Event()
