@@ -24,6 +24,7 @@ from labkit.errors import (
     RailLimitError,
     RawError,
 )
+from labkit.files import writing
 from labkit.lab.devices import Attentive, Coverable, Devices, ExposureSettings, Picture, RawFrame, Steadfast
 from labkit.lab.picture import PanelPicture
 from labkit.lab.preflight import Hands, preflight
@@ -261,7 +262,8 @@ class _Capture:
         """Into a folder that is thrown away: only a whole photograph gets into the session."""
         folder = self._session.folder / EXPOSING
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
+        with writing(folder):
+            folder.mkdir()
         return self._devices.camera.expose(folder / shot.name)
 
     def _keep(self, raw: RawFrame, meta: dict[str, Any], shot: Shot) -> None:

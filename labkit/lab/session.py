@@ -13,6 +13,7 @@ import re
 import shutil
 import tomllib
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -72,16 +73,17 @@ class Session:
         beside = folder.parent / f".{folder.name}.{os.getpid()}.new"
         with writing(folder):
             (beside / FRAMES).mkdir(parents=True)
-        try:
+        with ExitStack() as on_failure:
+            on_failure.callback(shutil.rmtree, beside, ignore_errors=True)
             fields = _store_plan(plan, plan_text, beside)
             writer = JournalWriter(beside / JOURNAL)
+            on_failure.callback(writer.close)
             created = writer.append("created", labkit_version=__version__, **fields)
             sync_folder(beside)
-            beside.rename(folder)
-        except BaseException:
-            shutil.rmtree(beside, ignore_errors=True)
-            raise
-        sync_folder(folder.parent)
+            with writing(folder):
+                beside.rename(folder)
+            sync_folder(folder.parent)
+            on_failure.pop_all()
         return cls(folder, [created], writer, ())
 
     @classmethod
@@ -141,7 +143,8 @@ class Session:
         sha256 = copy_durably(source, incoming)
         fields = {**meta, "file": name, "kind": kind, "range_mm": range_mm, "sha256": sha256}
         self._write("adding", **fields)
-        incoming.rename(target)
+        with writing(target):
+            incoming.rename(target)
         sync_folder(target.parent)
         return self._frame(self._write("frame", **fields))
 

@@ -7,7 +7,10 @@ the picture that its kind means, as the world itself tells.
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +23,7 @@ from labkit.drivers.bench_optics import Floats32
 from labkit.drivers.bench_setup import settings_for
 from labkit.drivers.bench_world import Fault
 from labkit.drivers.simulated_rail import SimulatedRail
-from labkit.errors import DeviceError, RailError
+from labkit.errors import DeviceError, InputError, RailError
 from labkit.lab.capture import capture
 from labkit.lab.devices import Room
 from labkit.lab.discover import open_devices
@@ -132,6 +135,28 @@ def test_a_fault_that_lasts_is_told_in_a_line_and_resuming_completes(
     assert {frame.path.stem for frame in session.frames} == FRAMES.keys()
     assert taken.items() <= {frame.file: frame.sha256 for frame in session.frames}.items()
     assert not {Path(file).stem for file in taken} & again.seen.keys()
+    assert verify(session) == list(wrong(session, again, bench)) == []
+
+
+@pytest.mark.parametrize("call", range(1, 50, 2))
+def test_a_disk_that_fills_up_at_any_write_ends_in_a_line_and_resuming_completes(
+    call: int, plan_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # every write that counts is followed by a sync; from the one of that number on, none succeeds
+    calls, sync = count(1), os.fsync
+
+    def full(handle: int) -> None:
+        if next(calls) >= call:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(handle)
+
+    bench, again = WatchedBench(plan_file), WatchedBench(plan_file)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
+            run(plan_file, tmp_path / "s", bench)
+    session = run(plan_file, tmp_path / "s", again)
+    assert {frame.path.stem for frame in session.frames} == FRAMES.keys()
     assert verify(session) == list(wrong(session, again, bench)) == []
 
 
