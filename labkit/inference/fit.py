@@ -118,7 +118,7 @@ def fit_wavefront(
     poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to climb from instead of those
     of the sweep, such as those found at other ranges. rng: for further starts, made while what was found is not accepted.
     max_climbs: of the likelihood at most before the best is returned, rejected.
-    Raises FitError where the frames do not determine the parameters.
+    What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
     whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape), tuple(frames), noise)
@@ -134,13 +134,14 @@ def fit_wavefront(
             break
     assert best is not None
     solution, modes = best.solution, len(optics.noll)
+    covariance = solution.covariance()[:modes, :modes]
     return WavefrontFit(
         optics.noll,
         solution.state,
-        solution.covariance()[:modes, :modes],
+        covariance,
         solution.objective,
         solution.chi2_per_pixel,
-        best.verdict,
+        best.verdict.knowing(covariance, optics.noll),
         search.starts,
         search.others(),
         tuple(best.relative),

@@ -92,8 +92,11 @@ class Retrieval:
     def candidates(self, first: Sequence[Floats], rng: np.random.Generator) -> Iterator[State]:
         """Where to climb from, the best first; while they are asked for, the search goes on.
 
-        first: wavefronts (modes,) to start from before random ones. Ends when it keeps coming back to one best optimum.
+        first: wavefronts (modes,) to start from before random ones. Ends when it keeps coming back to one best optimum, or
+        at once where the frame has fewer pixels than there are unknowns.
         """
+        if self.data.size < len(self.pupil.noll) + 2:
+            return
         starts, since, done = [*first], 0, False
         while not done:
             self._add(self.descend(starts.pop(0) if starts else self.random_waves(rng)))

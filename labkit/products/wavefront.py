@@ -82,9 +82,9 @@ def fit_session(
 
 
 def fit_task(task: Task) -> WavefrontFit:
-    """Do one fit; what its frames do not determine is rejected."""
+    """Do one fit."""
     seen = task.observation
-    fit = fit_wavefront(
+    return fit_wavefront(
         task.optics,
         task.target,
         seen.frames,
@@ -93,7 +93,6 @@ def fit_task(task: Task) -> WavefrontFit:
         rng=np.random.default_rng(SEED),
         starts=task.starts,
     )
-    return replace(fit, verdict=fit.verdict.knowing(fit.covariance, fit.noll))
 
 
 def _optics(plan: Plan, channel: str) -> Optics:
