@@ -155,11 +155,13 @@ class Session:
         self._write(event, **fields)
 
     def results_folder(self, name: str = "latest") -> Path:
-        """The folder for results of that name, made if absent. Raises InputError if it cannot be written to."""
+        """The folder for results of that name; it need not exist yet. Raises InputError if it cannot be written to."""
         folder = self.folder / RESULTS / check_name(name)
         with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            if not os.access(folder, os.W_OK):
+            there = next(path for path in (folder, *folder.parents) if path.exists())
+            if not there.is_dir():
+                raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+            if not os.access(there, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         return folder
 
