@@ -176,7 +176,7 @@ def _test(verdict: Verdict | None) -> str:
     words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
     words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
     if np.isfinite(verdict.next_below):
-        words += [f"next optimum {verdict.next_below:.3g} less likely (log)"]
+        words += [f"next optimum seen {verdict.next_below:.0f} lower in log-likelihood"]
     return ", ".join(words)
 
 
