@@ -1,5 +1,6 @@
-"""Raw files made to order, for every test that needs a camera labkit has never met."""
+"""For every test: Ctrl-C that works wherever the tests were started, and raw files of cameras labkit has never met."""
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,12 @@ import tifffile
 from numpy.typing import NDArray
 
 WriteDng = Callable[..., Path]
+
+
+def pytest_configure() -> None:
+    """What a shell starts in the background ignores SIGINT, and so would every program that a test starts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 CFA, LINEAR_RAW = 32803, 34892
 COLOURS = {"R": 0, "G": 1, "B": 2}
