@@ -19,7 +19,7 @@ from typer.exceptions import TyperException
 
 from labkit import __version__
 from labkit.console import Console, error_line
-from labkit.errors import LabkitError, PlanError
+from labkit.errors import DataError, LabkitError, PlanError
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -409,14 +409,17 @@ def fit(
     for warning in opened.warnings:
         console.warn(warning)
     with console.progress("fitting") as report:
-        fit_session(opened, range_mm=range_mm, channel=channel, workers=workers, progress=report)
+        made = fit_session(opened, range_mm=range_mm, channel=channel, workers=workers, progress=report)
     results: dict[str, Any] = read_results(opened.results_folder())
     for warning in results["warnings"]:
-        console.warn(warning)
+        if warning not in (*opened.warnings, made.unanswered):
+            console.warn(warning)
     console.table(wavefront_rows(results))
     console.table(focus_rows(results))
     console.say(f"results: {opened.results_folder() / 'results.json'}")
     console.answer(results)
+    if made.unanswered:
+        raise DataError(made.unanswered)
 
 
 @app.command()

@@ -30,7 +30,7 @@ Kind = Literal["target", "flat", "dark", "bias"]
 KINDS: tuple[Kind, ...] = ("target", "flat", "dark", "bias")
 
 JOURNAL, PLAN, FRAMES, RESULTS, INCOMING = "journal.jsonl", "plan.toml", "frames", "results", ".incoming"
-OWN_EVENTS = ("created", "adding", "frame", "discarded", "dropped")
+OWN_EVENTS = ("created", "replanned", "adding", "frame", "discarded", "dropped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +154,14 @@ class Session:
             raise ValueError(f"event {event!r} belongs to the session itself")
         self._write(event, **fields)
 
+    def replan(self, plan_text: str, plan_folder: Path) -> None:
+        """Put another plan in place of the session's. Raises PlanError, or SessionError once there is a photograph."""
+        if self.frames:
+            raise SessionError(f"session {self.folder} has photographs: its plan stays")
+        fields = _store_plan(parse_plan(plan_text, plan_folder), plan_text, self.folder)
+        self._write("replanned", **fields)
+        self.__dict__.pop("plan", None)
+
     def results_folder(self, name: str = "latest") -> Path:
         """The folder for results of that name; it need not exist yet. Raises InputError if it cannot be written to."""
         folder = self.folder / RESULTS / check_name(name)
@@ -222,12 +230,7 @@ class Session:
 
 def verify(session: Session) -> list[str]:
     """What is wrong with a session, a line each: frames against their checksums, the journal against the folder."""
-    problems = []
-    created = session.events[0]
-    for name, key in ((PLAN, "plan_sha256"), (created.get("target_file"), "target_sha256")):
-        if name is not None:
-            problems += _changed(session.folder / name, created[key])
-    problems += altered(session)
+    problems = _plan_damage(session) + altered(session)
     known = {frame.file for frame in session.frames}
     if adding := pending(list(session.events)):
         known.add(adding["file"])
@@ -265,16 +268,23 @@ def refuse_existing(folder: Path) -> None:
 def begin(plan_path: Path, folder: Path, resume: bool) -> Session:
     """A session to capture into: a new one, or with `resume` the one in `folder` if there is one.
 
-    Raises SessionError where a session is there unasked, PlanError where it was begun with another plan.
+    Until its first photograph a session takes up what has changed in the plan; a preflight may ask for that. Raises
+    SessionError where a session is there unasked, PlanError where its photographs were taken by another plan.
     """
-    plan = load_plan(plan_path)
+    plan, text = load_plan(plan_path), plan_path.read_text(encoding="utf-8")
     if not resume or not (folder / JOURNAL).exists():
-        return Session.create(folder, plan_path.read_text(encoding="utf-8"), plan_path.parent)
-    session = Session.append(folder)
-    if changed := _changes(session.plan, plan):
-        session.close()
-        tables = ", ".join(f"[{name}]" for name in changed)
-        raise PlanError(f"plan {plan_path} differs in {tables} from what {folder} was begun with: {folder / PLAN}")
+        return Session.create(folder, text, plan_path.parent)
+    with ExitStack() as on_failure:
+        session = on_failure.enter_context(Session.append(folder))
+        changed = ", ".join(f"[{name}]" for name in _changes(session.plan, plan))
+        if changed and session.frames:
+            raise PlanError(
+                f"plan {plan_path} differs in {changed} from the one that the photographs in {folder} were taken by, "
+                f"{folder / PLAN}: go on with that one, or give a new folder"
+            )
+        if changed or (not session.frames and _plan_damage(session)):  # or a crash cut the change short
+            session.replan(text, plan_path.parent)
+        on_failure.pop_all()
     return session
 
 
@@ -284,6 +294,13 @@ def _changes(begun: Plan, now: Plan) -> list[str]:
     if begun.target.file and now.target.file and sha256_of(begun.target.file) == sha256_of(now.target.file):
         plans = [plan.model_copy(update={"target": plan.target.model_copy(update={"file": None})}) for plan in plans]
     return [name for name in Plan.model_fields if getattr(plans[0], name) != getattr(plans[1], name)]
+
+
+def _plan_damage(session: Session) -> list[str]:
+    """What is wrong with the plan and its target's picture, a line each."""
+    planned = [event for event in session.events if event["event"] in ("created", "replanned")][-1]
+    files = ((PLAN, "plan_sha256"), (planned.get("target_file"), "target_sha256"))
+    return [damage for name, key in files if name for damage in _changed(session.folder / name, planned[key])]
 
 
 def _changed(path: Path, sha256: str) -> list[str]:

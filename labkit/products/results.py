@@ -87,7 +87,10 @@ class Wavefront:
 
 @dataclass(frozen=True)
 class Results:
-    """All wavefronts of a session, and the focus fit over them or None."""
+    """All wavefronts of a session, and the focus fit over them or None.
+
+    unanswered: what was asked for and these frames cannot tell, in words; one of the warnings too.
+    """
 
     plan_sha256: str
     reference_wavelength_nm: float
@@ -95,6 +98,7 @@ class Results:
     wavefronts: tuple[Wavefront, ...]
     focus: FocusFit | None
     warnings: tuple[str, ...]
+    unanswered: str | None = None
 
     def summary(self) -> dict[str, Any]:
         """The content of results.json."""

@@ -54,8 +54,8 @@ def fit_session(
     """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
 
     range_mm, channel: only these. workers: processes, by default one a processor. Raises SessionError for photographs
-    that are missing or were altered, DataError for frames that cannot answer what was asked (too few ranges for a focus:
-    after writing), TargetError for a target that is not in a frame.
+    that are missing or were altered, DataError for frames that cannot be fitted, TargetError for a target that is not in
+    a frame. Too few ranges for a focus are no error here: `Results.unanswered` says so.
     """
     plan = session.plan
     if damage := altered(session):
@@ -67,6 +67,7 @@ def fit_session(
     wavefronts = _fit_all(tasks, workers or default_workers(), progress)
     wavefronts = _signed(wavefronts, plan)
     focus, words = _focus(wavefronts, plan)
+    wanted = range_mm is None and any(w.range_mm is not None and 4 in w.fit.noll for w in wavefronts)
     results = Results(
         hashlib.sha256((session.folder / "plan.toml").read_bytes()).hexdigest(),
         plan.reference_wavelength_nm,
@@ -74,10 +75,9 @@ def fit_session(
         tuple(wavefronts),
         focus,
         (*session.warnings, *warnings, *words, *_doubts(wavefronts)),
+        "; ".join(words) if wanted and focus is None else None,
     )
     results.write(folder)
-    if range_mm is None and focus is None and any(w.range_mm is not None and 4 in w.fit.noll for w in wavefronts):
-        raise DataError(f"{'; '.join(words)}; the wavefronts are fitted all the same, their results are in {folder}")
     return results
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -159,6 +160,27 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
         capture(session, devices, check=False)
     assert contents(folder / "frames") == before
     assert [path.name for path in (folder / "rejected").iterdir()] == ["dark_3.dng"]
+
+
+def test_too_few_ranges_for_a_focus_are_said_after_all_that_could_be_fitted(
+    plan_file: Path, tmp_path: Path, make_room: RoomMaker, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = plan_file.read_text().replace("[2000, 2050.5]", "[2000]")
+    plan_file.write_text(f"{text}\n[fit]\nzernike_noll = [4, 6]\n")
+    with (
+        begin(plan_file, tmp_path / "session", resume=False) as session,
+        open_devices(session.plan, room=make_room(plan_file)) as devices,
+    ):
+        capture(session, devices, check=False)
+    assert run(["fit", str(tmp_path / "session"), "--workers", "1"]) == 2
+    out, err = capfd.readouterr()
+    results = tmp_path / "session" / "results" / "latest" / "results.json"
+    assert re.search(r"^2000 +G +[+-]\d", out, re.MULTILINE)
+    assert str(results) in out
+    warnings, last = err.splitlines()[:-1], err.splitlines()[-1]
+    assert all(line.startswith("labkit: warning: ") for line in warnings)
+    assert re.fullmatch(r"labkit: no best focus: .* at least 2 ranges .*", last)
+    assert json.loads(results.read_text())["focus"] is None
 
 
 @pytest.mark.parametrize("schema", [0, 2])

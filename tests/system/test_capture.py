@@ -24,6 +24,7 @@ from labkit.lab.discover import open_devices
 from labkit.lab.raw import read_raw
 from labkit.lab.session import Session, begin, verify
 from labkit.lab.shots import missing
+from labkit.plan import load_plan
 
 from .conftest import RoomMaker
 
@@ -177,8 +178,22 @@ def test_resuming_with_another_plan_is_refused_and_names_what_differs(
 ) -> None:
     run(plan_file, tmp_path / "s", make_room(plan_file))
     plan_file.write_text(plan_file.read_text().replace("2050.5", "2060").replace("darks = 3", "darks = 4"))
-    with pytest.raises(PlanError, match=r"differs in \[camera\], \[rail\] from what"):
+    with pytest.raises(PlanError, match=r"differs in \[camera\], \[rail\] from the one that the photographs in"):
         begin(plan_file, tmp_path / "s", resume=True)
+
+
+def test_a_plan_may_be_mended_until_the_first_photograph(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+    right, room = plan_file.read_text(), make_room(plan_file)
+    plan_file.write_text(right.replace("exposure_s = 0.02", "exposure_s = 2.0"))
+    with pytest.raises(DataError, match="overexposed"):
+        run(plan_file, tmp_path / "s", room, check=True)
+    assert Session.open(tmp_path / "s").frames == ()
+    plan_file.write_text(right)
+    session = run(plan_file, tmp_path / "s", make_room(plan_file), resume=True)
+    assert len(session.frames) == ALL
+    assert session.plan == load_plan(plan_file)
+    assert [event["event"] for event in session.events].count("replanned") == 1
+    assert verify(Session.open(tmp_path / "s")) == []
 
 
 def test_a_range_beyond_the_rail_is_refused_before_anything_moves(

@@ -5,10 +5,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
+from unittest.mock import Mock
 
 import pytest
 
 from labkit.errors import PlanError, SessionError
+from labkit.lab.journal import JournalWriter
 from labkit.lab.session import Session, begin, verify
 from tests.plans import PORTRAIT, plan_text
 
@@ -206,6 +208,23 @@ def test_capture_goes_on_with_the_same_plan_only(session_folder: Path, tmp_path:
     with pytest.raises(PlanError, match=r"differs in \[target\]"):
         begin(plan_path, session_folder, resume=True)
     Session.append(session_folder).close()
+
+
+def test_a_change_of_plan_that_a_crash_cut_short_is_taken_up_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan_path, folder = tmp_path / "plan.toml", tmp_path / "new"
+    plan_path.write_text(PLAN)
+    begin(plan_path, folder, resume=False).close()
+    plan_path.write_text(PLAN.replace("46.8", "23.4"))
+    with monkeypatch.context() as crashing:
+        crashing.setattr(JournalWriter, "append", Mock(side_effect=PowerCutError))
+        with pytest.raises(PowerCutError):
+            begin(plan_path, folder, resume=True)
+    assert verify(Session.open(folder)) != []
+    with begin(plan_path, folder, resume=True) as session:
+        assert session.plan.target.size_mm == 23.4
+    assert verify(Session.open(folder)) == []
 
 
 def test_resuming_what_never_began_begins_it(tmp_path: Path) -> None:
