@@ -18,25 +18,13 @@ from labkit.inference.verdict import Verdict, judge
 from labkit.optics.zernike import Floats, is_even
 from labkit.target import Target
 
-SKETCH_BAND = (
-    0.2  # share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
-)
-DEFOCUS_WAVES = (
-    0.1,
-    0.25,
-    0.45,
-    0.7,
-    1.0,
-    1.4,
-    2.0,
-    2.8,
-    4.0,
-)  # RMS at the light's own wavelength; the twin covers the rest
+# share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
+SKETCH_BAND = 0.2
+# RMS at the light's own wavelength; the twin covers the rest
+DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 FARTHEST_WAVES = 12.0
-RANDOM_WAVES = (
-    0.1,
-    0.3,
-)  # RMS of random starts, at the light's own wavelength; about half of them end in the best optimum
+# RMS of random starts, at the light's own wavelength; about half of them end in the best optimum
+RANDOM_WAVES = (0.1, 0.3)
 NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0  # RMS defocus up to which a PSF's window so many lambda N wide serves to search
 CLIMB_STEPS = 25  # climbs that find the best optimum take 10 to 20
 SWEPT = 3  # best values of the sweep that are started from

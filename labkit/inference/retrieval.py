@@ -24,10 +24,8 @@ from labkit.target import Target
 TILTS = (2, 3)
 WINDOW_AIRY = 32.0  # of the PSF, in lambda N: what reaches farther hardly depends on the wavefront
 LOBES = 2.0  # of the spectrum that fits a pixel: beyond them little passes it
-DRAWS, COMPONENTS = (
-    900,
-    300,
-)  # PSFs drawn, and components kept: they leave 1 % of a PSF's departure from the perfect one
+# PSFs drawn, and components kept: they leave 1 % of a PSF's departure from the perfect one
+DRAWS, COMPONENTS = 900, 300
 DRAWN_WAVES, DRAWN_TILT = (0.05, 0.4), 0.15  # RMS of what is drawn for them, at the light's own wavelength
 START_WAVES = (0.1, 0.3)  # of random starts
 SAME = 0.01  # ends whose misfits differ relatively by less are one optimum, or its twin: not all are carried to their bottom
@@ -71,11 +69,8 @@ class Retrieval:
         used, poses = [frame.used], list(state.poses[:1])
         waves = np.append(np.zeros(len(TILTS)), state.waves)
         (perfect,), (relative,) = model.means(0 * waves, poses, used), model.means(waves, poses, used)
-        components = (
-            _components(model.blur.pupil)[0]
-            .astype(np.float64)
-            .reshape(-1, model.blur.pupil.size, model.blur.pupil.size)
-        )
+        size = model.blur.pupil.size
+        components = _components(model.blur.pupil)[0].astype(np.float64).reshape(-1, size, size)
         pictures = model.departures(components, poses[0], frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
