@@ -44,7 +44,6 @@ def work(task: Task) -> Answer:
     rng = np.random.default_rng([43, len(task.noll), task.seed])
     trial = draw_trial(rng, noll=task.noll)
     fit = trial.fit(rng)
-    found = float(np.linalg.norm(trial.error(fit.waves))) < 6 * float(np.linalg.norm(fit.std))
     problem, modes = trial.problem, len(task.noll)
 
     def height(waves: Floats) -> float:
@@ -71,7 +70,7 @@ def work(task: Task) -> Answer:
     except _EnoughError as enough:
         capped = not enough.args[0]
     annealing = task.cap_s if capped else perf_counter() - began
-    return Answer(fit.seconds, annealing, found, capped)
+    return Answer(fit.seconds, annealing, trial.found(fit.waves), capped)
 
 
 def run(setting: Setting) -> Outcome:

@@ -1,12 +1,14 @@
 """The conditions of thesis §3.8: an order-5 carpet on 106 x 106 pixels, 2.5 times undersampled, 2.05e5 photons a pixel."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
+from labkit.inference.bounds import fisher_information, parameter_names
+from labkit.inference.determined import bound_of
 from labkit.inference.fit import WavefrontFit, fit_wavefront, twin_signs
 from labkit.inference.likelihood import FrameData
 from labkit.inference.pose import find_target
@@ -27,6 +29,7 @@ NOISE_STD = 0.01  # relative, of gain and read variance as measured beforehand
 SNR = 75.0  # deviation of the picture without noise over that of its noise; the thesis's read noise of 0.68 counts
 CAMERA = Camera(WAVELENGTH_UM, F_NUMBER, PITCH_UM, 216, FRAME, 3)
 WHITE = PHOTONS * GAIN / (1 - (8 / 9) ** ORDER)  # counts
+FOUND_BOUNDS = 6.0  # an estimate nearer to the truth than so many bounds is in its optimum
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,17 @@ class Trial:
         """(modes,) of an estimate or its twin, whichever is nearer: one picture cannot tell them apart."""
         twin = waves * twin_signs(self.noll)
         return np.asarray(min((waves - self.waves, twin - self.waves), key=np.linalg.norm))
+
+    @cached_property
+    def bound(self) -> float:
+        """Cramér-Rao bound of the wavefront, all modes together, at the truth; waves RMS."""
+        there = self.state(self.waves)
+        bound = bound_of(fisher_information(self.problem, there, 6), parameter_names(there, self.noll))
+        return float(np.linalg.norm(bound.std[: len(self.noll)]))
+
+    def found(self, waves: Floats) -> bool:
+        """Whether an estimate is in the optimum of the truth, or of its twin."""
+        return bool(np.linalg.norm(self.error(waves)) < FOUND_BOUNDS * self.bound)
 
     def fit(self, rng: np.random.Generator) -> WavefrontFit:
         """From nothing: the target found in the picture, the wavefront searched for.

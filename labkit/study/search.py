@@ -12,8 +12,8 @@ from labkit.inference.retrieval import Retrieval
 from labkit.study.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
 from labkit.study.runner import Claim, Outcome, Setting
 
-FOUND_BOUNDS = 6.0  # an estimate this many times the bound from the truth, or its twin, has found the optimum
-NEAR_TRUTH, STARTS = 0.05, 12  # waves RMS; starts a trial that are counted
+STARTS = 12  # single ones that are counted in each trial
+SAME_END = 0.05  # waves RMS: ends nearer to one another are one
 NOLL_22 = tuple(range(4, 26))
 
 
@@ -44,16 +44,20 @@ QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
 
 @dataclass(frozen=True)
 class Answer:
-    """found: the true optimum; right_starts: share of random starts that end there, the pose known; lost: the target was
-    not found; error, bound: waves RMS."""
+    """found: the true optimum; error, bound: waves RMS; lost: the target was not found.
 
-    found: bool
-    accepted: bool
-    error: float
+    right_starts: share of single random starts, the pose known, that end where one from the truth does; small_error: of
+    that end, waves RMS.
+    """
+
     bound: float
-    starts: int
-    seconds: float
-    right_starts: float
+    found: bool = False
+    accepted: bool = False
+    error: float = np.nan
+    starts: int = 0
+    seconds: float = np.nan
+    right_starts: float = np.nan
+    small_error: float = np.nan
     lost: bool = False
 
 
@@ -65,18 +69,25 @@ def work(task: tuple[Condition, int]) -> Answer:
     try:
         fit = trial.fit(rng)
     except LabkitError:
-        return Answer(False, False, np.nan, np.nan, 0, np.nan, np.nan, lost=True)
-    error, bound = float(np.linalg.norm(trial.error(fit.waves))), float(np.linalg.norm(fit.std))
-    found, right = error < FOUND_BOUNDS * bound, _right_starts(trial, rng)
-    return Answer(found, fit.verdict.accepted, error, bound, fit.starts, fit.seconds, right)
+        return Answer(trial.bound, lost=True)
+    return Answer(
+        trial.bound,
+        trial.found(fit.waves),
+        fit.verdict.accepted,
+        float(np.linalg.norm(trial.error(fit.waves))),
+        fit.starts,
+        fit.seconds,
+        *_single_starts(trial, rng),
+    )
 
 
-def _right_starts(trial: Trial, rng: np.random.Generator) -> float:
-    """Share of starts whose end is nearer to the truth than NEAR_TRUTH."""
+def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float]:
+    """Share of random starts of the small problem that end right, and the error of that end."""
     here = trial.state(np.zeros(len(trial.noll)))
     small = Retrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
-    ends = [small.descend(small.random_waves(rng)).state.waves for _ in range(STARTS)]
-    return float(np.mean([np.linalg.norm(trial.error(waves)) < NEAR_TRUTH for waves in ends]))
+    right = trial.error(small.descend(trial.waves).state.waves)
+    ends = [trial.error(small.descend(small.random_waves(rng)).state.waves) for _ in range(STARTS)]
+    return float(np.mean([np.linalg.norm(end - right) < SAME_END for end in ends])), float(np.linalg.norm(right))
 
 
 def run(setting: Setting) -> Outcome:
@@ -101,11 +112,13 @@ def run(setting: Setting) -> Outcome:
                 "trials": len(own),
                 "found": len(found) / len(own),
                 "target_not_found": sum(a.lost for a in own),
+                "missed_seeds": " ".join(str(seed) for seed, a in enumerate(own) if not a.found),
                 "rms_error_when_found": _rms([a.error for a in found]),
                 "rms_bound_when_found": _rms([a.bound for a in found]),
                 "found_but_rejected": sum(not a.accepted for a in found),
                 "wrong_but_accepted": sum(a.accepted for a in wrong),
                 "right_starts": float(np.nanmean([a.right_starts for a in own])),
+                "median_error_of_small_problem": float(np.nanmedian([a.small_error for a in own])),
                 "median_starts": float(np.median([a.starts for a in own])),
                 "median_seconds": float(np.median(seconds)) if seconds else np.nan,
                 "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
