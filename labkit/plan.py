@@ -165,11 +165,15 @@ class TargetSpec(Table):
 
 
 class FitSettings(Table):
-    """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model."""
+    """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model.
+
+    range_std_mm: standard error of each range beside the others, for the errors of best focus and pupil magnification.
+    """
 
     zernike_noll: Annotated[tuple[Count, Count], Field(description=NOLL)] = (4, 15)
     reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
     convention: Literal["corrected", "thesis"] = "corrected"
+    range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.0
 
     @field_validator("zernike_noll")
     @classmethod

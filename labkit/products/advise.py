@@ -232,7 +232,14 @@ def _focus_std(
     if len({p.range_mm for p in points}) < 2 or plan.fit.zernike_noll[0] != 4:
         return None, None
     # colours share the magnification, so more of them help; one is told of, as if it were alone
-    focus = fit_focus(points, lens.focal_length_mm, lens.f_number, plan.reference_wavelength_nm, plan.fit.convention)
+    focus = fit_focus(
+        points,
+        lens.focal_length_mm,
+        lens.f_number,
+        plan.reference_wavelength_nm,
+        plan.fit.convention,
+        plan.fit.range_std_mm,
+    )
     return float(focus.std[0]), float(focus.std[-1])
 
 
@@ -251,7 +258,9 @@ def _telling_ranges(
         focus = _middle(ranges, lens)
         waves = defocus_waves(lens, np.array(ranges), focus, plan.reference_wavelength_nm)
         points = [DefocusPoint(r, "one", float(w), std) for r, w in zip(ranges, waves, strict=True)]
-        fitted = fit_focus(points, focal, lens.f_number, plan.reference_wavelength_nm, plan.fit.convention)
+        fitted = fit_focus(
+            points, focal, lens.f_number, plan.reference_wavelength_nm, plan.fit.convention, plan.fit.range_std_mm
+        )
         if fitted.std[-1] <= TELLING_STD / 2:
             return ranges, float(fitted.std[-1])
     return (), None

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from labkit.errors import DataError
@@ -16,6 +17,7 @@ TELLING_STD = (
 USUAL_MAGNIFICATION_STD = 0.3
 LEAST, MOST = 0.05, 20.0  # pupil magnifications that are tried; a fit that ends there has found none
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
+RANGE_STEP_MM = 0.01  # of the difference that tells how defocus changes with range
 LEAST_SLOPE = 1e-9  # standard errors for a unit of a parameter: less tells nothing
 ROUNDING = 1e-14  # of an eigenvalue, scaled to a unit diagonal
 SIGN_FLOOR_WAVES = 0.01  # errors below this decide no sign
@@ -63,10 +65,16 @@ class FocusFit:
 
 
 def fit_focus(
-    points: Sequence[DefocusPoint], focal_length_mm: float, f_number: float, reference_nm: float, convention: Convention
+    points: Sequence[DefocusPoint],
+    focal_length_mm: float,
+    f_number: float,
+    reference_nm: float,
+    convention: Convention,
+    range_std_mm: float = 0.0,
 ) -> FocusFit:
     """Weighted least squares of (4.40) over all points; standard errors grow with the residuals where those are larger.
 
+    range_std_mm: standard error of each range, which all colours seen there share; one common to all ranges is not in it.
     Raises DataError where a channel has fewer than two ranges or the points are fewer than the unknowns.
     """
     channels = tuple(dict.fromkeys(p.channel for p in points))
@@ -90,8 +98,17 @@ def fit_focus(
     theta0 = np.array([*start, 1.0])
     shortest = 1.01 * focal_length_mm
 
+    lens = ThinLens(focal_length_mm, f_number)
+    nearer, farther = (
+        defocus_waves(lens, ranges + step, theta0[:-1][which], reference_nm, convention)
+        for step in (-RANGE_STEP_MM, RANGE_STEP_MM)
+    )
+    moved = range_std_mm * (farther - nearer) / (2 * RANGE_STEP_MM)
+    shared = np.outer(moved, moved) * (ranges[:, None] == ranges)
+    root = cholesky(np.diag(std**2) + shared, lower=True)
+
     def misfit(theta: Floats) -> Floats:
-        return np.asarray((waves - modelled(theta)) / std)
+        return np.asarray(solve_triangular(root, waves - modelled(theta), lower=True))
 
     solved = least_squares(
         misfit,

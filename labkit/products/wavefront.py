@@ -208,7 +208,12 @@ def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None
     lens, settings = plan.lens, plan.fit
     try:
         focus = fit_focus(
-            points, lens.focal_length_mm, lens.f_number, plan.reference_wavelength_nm, settings.convention
+            points,
+            lens.focal_length_mm,
+            lens.f_number,
+            plan.reference_wavelength_nm,
+            settings.convention,
+            settings.range_std_mm,
         )
     except DataError as error:
         return None, [f"no best focus: {error}"]

@@ -50,6 +50,26 @@ def test_errors_of_best_focus_are_as_large_as_it_says() -> None:
     assert np.all(np.abs(np.std(scores, axis=0) - 1) < 4 / np.sqrt(600))
 
 
+def test_errors_of_best_focus_know_of_the_ranges_own() -> None:
+    rng, scores, blind, by_range = np.random.default_rng(3), [], [], 0.05
+    truth = np.array([*BEST.values(), 0.985])
+    for _ in range(300):
+        # both colours of a stop are where the carriage is, which is not quite where it says
+        shift = dict(zip(RANGES, rng.normal(0, by_range, len(RANGES)), strict=True))
+        seen = [
+            DefocusPoint(x, c, closed_form(x + shift[x], r, 0.985) + rng.normal(0, MODEL_FLOOR_WAVES), 0.0)
+            for c, r in BEST.items()
+            for x in RANGES
+        ]
+        for range_std_mm, z in ((by_range, scores), (0.0, blind)):
+            fit = fit_focus(seen, 70.0, 2.8, 450.0, "corrected", range_std_mm)
+            std = fit.std / np.sqrt(max(1.0, fit.chi2_per_freedom or 1.0))
+            z.append(([*fit.best_focus_mm, fit.pupil_magnification] - truth) / std)
+    assert np.all(np.abs(np.mean(scores, axis=0)) < 4 / np.sqrt(300))
+    assert np.all(np.abs(np.std(scores, axis=0) - 1) < 4 / np.sqrt(600))
+    assert np.all(np.std(blind, axis=0) > 2)
+
+
 def test_one_range_is_too_few() -> None:
     with pytest.raises(DataError, match="at least 2 ranges"):
         fit_focus(points(0.002)[:1], 70.0, 2.8, 450.0, "corrected")
