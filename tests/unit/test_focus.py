@@ -8,6 +8,7 @@ import pytest
 
 from labkit.errors import DataError
 from labkit.optics.lens import ThinLens
+from labkit.optics.zernike import Floats
 from labkit.products.focus import MODEL_FLOOR_WAVES, DefocusPoint, choose_signs, fit_focus
 
 RANGES = (500.0, 510.0, 520.0, 535.0, 550.0)
@@ -51,7 +52,8 @@ def test_errors_of_best_focus_are_as_large_as_it_says() -> None:
 
 
 def test_errors_of_best_focus_know_of_the_ranges_own() -> None:
-    rng, scores, blind, by_range = np.random.default_rng(3), [], [], 0.05
+    rng, by_range = np.random.default_rng(3), 0.05
+    scores, blind = list[Floats](), list[Floats]()
     truth = np.array([*BEST.values(), 0.985])
     for _ in range(300):
         # both colours of a stop are where the carriage is, which is not quite where it says
@@ -64,7 +66,7 @@ def test_errors_of_best_focus_know_of_the_ranges_own() -> None:
         for range_std_mm, z in ((by_range, scores), (0.0, blind)):
             fit = fit_focus(seen, 70.0, 2.8, 450.0, "corrected", range_std_mm)
             std = fit.std / np.sqrt(max(1.0, fit.chi2_per_freedom or 1.0))
-            z.append(([*fit.best_focus_mm, fit.pupil_magnification] - truth) / std)
+            z.append((np.append(fit.best_focus_mm, fit.pupil_magnification) - truth) / std)
     assert np.all(np.abs(np.mean(scores, axis=0)) < 4 / np.sqrt(300))
     assert np.all(np.abs(np.std(scores, axis=0) - 1) < 4 / np.sqrt(600))
     assert np.all(np.std(blind, axis=0) > 2)
