@@ -30,6 +30,9 @@ half of it for the worst of the parts. Pictures of other things stay below 0.4, 
 SCALE_TOLERANCE = 0.15
 """How far `mm_per_pixel` may be off."""
 
+LEAST_SIDE_PX = 12.0
+"""A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus."""
+
 MOST_HYPOTHESES = 12
 
 LEAST_CONTRAST = 1.3
@@ -51,7 +54,7 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
         seen.append(agreement)
-        if _believable(agreement) and _right_scale(corners, target, mm_per_pixel):
+        if _believable(agreement) and _whole(corners) and _right_scale(corners, target, mm_per_pixel):
             return _checked(picture, target, corners)
     best = max((min(one.whole, one.median_part, 2 * one.least_part) for one in seen), default=0.0)
     raise TargetError(
@@ -137,6 +140,12 @@ def _swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iter
 
 def _believable(agreement: Agreement) -> bool:
     return min(agreement.whole, agreement.median_part, 2 * agreement.least_part) >= LEAST_AGREEMENT
+
+
+def _whole(corners: Floats) -> bool:
+    """Whether a quadrilateral is convex, and no sliver."""
+    shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
+    return shortest >= LEAST_SIDE_PX and cv2.isContourConvex(corners.astype(np.float32))
 
 
 def _right_scale(corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3) -> bool:

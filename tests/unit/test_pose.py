@@ -16,6 +16,7 @@ from skimage import data
 
 from labkit.errors import TargetError
 from labkit.inference.pose import find_target, grey_image
+from labkit.study.conditions import carpet, draw_trial
 from labkit.target import CellTarget
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
@@ -199,3 +200,9 @@ def test_an_even_panel_whose_corners_fade_is_no_picture_of_a_target(fading: floa
     panel = 9000 * (1 - fading * (x**2 + y**2) / 2) + np.random.default_rng(3).normal(0, 70, (64, 64))
     with pytest.raises(TargetError, match=r"nearly even, bright parts 1\.\d\d times as bright"):
         grey_image(panel, ("RG", "GB"))
+
+
+def test_a_sliver_along_an_edge_is_not_taken_for_the_target() -> None:
+    # a picture in which a quadrilateral of 6 x 1 pixels, stretched, correlated well enough
+    trial = draw_trial(np.random.default_rng([49, 50, 12, 25]), snr=50.0)
+    assert worst(find_target(trial.frame.counts, carpet()), trial.pose.corners_px()) < 1.0
