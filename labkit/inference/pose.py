@@ -31,7 +31,8 @@ SCALE_TOLERANCE = 0.15
 """How far `mm_per_pixel` may be off."""
 
 LEAST_SIDE_PX = 12.0
-"""A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus."""
+"""A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus.
+The sweep looks for targets of 16 pixels and more; registration may shrink one by a quarter of that."""
 
 MOST_HYPOTHESES = 12
 
@@ -53,8 +54,10 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     seen: list[Agreement] = []
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
+        if not _whole(corners):
+            continue
         seen.append(agreement)
-        if _believable(agreement) and _whole(corners) and _right_scale(corners, target, mm_per_pixel):
+        if _believable(agreement) and _right_scale(corners, target, mm_per_pixel):
             return _checked(picture, target, corners)
     best = max((min(one.whole, one.median_part, 2 * one.least_part) for one in seen), default=0.0)
     raise TargetError(

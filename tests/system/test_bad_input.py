@@ -65,7 +65,8 @@ def empty(path: Path) -> None:
 
 
 def swap(path: Path) -> None:
-    shutil.copy(path.with_name("dark_0.dng"), path)
+    other = "dark_1.dng" if path.name == "dark_0.dng" else "dark_0.dng"
+    shutil.copy(path.with_name(other), path)
 
 
 @pytest.mark.parametrize("command", ["fit", "verify"])
@@ -83,8 +84,6 @@ def test_photographs_that_are_not_as_they_were_taken_are_named(
     folder: Path,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    if spoil is swap and name == "dark_0.dng":
-        pytest.skip("a dark in its own place is no other")
     spoil(folder / "frames" / name)
     before = contents(folder)
     if command == "fit":

@@ -203,6 +203,6 @@ def test_an_even_panel_whose_corners_fade_is_no_picture_of_a_target(fading: floa
 
 
 def test_a_sliver_along_an_edge_is_not_taken_for_the_target() -> None:
-    # a picture in which a quadrilateral of 6 x 1 pixels, stretched, correlated well enough
+    # a picture in which a quadrilateral of 6 x 1 pixels, stretched, correlated well enough; a fit wants about a pixel
     trial = draw_trial(np.random.default_rng([49, 50, 12, 25]), snr=50.0)
     assert worst(find_target(trial.frame.counts, carpet()), trial.pose.corners_px()) < 1.0
