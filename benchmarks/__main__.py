@@ -10,13 +10,14 @@ import numpy as np
 import poppy
 import scipy.fft
 
+from labkit.experiments.annealing import Task, work
+from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.solve import climb
+from labkit.inference.fisher_scoring import climb
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import Floats, zernike
-from labkit.study.annealing import Task, work
-from labkit.study.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
+from labkit.optics.zernike import zernike
+from labkit.types import Floats
 
 RUNS = 7
 WAVEFRONTS, CAP_S = 4, 30.0  # searched for from nothing; after so long an annealing is ended

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from labkit.analysis.wavefronts import fit_session
+from labkit.capture.capture import capture
 from labkit.demo import PLAN
-from labkit.lab.capture import capture
-from labkit.lab.devices import Room
-from labkit.lab.discover import open_devices
-from labkit.lab.session import Session
+from labkit.devices.context import DeviceContext
+from labkit.devices.registry import open_devices
 from labkit.plan import parse_plan
-from labkit.products.wavefront import fit_session
+from labkit.session.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +58,14 @@ CASES = (
 
 def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     """Capture, fit, and compare with the truth; one row a fit, and one for the focus."""
-    text, room = case.plan(), Room()
-    with open_devices(parse_plan(text, Path()), room=room) as devices, Session.create(folder, text, Path()) as session:
+    text, context = case.plan(), DeviceContext()
+    with (
+        open_devices(parse_plan(text, Path()), context=context) as devices,
+        Session.create(folder, text, Path()) as session,
+    ):
         capture(session, devices)
     results = fit_session(Session.open(folder))
-    (bench,) = room.shared.values()
+    (bench,) = context.shared.values()
     truth = bench.truth
     visits = {visit.range_mm: visit for visit in truth.visits}
     rows: list[dict[str, Any]] = []

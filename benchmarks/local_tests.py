@@ -11,12 +11,12 @@ from time import perf_counter
 import numpy as np
 
 from labkit.execute import default_workers, run_all
-from labkit.inference.localmin import bootstrap, embedding, one_sided, recalibrated, shipped_relaxation, two_sided
-from labkit.inference.solve import Problem, State, climb
-from labkit.inference.verdict import SIGNIFICANCE, judge
-from labkit.optics.zernike import Floats
-from labkit.study.conditions import draw_trial, random_waves
-from labkit.study.roc import area
+from labkit.experiments.conditions import draw_trial, random_waves
+from labkit.experiments.roc import area
+from labkit.inference.fisher_scoring import Problem, State, climb
+from labkit.inference.goodness_of_fit import SIGNIFICANCE, judge
+from labkit.inference.optimum_tests import bootstrap, embedding, one_sided, recalibrated, shipped_relaxation, two_sided
+from labkit.types import Floats
 
 CLIMBS = 6
 WRONG = 0.03  # waves RMS from the truth and its twin: twenty times the bound

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Travel
 from labkit.errors import PlanError, RailError, RailLimitError
-from labkit.lab.devices import Room, Travel
 from labkit.plan import Plan
 
 TRIES = 3
@@ -17,11 +18,11 @@ NEAR_MM = 2.0
 SCALE = Travel(-1e6, 1e6)
 
 
-def open_rail(address: str, plan: Plan, room: Room) -> ManualRail:
+def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
     """The rail of manual:. Raises PlanError."""
     if plan.rail is None or address != "manual:":
         raise PlanError(f'rail.address = "{address}": allowed is manual:')
-    return ManualRail(room.operator.ask, plan.rail.run_up_mm)
+    return ManualRail(context.operator.ask, plan.rail.run_up_mm)
 
 
 class ManualRail:

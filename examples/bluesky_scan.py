@@ -14,10 +14,10 @@ from typing import Any
 from bluesky import RunEngine
 from bluesky.plans import scan
 
-from labkit.lab.devices import ExposureSettings
-from labkit.lab.discover import open_devices
-from labkit.lab.runengine import ScanCamera, ScanRail
-from labkit.lab.shots import picture_for
+from labkit.capture.sequence import picture_for
+from labkit.devices.bluesky import ScanCamera, ScanRail
+from labkit.devices.protocols import ExposureSettings
+from labkit.devices.registry import open_devices
 from labkit.plan import Plan, load_plan, parse_plan
 
 SIMULATED = """

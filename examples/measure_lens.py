@@ -7,13 +7,13 @@ after an interruption: it goes on where it stopped. (`labkit demo` leaves a plan
 import sys
 from pathlib import Path
 
-from labkit.lab.capture import capture
-from labkit.lab.discover import open_devices
-from labkit.lab.session import begin
+from labkit.analysis.results import Results
+from labkit.analysis.wavefronts import fit_session
+from labkit.capture.capture import capture
+from labkit.devices.registry import open_devices
 from labkit.plan import load_plan
-from labkit.products.results import Results
-from labkit.products.wavefront import fit_session
 from labkit.report.html import write_report
+from labkit.session.session import begin
 
 
 def measure(plan_path: Path, folder: Path) -> Results:

@@ -147,7 +147,7 @@ def devices(
     udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
 ) -> None:
     """What is connected, who holds it, what may not be opened, and which drivers are installed."""
-    from labkit.lab.connected import look_around, udev_rules
+    from labkit.devices.inventory import look_around, udev_rules
 
     console: Console = ctx.obj
     found = look_around()
@@ -170,7 +170,7 @@ def devices(
 @camera_app.command("settings")
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """Everything that a camera lets be set or read."""
-    from labkit.lab.camera_alone import offered, open_alone
+    from labkit.capture.camera_check import offered, open_alone
 
     console: Console = ctx.obj
     alone = open_alone(where)
@@ -189,7 +189,7 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
 @camera_app.command("test")
 def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """Take one photograph, keep nothing of it: focus, clipping, noise."""
-    from labkit.lab.camera_alone import open_alone, take_test_frame
+    from labkit.capture.camera_check import open_alone, take_test_frame
 
     console: Console = ctx.obj
     alone = open_alone(where)
@@ -243,20 +243,20 @@ def target_serve(
     ] = "127.0.0.1:8642",
 ) -> None:
     """A target on an iPad or any browser, until Ctrl-C; other pictures by the operator's page."""
-    from labkit.lab.devices import Room
-    from labkit.lab.discover import open_display
-    from labkit.lab.serving import panel_plans, serve_target
+    from labkit.devices.context import DeviceContext
+    from labkit.devices.registry import open_display
+    from labkit.devices.serve_target import panel_plans, serve_target
     from labkit.target import open_target
     from labkit.target_file import read_spec
 
     console: Console = ctx.obj
     target = open_target(read_spec(spec))
-    room = Room(link=console.link, tell=console.warn)
+    context = DeviceContext(link=console.link, tell=console.warn)
     with ExitStack() as stack:
         plans = panel_plans(spec, panel or [], listen)
-        displays = [stack.enter_context(open_display(address, plan, room)) for address, plan in plans]
+        displays = [stack.enter_context(open_display(address, plan, context)) for address, plan in plans]
         with suppress(KeyboardInterrupt):  # the way to end it
-            serve_target(target, displays, room)
+            serve_target(target, displays, context)
 
 
 @app.command()
@@ -280,13 +280,13 @@ def capture(
     ] = None,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
-    from labkit.lab.asking import Operator
-    from labkit.lab.capture import capture as run_capture
-    from labkit.lab.devices import Room
-    from labkit.lab.discover import open_devices, open_monitor
-    from labkit.lab.session import JOURNAL, begin, refuse_existing
-    from labkit.lab.shots import missing, picture_for
+    from labkit.capture.capture import capture as run_capture
+    from labkit.capture.sequence import missing, picture_for
+    from labkit.devices.context import DeviceContext
+    from labkit.devices.operator import Operator
+    from labkit.devices.registry import open_devices, open_monitor
     from labkit.plan import load_plan
+    from labkit.session.session import JOURNAL, begin, refuse_existing
 
     console: Console = ctx.obj
     flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
@@ -295,7 +295,7 @@ def capture(
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
-    room = Room(link=console.link, tell=console.warn, operator=Operator(console.still))
+    context = DeviceContext(link=console.link, tell=console.warn, operator=Operator(console.still))
     with ExitStack() as stack:
         going_on = resume and (session / JOURNAL).exists()
         if going_on and not missing(opened := stack.enter_context(begin(plan, session, resume))):
@@ -303,8 +303,8 @@ def capture(
             console.answer({"session": str(session), "frames": len(opened.frames)})
             return
         if monitor or listen:
-            stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, room))
-        bench = stack.enter_context(open_devices(wanted, "simulated:" if simulate else None, room))
+            stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, context))
+        bench = stack.enter_context(open_devices(wanted, "simulated:" if simulate else None, context))
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
         console.hint = f"; every photograph so far is safe, go on with: {again}"
         if not going_on:
@@ -312,7 +312,7 @@ def capture(
         report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)
-        ask = partial(room.operator.ask, wants="done") if room.operator.present else None
+        ask = partial(context.operator.ask, wants="done") if context.operator.present else None
         run_capture(opened, bench, progress=report, ask=ask, warn=console.warn, check=not no_preflight)
         frames = len(opened.frames)
     console.say(f"{session}: {frames} frames")
@@ -330,16 +330,16 @@ def rail_calibrate(
     at: Annotated[list[float] | None, typer.Option(metavar="MM", help="A rail position to measure at; again.")] = None,
 ) -> None:
     """Find rail.direction and rail.range_at_zero_mm: the rail moves, you measure."""
-    from labkit.lab.devices import Room
-    from labkit.lab.discover import open_rail
-    from labkit.lab.railzero import find_zero, stops
+    from labkit.devices.context import DeviceContext
+    from labkit.devices.rail_calibration import find_zero, stops
+    from labkit.devices.registry import open_rail
     from labkit.plan import load_plan
 
     console: Console = ctx.obj
     wanted = load_plan(plan)
     if wanted.rail is None:
         raise PlanError("the plan has no [rail]")
-    with open_rail(wanted.rail.address, wanted, Room()) as rail:
+    with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
         places = stops(rail.travel_mm, at or [])
         _ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way")
         rail.home()
@@ -364,7 +364,7 @@ def import_(
     session: SessionPath,
 ) -> None:
     """Make a session of photographs taken elsewhere."""
-    from labkit.lab.importing import import_frames
+    from labkit.session.import_frames import import_frames
 
     console: Console = ctx.obj
     with console.progress("importing") as report:
@@ -377,8 +377,8 @@ def import_(
 @app.command()
 def verify(ctx: typer.Context, session: SessionPath) -> None:
     """Check every frame against its checksum, and the journal against the folder."""
-    from labkit.lab.session import Session
-    from labkit.lab.session import verify as find_problems
+    from labkit.session.session import Session
+    from labkit.session.session import verify as find_problems
 
     console: Console = ctx.obj
     opened = Session.open(session)
@@ -400,8 +400,8 @@ def fit(
     workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
 ) -> None:
     """Flat field, wavefronts, best focus."""
-    from labkit.lab.session import Session
-    from labkit.products.wavefront import fit_session
+    from labkit.analysis.wavefronts import fit_session
+    from labkit.session.session import Session
     from labkit.summary import focus_rows, read_results, wavefront_rows
 
     console: Console = ctx.obj
@@ -425,8 +425,8 @@ def fit(
 @app.command()
 def report(ctx: typer.Context, session: SessionPath) -> None:
     """The measurement as one HTML page with figures."""
-    from labkit.lab.session import Session
     from labkit.report.html import write_report
+    from labkit.session.session import Session
 
     console: Console = ctx.obj
     made = write_report(Session.open(session).results_folder())
@@ -445,8 +445,8 @@ def advise(
     want: Annotated[float | None, typer.Option(metavar="WAVES", help="A wavefront error to be reached.")] = None,
 ) -> None:
     """Before capture: what the target, the light and the ranges of a plan will tell."""
+    from labkit.analysis.advise import advise as advise_on
     from labkit.plan import load_plan
-    from labkit.products.advise import advise as advise_on
     from labkit.summary import advice_rows
 
     console: Console = ctx.obj
@@ -469,7 +469,7 @@ def study(
 ) -> None:
     """An experiment of the thesis; prints its claims beside ours as JSON."""
     from labkit.execute import default_workers
-    from labkit.study.runner import Setting, run_study
+    from labkit.experiments.runner import Setting, run_study
 
     console: Console = ctx.obj
     with console.progress(name) as report:

@@ -9,13 +9,13 @@ from math import dist, hypot
 from pathlib import Path
 from typing import Any
 
-from labkit.lab.capture import capture
-from labkit.lab.devices import Room
-from labkit.lab.discover import open_devices
-from labkit.lab.session import Session, refuse_existing
+from labkit.analysis.wavefronts import fit_session
+from labkit.capture.capture import capture
+from labkit.devices.context import DeviceContext
+from labkit.devices.registry import open_devices
 from labkit.plan import parse_plan
-from labkit.products.wavefront import fit_session
 from labkit.report.html import write_report
+from labkit.session.session import Session, refuse_existing
 from labkit.summary import read_results
 
 PLAN = """\
@@ -163,9 +163,9 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
     """
     refuse_existing(folder)
     text = PLAN.format(address=f"simulated:seed={seed}")
-    room = Room()
+    context = DeviceContext()
     with (
-        open_devices(parse_plan(text, Path()), room=room) as devices,
+        open_devices(parse_plan(text, Path()), context=context) as devices,
         Session.create(folder, text, Path()) as session,
         progress("capturing") as report,
     ):
@@ -175,7 +175,7 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         fit_session(session, progress=report)
     results_folder = session.results_folder()
     # the bench is a driver's: all that is known of it here is that it can tell the truth
-    (bench,) = room.shared.values()
+    (bench,) = context.shared.values()
     results = read_results(results_folder)
     compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
     return Comparison(tuple(compared), tuple(wavefronts), write_report(results_folder))

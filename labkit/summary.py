@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from labkit.analysis.advise import Advice
 from labkit.errors import DataError
-from labkit.products.advise import Advice
 
 
 def read_results(folder: Path) -> dict[str, Any]:

@@ -18,11 +18,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
+from labkit.types import Floats
 
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
-Floats = NDArray[np.float64]
 
 STOP_BAND = 1.3
 """The low-pass filter of `Target.sample` blocks everything from this many times its bandwidth."""

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from labkit.errors import TargetError
-from labkit.target import SURROUNDS, CellTarget, Floats
+from labkit.target import SURROUNDS, CellTarget
+from labkit.types import Floats
 
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
-from labkit.target import SURROUNDS, Floats, low_pass
+from labkit.target import SURROUNDS, low_pass
+from labkit.types import Floats
 
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec

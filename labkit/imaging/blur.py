@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from labkit.imaging.grid import Torus
-from labkit.optics.psf import Complexes, Pupil, diffraction_mtf
-from labkit.optics.zernike import Floats
+from labkit.optics.psf import Pupil, diffraction_mtf
+from labkit.types import Complexes, Floats
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.arrays import real_array
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 TAPS = np.array([-1, 0, 1, 2])
 KEYS = np.array([[0.0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2

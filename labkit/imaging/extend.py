@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from labkit.arrays import mask_array, real_array
 from labkit.errors import FitError
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 Mask = NDArray[np.bool_]
 

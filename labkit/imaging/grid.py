@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 import scipy.fft
 
-from labkit.optics.psf import Complexes
-from labkit.optics.zernike import Floats
+from labkit.types import Complexes, Floats
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from labkit.arrays import mask_array, positive
@@ -12,11 +11,9 @@ from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.optics.psf import Complexes, Pupil
-from labkit.optics.zernike import Floats
+from labkit.optics.psf import Pupil
 from labkit.target import Target
-
-Bools = npt.NDArray[np.bool_]
+from labkit.types import Bools, Complexes, Floats
 
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 

@@ -9,7 +9,7 @@ import scipy.fft
 import scipy.sparse
 
 from labkit.arrays import real_array
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import scipy.ndimage
 
 from labkit.imaging.grid import Torus
 from labkit.imaging.warp import Pose
-from labkit.optics.psf import Complexes
-from labkit.optics.zernike import Floats
 from labkit.target import Target
+from labkit.types import Complexes, Floats
 
 SUPERSAMPLING = 2.0  # of the raster against the optics' Nyquist rate
 SPLINE: Literal[5] = (

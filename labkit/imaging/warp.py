@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.arrays import real_array
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 POSE_SIZE = 8
 CORNER_Y, CORNER_X = np.array([-1.0, -1, 1, 1]), np.array([-1.0, 1, 1, -1])

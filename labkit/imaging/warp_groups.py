@@ -19,7 +19,7 @@ import numpy as np
 
 from labkit.arrays import real_array
 from labkit.imaging.cubic import Cubic
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 DEGREES = (1, 2, 3, 4, 5, 6, 8)
 

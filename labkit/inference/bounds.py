@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 import scipy.linalg
 
 from labkit.arrays import positive, real_array, symmetric
 from labkit.imaging.warp import POSE_SIZE
+from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, State
 from labkit.inference.likelihood import FrameData, predict, slopes
-from labkit.inference.solve import NOISE, PER_FRAME, Problem, State
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import Floats, mode_name
-
-Integers = npt.NDArray[np.signedinteger]
+from labkit.optics.zernike import mode_name
+from labkit.types import Floats, Integers
 
 
 def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:

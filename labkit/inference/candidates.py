@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 
 from labkit.arrays import positive, real_array
 from labkit.inference.fit import twin_signs
-from labkit.optics.zernike import Floats, noll_to_nm, zernike
+from labkit.optics.zernike import noll_to_nm, zernike
+from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
 RADII, ANGLES = 16, 48  # of the quadrature over the disc: exact for polynomials far beyond those that matter, and round

@@ -11,12 +11,13 @@ import numpy as np
 
 from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
 from labkit.imaging.warp import Pose
+from labkit.inference.fisher_scoring import NoisePrior, Problem, Solution, State, climb
+from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.likelihood import FrameData, predict
-from labkit.inference.retrieval import Retrieval
-from labkit.inference.solve import NoisePrior, Problem, Solution, State, climb
-from labkit.inference.verdict import Verdict, judge
-from labkit.optics.zernike import Floats, is_even
+from labkit.inference.phase_retrieval import Retrieval
+from labkit.optics.zernike import is_even
 from labkit.target import Target
+from labkit.types import Floats
 
 # share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
 SKETCH_BAND = 0.2

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labkit.arrays import mask_array, real_array
-from labkit.imaging.model import Bools, Evaluation
-from labkit.optics.zernike import Floats
+from labkit.imaging.model import Evaluation
+from labkit.types import Bools, Floats
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from labkit.arrays import positive, real_array
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 Convention = Literal["corrected", "thesis"]
 

@@ -12,14 +12,12 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from labkit.arrays import positive, real_array
 from labkit.optics.pupil import disc_area
-from labkit.optics.zernike import Floats, zernike
-
-Complexes = npt.NDArray[np.complex128]
+from labkit.optics.zernike import zernike
+from labkit.types import Complexes, Floats
 
 
 @dataclass(frozen=True)

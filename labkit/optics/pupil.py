@@ -3,7 +3,7 @@
 import numpy as np
 
 from labkit.arrays import positive, real_array
-from labkit.optics.zernike import Floats
+from labkit.types import Floats
 
 
 def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:

@@ -4,11 +4,9 @@ from functools import cache
 from math import comb, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
 from labkit.arrays import real_array
-
-Floats = npt.NDArray[np.float64]
+from labkit.types import Floats
 
 NAMES = {
     4: "defocus",

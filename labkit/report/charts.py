@@ -12,8 +12,9 @@ from labkit.optics.psf import diffraction_mtf
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.quantities import millimetres, plus_minus
-from labkit.report.reading import Floats, Focus, Measurement, Residuals, Wavefront
+from labkit.report.reading import Focus, Measurement, Residuals, Wavefront
 from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels
+from labkit.types import Floats
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
 
@@ -146,7 +147,7 @@ def mtf(psf: Floats, spacing_um: float) -> tuple[Floats, Floats, Floats]:
     frequency = np.fft.rfftfreq(length, spacing_um * 1e-3)
     along_x = np.abs(np.fft.rfft(psf.sum(axis=0), length))
     along_y = np.abs(np.fft.rfft(psf.sum(axis=1), length))
-    return frequency, along_x / along_x[0], along_y / along_y[0]
+    return np.asarray(frequency, float), along_x / along_x[0], along_y / along_y[0]
 
 
 def half_contrast(frequency: Floats, curve: Floats) -> float:
@@ -225,5 +226,5 @@ def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Fl
     rank = rank[(rank >= 1) & (rank <= values.size)]
     after = values.size + 1 - rank
     normal = special.ndtri((rank - 0.375) / (values.size + 0.25))  # Blom's plotting positions
-    low, high = (special.ndtri(special.betaincinv(rank, after, p)) for p in (0.005, 0.995))
+    low, high = (np.asarray(special.ndtri(special.betaincinv(rank, after, p)), float) for p in (0.005, 0.995))
     return normal, low, high, values[rank - 1]

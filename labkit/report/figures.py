@@ -13,8 +13,9 @@ from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.plan import Plan
 from labkit.report import charts, pictures
 from labkit.report.quantities import millimetres, plus_minus
-from labkit.report.reading import Floats, Measurement, Residuals, Wavefront
+from labkit.report.reading import Measurement, Residuals, Wavefront
 from labkit.report.style import in_groups, png, styled, svg
+from labkit.types import Floats
 
 PER_FIGURE = 6  # ranges in one figure
 

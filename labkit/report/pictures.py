@@ -11,8 +11,9 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 
 from labkit.report.quantities import millimetres
-from labkit.report.reading import Floats, Measurement, Residuals, Wavefront
+from labkit.report.reading import Measurement, Residuals, Wavefront
 from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
+from labkit.types import Floats
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
 LABEL = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.5}
@@ -50,7 +51,7 @@ def _chip(axes: Axes, image: Floats, title: str, colours: str, low: float, high:
 
 
 def psf_half_width_um(measurement: Measurement, f_number: float) -> float:
-    """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with room around it."""
+    """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with context around it."""
     spacing = measurement.psf_spacing_um
     widths = [
         max(1.3 * _encircled_um(w.psf, spacing, 0.9), 4 * airy_radius_um(w, f_number))

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from labkit.errors import DataError
-
-Floats = npt.NDArray[np.floating[Any]]
+from labkit.types import Floats
 
 SCHEMA = 1
 

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
-from labkit.drivers.web_display import WebDisplay, open_display
-from labkit.drivers.web_server import WebServer
-from labkit.lab.devices import Room
+from labkit.devices.context import DeviceContext
+from labkit.drivers.web.display import WebDisplay, open_display
+from labkit.drivers.web.server import WebServer
 from labkit.plan import DisplaySettings, Plan
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -32,23 +32,23 @@ def plan_for(height: int, width: int) -> Plan:
 
 @dataclass
 class Lab:
-    """A room with web displays in it, and what they said."""
+    """A context with web displays in it, and what they said."""
 
-    room: Room
+    context: DeviceContext
     told: list[str]
     links: dict[str, str]
 
     def display(self, height: int, width: int, name: str = "screen", hold_s: float = 20.0) -> WebDisplay:
-        port = self.server.port if self.room.shared else 0
-        if self.room.shared:
-            self.room.shared[f"web://127.0.0.1:{port}"] = self.server
-        opened = open_display(f"web://127.0.0.1:{port}/{name}", plan_for(height, width), self.room)
+        port = self.server.port if self.context.shared else 0
+        if self.context.shared:
+            self.context.shared[f"web://127.0.0.1:{port}"] = self.server
+        opened = open_display(f"web://127.0.0.1:{port}/{name}", plan_for(height, width), self.context)
         opened.hold_s = hold_s
         return opened
 
     @property
     def server(self) -> WebServer:
-        server: WebServer = next(iter(self.room.shared.values()))
+        server: WebServer = next(iter(self.context.shared.values()))
         return server
 
 
@@ -58,9 +58,9 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     told: list[str] = []
     links: dict[str, str] = {}
-    made = Lab(Room(tell=told.append, link=links.__setitem__), told, links)
+    made = Lab(DeviceContext(tell=told.append, link=links.__setitem__), told, links)
     yield made
-    for server in set(made.room.shared.values()):
+    for server in set(made.context.shared.values()):
         server.close()
 
 

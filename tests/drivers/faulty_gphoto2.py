@@ -20,7 +20,7 @@ from typing import Any
 
 import gphoto2
 
-from labkit.drivers.gphoto2_worker import serve
+from labkit.drivers.gphoto2.worker import serve
 
 SPEC = json.loads(sys.argv[1])
 LET_GO: list[Any] = []

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
 
 SMALL = BenchSettings(
     lens=TrueLens(f_number=8.0),

@@ -8,7 +8,7 @@ import poppy
 import pytest
 from scipy.special import j1
 
-from labkit.drivers.bench_optics import defocus_waves, noll_to_nm, point_spread, zernike
+from labkit.drivers.simulated.optics import defocus_waves, noll_to_nm, point_spread, zernike
 
 
 @pytest.mark.parametrize("j", range(1, 22))

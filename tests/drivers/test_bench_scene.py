@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_optics import point_spread
-from labkit.drivers.bench_scene import FineGrid, Glass, carry, photograph, project, render, transform
-from labkit.drivers.bench_world import BenchSettings, TrueSensor
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.optics import point_spread
+from labkit.drivers.simulated.scene import FineGrid, Glass, carry, photograph, project, render, transform
+from labkit.drivers.simulated.world import BenchSettings, TrueSensor
 from labkit.targets.sierpinski import carpet_cells
 
 

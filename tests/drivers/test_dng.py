@@ -9,7 +9,7 @@ import pytest
 import rawpy
 import tifffile
 
-from labkit.drivers.dng import RawTags, write_raw
+from labkit.drivers.simulated.dng import RawTags, write_raw
 
 
 def some_counts(full_scale: int = 16383) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from labkit.drivers.gphoto2_settings import Body, Bulb, number_of, percent_of, seconds_of, wanted
+from labkit.devices.protocols import ExposureSettings, Setting
+from labkit.drivers.gphoto2.settings import Body, Bulb, number_of, percent_of, seconds_of, wanted
 from labkit.errors import CameraError
-from labkit.lab.devices import ExposureSettings, Setting
 
 
 def body(**settings: tuple[Any, ...]) -> Body:

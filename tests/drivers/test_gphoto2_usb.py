@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers.gphoto2_camera import Gphoto2Camera
-from labkit.drivers.gphoto2_link import COMMAND, Link
+from labkit.drivers.gphoto2.camera import Gphoto2Camera
+from labkit.drivers.gphoto2.link import COMMAND, Link
 from labkit.errors import CameraError
 
 pytest.importorskip("gphoto2")

@@ -12,16 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_world import BenchSettings, TruePanel, TrueSensor
-from labkit.drivers.grbl_controller import GrblController
-from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL, Firmware
-from labkit.drivers.grbl_protocol import Report, homing_s, moving_s, read_report, travel
-from labkit.drivers.grbl_rail import GrblRail, open_rail
-from labkit.drivers.grbl_simulator import LEADSCREW, grbl_port
-from labkit.drivers.pty_port import LineFault, PtyPort
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Rail, Travel
+from labkit.drivers.grbl.protocol import Report, homing_s, moving_s, read_report, travel
+from labkit.drivers.grbl.rail import GrblRail, open_rail
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.controllers.grbl import LEADSCREW, grbl_port
+from labkit.drivers.simulated.controllers.grbl_controller import GrblController
+from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, GRBL_HAL, Firmware
+from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
+from labkit.drivers.simulated.world import BenchSettings, TruePanel, TrueSensor
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
-from labkit.lab.devices import Rail, Room, Travel
 from tests.drivers.test_simulated_devices import plan
 
 FAST = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
@@ -336,13 +337,13 @@ def test_closing_stops_what_is_under_way() -> None:
 
 def test_an_address_without_a_port_is_refused() -> None:
     with pytest.raises(PlanError, match="give the port as well, such as grbl:/dev/ttyUSB0"):
-        open_rail("grbl:", plan(), Room())
+        open_rail("grbl:", plan(), DeviceContext())
 
 
 def test_a_simulated_controller_carries_the_simulated_benchs_camera() -> None:
     sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
     bench = Bench(BenchSettings(sensor=sensor, panel=panel))
-    with open_rail("grbl:simulated", plan(), Room({"simulated:": bench})) as rail:
+    with open_rail("grbl:simulated", plan(), DeviceContext({"simulated:": bench})) as rail:
         rail.home()
         assert rail.move_to(60.0) == pytest.approx(60.0, abs=STEP_MM)
         # the bench's own scatter has a standard deviation of 0.02 mm

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers.grbl_controller import GrblController
-from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL
-from labkit.drivers.grbl_protocol import read_report
+from labkit.drivers.grbl.protocol import read_report
+from labkit.drivers.simulated.controllers.grbl_controller import GrblController
+from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, GRBL_HAL
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Rail
 from labkit.drivers.manual_rail import ManualRail, open_rail
 from labkit.errors import PlanError, RailError
-from labkit.lab.devices import Rail, Room
 from tests.drivers.test_simulated_devices import plan
 
 
@@ -49,12 +50,12 @@ def test_nobody_who_answers_to_the_point_ends_it_with_one_line() -> None:
 
 
 def test_the_operator_of_the_room_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = Room()
-    monkeypatch.setattr(room.operator, "ask", lambda question: "99.5" if "100.000" in question else "")
-    with open_rail("manual:", plan(), room) as rail:
+    context = DeviceContext()
+    monkeypatch.setattr(context.operator, "ask", lambda question: "99.5" if "100.000" in question else "")
+    with open_rail("manual:", plan(), context) as rail:
         assert rail.move_to(100.0) == 99.5
 
 
 def test_an_address_that_says_more_is_refused() -> None:
     with pytest.raises(PlanError, match="allowed is manual:"):
-        open_rail("manual:/dev/ttyUSB0", plan(), Room())
+        open_rail("manual:/dev/ttyUSB0", plan(), DeviceContext())

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import serial
 
-from labkit.drivers.grbl_rail import GrblRail
-from labkit.drivers.grbl_simulator import grbl_port
-from labkit.drivers.pty_port import LineFault
-from labkit.drivers.serial_wire import SerialWire
-from labkit.drivers.simulated_motion import Braking, Move
+from labkit.drivers.grbl.rail import GrblRail
+from labkit.drivers.serial.wire import SerialWire
+from labkit.drivers.simulated.controllers.grbl import grbl_port
+from labkit.drivers.simulated.controllers.motion import Braking, Move
+from labkit.drivers.simulated.controllers.pty_port import LineFault
 from labkit.errors import RailError
 
 FAST = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import rawpy
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_setup import settings_for
-from labkit.drivers.bench_world import BenchSettings, Fault, TrueLens, TruePanel, TrueSensor
-from labkit.drivers.simulated_camera import SimulatedCamera
-from labkit.drivers.simulated_display import SimulatedDisplay
-from labkit.drivers.simulated_rail import SimulatedRail
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Camera, Coverable, Display, ExposureSettings, Rail
+from labkit.devices.registry import installed, open_camera, open_devices
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.camera import SimulatedCamera
+from labkit.drivers.simulated.display import SimulatedDisplay
+from labkit.drivers.simulated.rail import SimulatedRail
+from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueSensor
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
-from labkit.lab.devices import Camera, Coverable, Display, ExposureSettings, Rail, Room
-from labkit.lab.discover import installed, open_camera, open_devices
 from labkit.plan import Plan, parse_plan
 from tests.plans import IPAD, SMALL, plan_text, simulated
 
@@ -136,9 +137,9 @@ def test_the_devices_keep_the_protocols() -> None:
 
 
 def test_devices_opened_together_share_one_bench_and_its_clock() -> None:
-    room = Room()
-    with open_devices(plan(), room=room) as devices:
-        (bench,) = room.shared.values()
+    context = DeviceContext()
+    with open_devices(plan(), context=context) as devices:
+        (bench,) = context.shared.values()
         before = bench.clock_s
         devices.wait(3.0)
         assert bench.clock_s == before + 3.0
@@ -148,8 +149,8 @@ def test_devices_opened_together_share_one_bench_and_its_clock() -> None:
 
 def test_one_address_may_take_the_place_of_all_three() -> None:
     real = plan(**{'"simulated:"': '"nosuch:/dev/tty0"'})
-    room = Room()
-    with open_devices(real, simulated="simulated:seed=3", room=room) as devices:
+    context = DeviceContext()
+    with open_devices(real, simulated="simulated:seed=3", context=context) as devices:
         assert devices.camera.identify().serial == "3"
 
 
@@ -165,12 +166,12 @@ def test_two_simulated_worlds_in_one_room_are_refused() -> None:
 @pytest.mark.parametrize("address", ["simulated:seed=x", "simulated:sed=3", "simulated:3", "simulated:seed=-1"])
 def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
     with pytest.raises(PlanError, match="allowed is simulated: or simulated:seed=N"):
-        open_camera(address, plan(), Room())
+        open_camera(address, plan(), DeviceContext())
 
 
 def test_an_unknown_driver_is_told_with_those_installed() -> None:
     with pytest.raises(PlanError, match=r'no driver "nosuch" for a camera; installed: .*simulated:'):
-        open_camera("nosuch:/dev/x", plan(), Room())
+        open_camera("nosuch:/dev/x", plan(), DeviceContext())
     assert "simulated" in installed("rail")
 
 
@@ -197,6 +198,6 @@ def test_a_target_too_large_for_the_simulated_sensor_is_refused() -> None:
 def test_a_sensor_without_colours_writes_tiff(tmp_path: Path) -> None:
     levels = "pixel_pitch_um = 6.0\ncfa_pattern = 'mono'\nblack_level = 100\nwhite_level = 4095"
     mono = plan(**{"pixel_pitch_um = 6.0": levels})
-    camera = open_camera("simulated:", mono, Room())
+    camera = open_camera("simulated:", mono, DeviceContext())
     camera.configure(ExposureSettings(0.02, 100))
     assert camera.expose(tmp_path / "a").path.name == "a.tif"

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.drivers.web_display import WebDisplay
+from labkit.devices.panel_image import panel_picture
+from labkit.devices.test_patterns import PATTERNS, pattern
+from labkit.drivers.web.display import WebDisplay
 from labkit.errors import DisplayError
-from labkit.lab.patterns import PATTERNS, pattern
-from labkit.lab.picture import panel_picture
 from labkit.plan import TargetSpec
 from labkit.target import open_target
 

@@ -10,21 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_setup import settings_for
-from labkit.drivers.web_display import WebDisplay
-from labkit.drivers.web_look import BINS, exposure, histogram
-from labkit.drivers.web_monitor import Monitor
-from labkit.lab.asking import Operator
-from labkit.lab.capture import capture
-from labkit.lab.devices import Devices, Picture, Room, Shown
-from labkit.lab.discover import open_camera, open_rail
-from labkit.lab.picture import panel_picture
-from labkit.lab.raw import Mosaic, read_raw
-from labkit.lab.serving import CHOICES, serve_target
-from labkit.lab.session import Session, begin
-from labkit.lab.sharpness import sharpest_edge_px
+from labkit.capture.capture import capture
+from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.operator import Operator
+from labkit.devices.panel_image import panel_picture
+from labkit.devices.protocols import Picture, Shown
+from labkit.devices.registry import open_camera, open_rail
+from labkit.devices.serve_target import CHOICES, serve_target
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.web.display import WebDisplay
+from labkit.drivers.web.monitor import Monitor
+from labkit.drivers.web.preview import BINS, exposure, histogram
+from labkit.finder.sharpness import sharpest_edge_px
 from labkit.plan import TargetSpec, load_plan
+from labkit.raw.decode import read_raw
+from labkit.raw.mosaic import Mosaic
+from labkit.session.session import Session, begin
 from labkit.target import open_target
 
 from .conftest import Glass, Lab
@@ -92,18 +94,21 @@ class Table:
         self.plan_file.write_text(PLAN)
         plan = load_plan(self.plan_file)
         bench = Bench(settings_for(plan, 7))
-        self.room = Room({"simulated:seed=7": bench}, bench.wait)
+        self.context = DeviceContext({"simulated:seed=7": bench}, bench.wait)
         web = lab.display(400, 400)
         self.tab = glass(web.url, 400, 400)
         self.display = LitDisplay(web, self.tab, bench)
         self.monitor = lab.server.monitor
-        camera, rail = open_camera("simulated:seed=7", plan, self.room), open_rail("simulated:seed=7", plan, self.room)
+        camera, rail = (
+            open_camera("simulated:seed=7", plan, self.context),
+            open_rail("simulated:seed=7", plan, self.context),
+        )
         self.devices = Devices(camera, rail, self.display, bench.wait, [self.monitor, self])
         self.operator = glass(lab.server.url("monitor"), 800, 1280)
         self.on_step: dict[str, Callable[[], Any]] = {}
 
     def noted(self, event: str, **fields: Any) -> None:
-        """A watcher too: does to the bench what the test asks at a step."""
+        """A observer too: does to the bench what the test asks at a step."""
         if event == "doing" and fields["what"] in self.on_step:
             self.on_step.pop(fields["what"])()
 
@@ -220,7 +225,7 @@ def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) 
     display = lab.display(400, 400)
     server, long = lab.server, "x" * 200
     page = glass(server.url("monitor"), 800, width).page
-    asking = threading.Thread(target=lab.room.operator.ask, args=(f"Set the rail {long}",), daemon=True)
+    asking = threading.Thread(target=lab.context.operator.ask, args=(f"Set the rail {long}",), daemon=True)
     asking.start()
     server.monitor.noted("began", missing=9999, total=9999)
     server.monitor.noted("doing", what=long)
@@ -249,7 +254,7 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
     target = open_target(TargetSpec(kind="sierpinski", order=2, size_mm=9.0))
     ended = threading.Event()
     server = lab.server
-    work = threading.Thread(target=serve_target, args=(target, [display], lab.room, lambda: not ended.is_set()))
+    work = threading.Thread(target=serve_target, args=(target, [display], lab.context, lambda: not ended.is_set()))
     work.start()
     try:
         operator = glass(server.url("monitor"), 800, 400)
@@ -287,7 +292,7 @@ def test_the_histogram_counts_every_pixel_once() -> None:
 
 
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
-    monitor = Monitor(Room().wishes, Operator())
+    monitor = Monitor(DeviceContext().wishes, Operator())
     monitor.noted("trouble", device="rail", attempt=1, error="stalled")
     assert monitor.snapshot()["devices"] == [{"device": "rail", "state": "bad", "text": "stalled"}]
     assert monitor.snapshot()["log"][-1]["text"] == "trouble with the rail, try 1: stalled"
@@ -297,7 +302,7 @@ def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
 
 def test_time_left_is_the_pace_so_far_without_the_pauses() -> None:
     clock = [0.0]
-    monitor = Monitor(Room().wishes, Operator(), now=lambda: clock[0])
+    monitor = Monitor(DeviceContext().wishes, Operator(), now=lambda: clock[0])
 
     def left_s() -> Any:
         return monitor.snapshot()["left_s"]

@@ -10,14 +10,15 @@ from typing import Any
 
 import pytest
 
-from labkit.drivers.bench_setup import shared_bench
-from labkit.drivers.web_server import WebServer
+from labkit.capture.capture import capture
+from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.protocols import Camera, CameraInfo, ExposureSettings, RawFrame
+from labkit.devices.registry import open_camera, open_display, open_monitor, open_rail
+from labkit.drivers.simulated.setup import shared_bench
+from labkit.drivers.web.server import WebServer
 from labkit.errors import PlanError
-from labkit.lab.capture import capture
-from labkit.lab.devices import Camera, CameraInfo, Devices, ExposureSettings, RawFrame, Room
-from labkit.lab.discover import open_camera, open_display, open_monitor, open_rail
-from labkit.lab.session import Session, begin
 from labkit.plan import load_plan
+from labkit.session.session import Session, begin
 
 from .conftest import Glass
 from .test_web_monitor import PLAN
@@ -55,8 +56,8 @@ class BareCamera:
 class Night:
     """A capture on a thread of its own, its operator's page in a browser."""
 
-    def __init__(self, server: WebServer, room: Room, glass: OpenGlass, folder: Path) -> None:
-        self.room, self.server, self._glass, self.folder = room, server, glass, folder
+    def __init__(self, server: WebServer, context: DeviceContext, glass: OpenGlass, folder: Path) -> None:
+        self.context, self.server, self._glass, self.folder = context, server, glass, folder
         self.ended: list[BaseException | None] = []
         self.page = self.open()
 
@@ -90,16 +91,16 @@ class Night:
     def _capture(self, resume: bool) -> None:
         plan_file = self.folder / "plan.toml"
         plan = load_plan(plan_file)
-        bench = shared_bench(self.room, BENCH, plan)
+        bench = shared_bench(self.context, BENCH, plan)
         try:
             with begin(plan_file, self.folder / "s", resume) as session:
-                camera = BareCamera(open_camera(BENCH, plan, self.room))
-                rail = open_rail("manual:", plan, self.room)
-                display = open_display(BENCH, plan, self.room)
-                devices = Devices(camera, rail, display, bench.wait, self.room.watchers)
+                camera = BareCamera(open_camera(BENCH, plan, self.context))
+                rail = open_rail("manual:", plan, self.context)
+                display = open_display(BENCH, plan, self.context)
+                devices = Devices(camera, rail, display, bench.wait, self.context.observers)
 
                 def ask(words: str) -> None:
-                    self.room.operator.ask(words, "done")
+                    self.context.operator.ask(words, "done")
                     bench.covered = words.startswith("Put")
 
                 capture(session, devices, ask=ask, check=False)
@@ -114,11 +115,11 @@ def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "plan.toml").write_text(
         PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"')
     )
-    room = Room()
-    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), room):
-        yield Night(room.shared["web://127.0.0.1:0"], room, glass, tmp_path)
-    assert room.watchers == []
-    assert not room.operator._pages
+    context = DeviceContext()
+    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), context):
+        yield Night(context.shared["web://127.0.0.1:0"], context, glass, tmp_path)
+    assert context.observers == []
+    assert not context.operator._pages
 
 
 def test_a_capture_is_led_from_the_page_alone(night: Night) -> None:
@@ -209,7 +210,7 @@ def test_what_is_typed_outlives_news_and_one_of_two_pages_answers(night: Night) 
 
 def test_a_question_is_text_not_html(night: Night) -> None:
     evil = "<img src=x onerror=\"document.body.textContent='pwned'\">"
-    asking = threading.Thread(target=night.room.operator.ask, args=(evil,), daemon=True)
+    asking = threading.Thread(target=night.context.operator.ask, args=(evil,), daemon=True)
     asking.start()
     night.asked(evil)
     assert night.page.locator("#question img").count() == 0
@@ -221,24 +222,24 @@ def test_a_question_is_text_not_html(night: Night) -> None:
 def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
-    plan, room = load_plan(tmp_path / "plan.toml"), Room()
+    plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
     assert plan.display is not None
-    with open_monitor("web:", plan, room) as server:
-        with open_display(plan.display.address, plan, room):
-            assert len(room.watchers) == 1
-            assert list(room.shared.values()) == [server]
-        assert len(room.watchers) == 1
-        assert room.operator.present
-    assert room.watchers == []
-    assert room.shared == {}
+    with open_monitor("web:", plan, context) as server:
+        with open_display(plan.display.address, plan, context):
+            assert len(context.observers) == 1
+            assert list(context.shared.values()) == [server]
+        assert len(context.observers) == 1
+        assert context.operator.present
+    assert context.observers == []
+    assert context.shared == {}
 
 
 def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN)
     plan = load_plan(tmp_path / "plan.toml")
-    with open_monitor("web://127.0.0.1:0", plan, Room()) as server:
+    with open_monitor("web://127.0.0.1:0", plan, DeviceContext()) as server:
         assert isinstance(server, WebServer)
         assert server._socket.getsockname()[0] == "127.0.0.1"
     with pytest.raises(PlanError, match="allowed is web://HOST:PORT"):
-        open_monitor("web://h:x", plan, Room())
+        open_monitor("web://h:x", plan, DeviceContext())

@@ -26,13 +26,14 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from labkit.drivers import web_door, web_server
-from labkit.drivers.web_address import parse_address
-from labkit.drivers.web_display import WebDisplay, open_display
-from labkit.drivers.web_door import kept_token
-from labkit.drivers.web_server import reachable
+from labkit.devices.context import DeviceContext
+from labkit.drivers.web import access
+from labkit.drivers.web import server as web_server
+from labkit.drivers.web.access import kept_token
+from labkit.drivers.web.address import parse_address
+from labkit.drivers.web.display import WebDisplay, open_display
+from labkit.drivers.web.server import reachable
 from labkit.errors import DisplayError, PlanError
-from labkit.lab.devices import Room
 
 from .conftest import Lab, plan_for
 
@@ -133,7 +134,7 @@ def test_every_token_is_compared_in_constant_time(
             compared.append((a, b))
             return hmac.compare_digest(a, b)
 
-    monkeypatch.setattr(web_door, "hmac", Watch)
+    monkeypatch.setattr(access, "hmac", Watch)
     token = lab.server.token
     given = ["x", "", token[:-1], token[:-1] + "%C3%A9", token]
     answers = [ask(lab, f"/{one}/screen")[0] for one in given]
@@ -143,7 +144,7 @@ def test_every_token_is_compared_in_constant_time(
 
 def test_an_ipv6_address_is_served_as_it_is_printed(lab: Lab) -> None:
     try:
-        display = open_display("web://[::1]:0", plan_for(60, 80), lab.room)
+        display = open_display("web://[::1]:0", plan_for(60, 80), lab.context)
     except DisplayError:
         pytest.skip("this machine has no IPv6")
     with display, urllib.request.urlopen(display.url, timeout=10) as answer:
@@ -223,7 +224,7 @@ def test_a_button_that_is_none_does_nothing(lab: Lab, display: WebDisplay) -> No
         wire.send('{"do": "rm -rf /"}')
         wire.send('{"do": "abort"}')  # no capture is running
         wire.recv(timeout=10)
-    assert lab.room.wishes.empty()
+    assert lab.context.wishes.empty()
     lab.server.monitor.refuse_abort()
 
 
@@ -239,7 +240,7 @@ def test_an_answer_to_no_open_question_does_nothing(
         arrived.set()
 
     monkeypatch.setattr(lab.server.monitor, "answer", hear)
-    asking = threading.Thread(target=lambda: heard.append(lab.room.operator.ask("How far?")), daemon=True)
+    asking = threading.Thread(target=lambda: heard.append(lab.context.operator.ask("How far?")), daemon=True)
     with page(lab, "monitor") as wire:
         wire.send('{"answer": 1, "text": "too early"}')
         assert arrived.wait(10)
@@ -275,8 +276,8 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
             for _ in range(100):
                 stack.enter_context(dial(lab))
             shows_still(lab, display)
-        held = [one for one in lab.server._server.server_state.connections if isinstance(one, web_door.Connection)]
-        assert len(held) <= web_door.MOST_STRANGERS + 20
+        held = [one for one in lab.server._server.server_state.connections if isinstance(one, access.Connection)]
+        assert len(held) <= access.MOST_STRANGERS + 20
 
 
 @pytest.mark.parametrize(
@@ -285,7 +286,7 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
 def test_a_slow_stranger_is_shown_out(
     start: bytes, lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(web_door, "STRANGER_S", 0.3)
+    monkeypatch.setattr(access, "STRANGER_S", 0.3)
     with dial(lab) as wire:
         wire.sendall(start)
         answer = b""
@@ -377,7 +378,7 @@ def test_without_being_asked_it_listens_on_this_machine_only(lab: Lab, display: 
 
 def test_a_port_in_use_is_one_clear_line(lab: Lab, display: WebDisplay) -> None:
     with pytest.raises(DisplayError, match=f"cannot listen on 127.0.0.1 port {lab.server.port}: .*in use"):
-        open_display(f"web://127.0.0.1:{lab.server.port}", plan_for(60, 80), Room())
+        open_display(f"web://127.0.0.1:{lab.server.port}", plan_for(60, 80), DeviceContext())
 
 
 def test_two_displays_of_one_name_are_refused(lab: Lab, display: WebDisplay) -> None:

@@ -13,14 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_world import BenchSettings, TruePanel, TrueSensor
-from labkit.drivers.pty_port import LineFault, PtyPort
-from labkit.drivers.zaber_protocol import checksum, command_line, read_reply
-from labkit.drivers.zaber_rail import ZaberRail, open_rail
-from labkit.drivers.zaber_simulator import ZaberController
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Rail
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
+from labkit.drivers.simulated.controllers.zaber import ZaberController
+from labkit.drivers.simulated.world import BenchSettings, TruePanel, TrueSensor
+from labkit.drivers.zaber.protocol import checksum, command_line, read_reply
+from labkit.drivers.zaber.rail import ZaberRail, open_rail
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
-from labkit.lab.devices import Rail, Room
 from tests.drivers.test_simulated_devices import plan
 
 MICROSTEP_MM = 0.49609375e-3
@@ -251,13 +252,13 @@ def test_a_plan_that_says_too_little_is_refused(address: str, microstep_um: floa
     assert wanted.rail
     told = wanted.model_copy(update={"rail": wanted.rail.model_copy(update={"microstep_um": microstep_um})})
     with pytest.raises(PlanError, match=words):
-        open_rail(address, told, Room())
+        open_rail(address, told, DeviceContext())
 
 
 def test_a_simulated_stage_carries_the_simulated_benchs_camera() -> None:
     bench = Bench(replace(BenchSettings(), sensor=TrueSensor(rows=32, cols=48), panel=TruePanel(pixels=(300, 400))))
     wanted = plan(**{"direction = -1": "direction = -1\nmicrostep_um = 0.5"})
-    with open_rail("zaber:simulated", wanted, Room({"simulated:": bench})) as rail:
+    with open_rail("zaber:simulated", wanted, DeviceContext({"simulated:": bench})) as rail:
         rail.home()
         assert rail.move_to(30.0) == pytest.approx(30.0, abs=0.001)
         # the bench's own scatter has a standard deviation of 0.02 mm

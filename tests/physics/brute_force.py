@@ -5,13 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from labkit.imaging.model import Optics
 from labkit.target import CellTarget
-
-Floats = NDArray[np.float64]
+from labkit.types import Floats
 
 CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((3, 3))), (30.0, 30.0), 0.0)
 CORNERS = np.array([[11.3, 12.1], [10.2, 41.7], [40.8, 42.9], [42.1, 11.4]])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
+from labkit.experiments.conditions import NOLL, Trial, draw_trial
 from labkit.inference.bounds import (
     DETECTOR,
     bias_sensitivity,
@@ -19,12 +20,11 @@ from labkit.inference.bounds import (
     psf_std,
     uniform_bound,
 )
-from labkit.inference.determined import bound_of
+from labkit.inference.fisher_scoring import Problem, climb
+from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import low_orders
-from labkit.inference.solve import Problem, climb
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import Floats
-from labkit.study.conditions import NOLL, Trial, draw_trial
+from labkit.types import Floats
 
 
 @pytest.fixture(scope="module")

@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from labkit.imaging.warp import Pose
+from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals, twin_signs
 from labkit.inference.likelihood import FrameData
-from labkit.inference.solve import NoisePrior
+from labkit.types import Floats
 
 from .brute_force import CARPET, CORNERS, FRAME, OPTICS, WAVES, brute_force_mean
-
-Floats = NDArray[np.float64]
 
 GAIN, READ_VARIANCE, SCALE, AMBIENT = 0.25, 4.0, 1500.0, 40.0
 PRIOR = NoisePrior(GAIN, 0.01, READ_VARIANCE, 0.02)

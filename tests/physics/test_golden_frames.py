@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.inference.pose import find_target, grey_image
-from labkit.lab.flatfield import Calibration, calibrate, channel_data
-from labkit.lab.raw import read_raw
-from labkit.lab.session import Session
+from labkit.calibration.calibrate import Calibration, calibrate, channel_data
+from labkit.finder.find_target import find_target, grey_image
 from labkit.plan import load_plan
+from labkit.raw.decode import read_raw
+from labkit.session.session import Session
 from labkit.target import open_target
 
 GOLDEN = Path(__file__).parents[2].parent / "shared" / "golden"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import labkit.imaging.scene
 from labkit.imaging.blur import Blur
@@ -14,10 +13,9 @@ from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import Pupil
 from labkit.target import CellTarget
+from labkit.types import Floats
 
 from .brute_force import CARPET, CORNERS, FRAME, OPTICS, WAVES, brute_force_mean, points_seen
-
-Floats = NDArray[np.float64]
 
 USED = np.ones(FRAME, bool)
 

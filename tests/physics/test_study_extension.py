@@ -9,8 +9,8 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
 from labkit.errors import InputError
-from labkit.study.extension import EXTERIOR, OURS, SIDE, Task, masks, picture, work
-from labkit.study.runner import Setting, run_study
+from labkit.experiments.extension import EXTERIOR, OURS, SIDE, Task, masks, picture, work
+from labkit.experiments.runner import Setting, run_study
 
 
 def test_every_way_keeps_what_is_known_and_is_judged_as_scikit_image_judges() -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.study.conditions import carpet, draw_trial
-from labkit.study.runner import Setting, run_study
-from labkit.study.targets import READ_NOISES, SPECS, bounds
+from labkit.experiments.conditions import carpet, draw_trial
+from labkit.experiments.runner import Setting, run_study
+from labkit.experiments.targets import READ_NOISES, SPECS, bounds
 from labkit.target import CellTarget
 
 

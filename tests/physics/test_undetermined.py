@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from labkit.analysis.observe import Observation
+from labkit.analysis.wavefronts import Task, fit_task
+from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
 from labkit.inference.likelihood import FrameData
-from labkit.products.observe import Observation
-from labkit.products.wavefront import Task, fit_task
-from labkit.study.conditions import FRAME, Trial, carpet, draw_trial, optics
 
 NOLL = (4, 5, 6, 7)
 

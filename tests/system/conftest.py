@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_setup import settings_for
-from labkit.drivers.bench_world import Fault
-from labkit.lab.devices import Room
+from labkit.devices.context import DeviceContext
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.simulated.world import Fault
 from labkit.plan import load_plan
 from tests.plans import SMALL, plan_text, simulated
 
@@ -23,7 +23,7 @@ PLAN = plan_text(
     {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 3}},
 )
 
-RoomMaker = Callable[..., Room]
+ContextMaker = Callable[..., DeviceContext]
 
 
 @pytest.fixture
@@ -34,13 +34,13 @@ def plan_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def make_room() -> RoomMaker:
-    """A room with the plan's bench in it, with faults, and with more or less light than the plan expects."""
+def make_context() -> ContextMaker:
+    """A context with the plan's bench in it, with faults, and with more or less light than the plan expects."""
 
-    def make(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> Room:
+    def make(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> DeviceContext:
         settings = settings_for(load_plan(plan_file), 7)
         sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
         bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
-        return Room({ADDRESS: bench}, bench.wait)
+        return DeviceContext({ADDRESS: bench}, bench.wait)
 
     return make

@@ -15,25 +15,25 @@ from pathlib import Path
 
 import pytest
 
+from labkit.capture.capture import capture
 from labkit.cli import run
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_setup import settings_for
+from labkit.devices.context import DeviceContext
+from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import settings_for
 from labkit.errors import RawError
-from labkit.lab.capture import capture
-from labkit.lab.devices import Room
-from labkit.lab.discover import open_devices
-from labkit.lab.session import Session, begin
 from labkit.plan import load_plan
+from labkit.session.session import Session, begin
 
-from .conftest import ADDRESS, RoomMaker
+from .conftest import ADDRESS, ContextMaker
 
 
 @pytest.fixture
-def folder(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> Path:
+def folder(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> Path:
     """A captured session, to be spoilt."""
     with (
         begin(plan_file, tmp_path / "session", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file)) as devices,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         capture(session, devices, check=False)
     return tmp_path / "session"
@@ -143,7 +143,7 @@ def test_a_plan_whose_ranges_are_shorter_than_the_focal_length_begins_nothing(
 
 
 def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker, folder: Path
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, folder: Path
 ) -> None:
     text = plan_file.read_text()
     plan_file.write_text(text.replace("darks = 3", "darks = 4"))
@@ -153,7 +153,7 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
     before = contents(folder / "frames")
     with (
         begin(plan_file, folder, resume=True) as session,
-        open_devices(session.plan, room=Room({ADDRESS: larger}, larger.wait)) as devices,
+        open_devices(session.plan, context=DeviceContext({ADDRESS: larger}, larger.wait)) as devices,
         pytest.raises(RawError, match=r"dark_3, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × "),
     ):
         capture(session, devices, check=False)
@@ -162,13 +162,13 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
 
 
 def test_too_few_ranges_for_a_focus_are_said_after_all_that_could_be_fitted(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker, capfd: pytest.CaptureFixture[str]
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = plan_file.read_text().replace("[2000, 2050.5]", "[2000]")
     plan_file.write_text(f"{text}\n[fit]\nzernike_noll = [4, 6]\n")
     with (
         begin(plan_file, tmp_path / "session", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file)) as devices,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         capture(session, devices, check=False)
     assert run(["fit", str(tmp_path / "session"), "--workers", "1"]) == 2

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import rawpy
 
-from labkit.drivers.grbl_firmware import GRBL
-from labkit.drivers.grbl_rail import GrblRail
-from labkit.drivers.grbl_simulator import grbl_port
-from labkit.drivers.pty_port import LineFault, PtyPort
+from labkit.devices.bluesky import ScanRail, Step
+from labkit.drivers.grbl.rail import GrblRail
+from labkit.drivers.simulated.controllers.grbl import grbl_port
+from labkit.drivers.simulated.controllers.grbl_firmware import GRBL
+from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
 from labkit.errors import DeviceTimeoutError, RailError
-from labkit.lab.runengine import ScanRail, Step
 
 ROOT = Path(__file__).parents[2]
 

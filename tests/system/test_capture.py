@@ -7,7 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.drivers.bench_world import Fault
+from labkit.capture.capture import capture
+from labkit.capture.sequence import missing
+from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.world import Fault
 from labkit.errors import (
     CameraError,
     DataError,
@@ -18,29 +22,25 @@ from labkit.errors import (
     RailError,
     SessionError,
 )
-from labkit.lab.capture import capture
-from labkit.lab.devices import Devices, Room
-from labkit.lab.discover import open_devices
-from labkit.lab.raw import read_raw
-from labkit.lab.session import Session, begin, verify
-from labkit.lab.shots import missing
 from labkit.plan import load_plan
+from labkit.raw.decode import read_raw
+from labkit.session.session import Session, begin, verify
 
-from .conftest import RoomMaker
+from .conftest import ContextMaker
 
 ALL = 3 + 2 * (2 + 2)
 
 
-def run(plan_file: Path, folder: Path, room: Room, resume: bool = False, check: bool = True) -> Session:
-    with begin(plan_file, folder, resume) as session, open_devices(session.plan, room=room) as devices:
+def run(plan_file: Path, folder: Path, context: DeviceContext, resume: bool = False, check: bool = True) -> Session:
+    with begin(plan_file, folder, resume) as session, open_devices(session.plan, context=context) as devices:
         capture(session, devices, check=check)
     return session
 
 
 def test_a_capture_takes_darks_once_and_flats_and_targets_at_every_range(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    session = run(plan_file, tmp_path / "s", make_room(plan_file))
+    session = run(plan_file, tmp_path / "s", make_context(plan_file))
     assert [frame.file for frame in session.frames] == [
         "dark_0.dng", "dark_1.dng", "dark_2.dng",
         "flat_2000_0.dng", "flat_2000_1.dng", "target_2000_0.dng", "target_2000_1.dng",
@@ -51,13 +51,13 @@ def test_a_capture_takes_darks_once_and_flats_and_targets_at_every_range(
 
 
 def test_frames_of_a_stop_share_the_plans_range_and_note_the_measured_one(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    room = make_room(plan_file)
-    session = run(plan_file, tmp_path / "s", room)
+    context = make_context(plan_file)
+    session = run(plan_file, tmp_path / "s", context)
     targets = [frame for frame in session.frames if frame.kind == "target"]
     assert {frame.range_mm for frame in targets} == {2000.0, 2050.5}
-    visits = next(iter(room.shared.values())).truth.visits
+    visits = next(iter(context.shared.values())).truth.visits
     for visit in visits:
         noted = {frame.meta["measured_range_mm"] for frame in targets if frame.range_mm == visit.range_mm}
         assert len(noted) == 1
@@ -65,9 +65,9 @@ def test_frames_of_a_stop_share_the_plans_range_and_note_the_measured_one(
 
 
 def test_flats_are_white_targets_are_not_and_darks_are_dark(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    session = run(plan_file, tmp_path / "s", make_room(plan_file))
+    session = run(plan_file, tmp_path / "s", make_context(plan_file))
     level = {f.kind: np.median(read_raw(f.path, session.plan.sensor).counts[::2, 1::2]) for f in session.frames}
     assert level["dark"] == 600
     assert level["flat"] > 9000
@@ -87,9 +87,9 @@ PASSING = [
 
 @pytest.mark.parametrize("fault", PASSING, ids=lambda fault: f"{fault.device}-{fault.kind}-{fault.call}")
 def test_passing_trouble_is_noted_and_got_over(
-    fault: Fault, plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    fault: Fault, plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    session = run(plan_file, tmp_path / "s", make_room(plan_file, [fault]))
+    session = run(plan_file, tmp_path / "s", make_context(plan_file, [fault]))
     assert len(session.frames) == ALL
     trouble = [event for event in session.events if event["event"] == "trouble"]
     assert [event["device"] for event in trouble] == [fault.device] * fault.times
@@ -113,14 +113,14 @@ LASTING = [
 
 @pytest.mark.parametrize(("fault", "error", "words"), LASTING, ids=lambda x: getattr(x, "kind", None))
 def test_lasting_trouble_stops_with_a_reason_and_resume_finishes(
-    fault: Fault, error: type[DeviceError], words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    fault: Fault, error: type[DeviceError], words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     with pytest.raises(error, match=words) as caught:
-        run(plan_file, tmp_path / "s", make_room(plan_file, [fault]))
+        run(plan_file, tmp_path / "s", make_context(plan_file, [fault]))
     assert "\n" not in str(caught.value)
     kept = {f.file: f.path.read_bytes() for f in Session.open(tmp_path / "s").frames}
     assert 0 < len(kept) < ALL
-    session = run(plan_file, tmp_path / "s", make_room(plan_file), resume=True)
+    session = run(plan_file, tmp_path / "s", make_context(plan_file), resume=True)
     assert len(session.frames) == ALL
     assert verify(session) == []
     assert all((tmp_path / "s" / "frames" / name).read_bytes() == content for name, content in kept.items())
@@ -131,65 +131,69 @@ def test_lasting_trouble_stops_with_a_reason_and_resume_finishes(
     [(2.5, r"flat_2000_0, just taken, is overexposed"), (0.002, "flat_2000_0, just taken, is black")],
 )
 def test_a_badly_exposed_frame_is_put_aside_and_resume_goes_on_when_the_light_is_right(
-    light: float, words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    light: float, words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     with pytest.raises(DataError, match=words) as caught:
-        run(plan_file, tmp_path / "s", make_room(plan_file, light=light), check=False)
+        run(plan_file, tmp_path / "s", make_context(plan_file, light=light), check=False)
     assert caught.value.exit_status == 2
     assert [path.name for path in (tmp_path / "s" / "rejected").iterdir()] == ["flat_2000_0.dng"]
-    assert len(run(plan_file, tmp_path / "s", make_room(plan_file), resume=True).frames) == ALL
+    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
 
 
 def test_ctrl_c_stops_the_rail_and_leaves_a_session_that_resume_finishes(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     def interrupt(done: int, total: int, name: str) -> None:
         if done == 6:
             raise KeyboardInterrupt
 
-    room = make_room(plan_file)
+    context = make_context(plan_file)
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
-        open_devices(session.plan, room=room) as devices,
+        open_devices(session.plan, context=context) as devices,
         pytest.raises(KeyboardInterrupt),
     ):
         capture(session, devices, progress=interrupt)
     assert session.events[-1]["event"] == "interrupted"
-    assert len(run(plan_file, tmp_path / "s", make_room(plan_file), resume=True).frames) == ALL
+    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
 
 
-def test_resuming_what_is_complete_does_nothing(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    before = len(run(plan_file, tmp_path / "s", make_room(plan_file)).events)
-    assert len(run(plan_file, tmp_path / "s", make_room(plan_file), resume=True).events) == before
+def test_resuming_what_is_complete_does_nothing(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
+    before = len(run(plan_file, tmp_path / "s", make_context(plan_file)).events)
+    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).events) == before
 
 
-def test_resume_begins_where_nothing_was_begun(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    assert len(run(plan_file, tmp_path / "s", make_room(plan_file), resume=True).frames) == ALL
+def test_resume_begins_where_nothing_was_begun(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
+    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
 
 
-def test_without_resume_a_begun_session_is_left_alone(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    run(plan_file, tmp_path / "s", make_room(plan_file))
+def test_without_resume_a_begun_session_is_left_alone(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    run(plan_file, tmp_path / "s", make_context(plan_file))
     with pytest.raises(SessionError, match="--resume"):
         begin(plan_file, tmp_path / "s", resume=False)
 
 
 def test_resuming_with_another_plan_is_refused_and_names_what_differs(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    run(plan_file, tmp_path / "s", make_room(plan_file))
+    run(plan_file, tmp_path / "s", make_context(plan_file))
     plan_file.write_text(plan_file.read_text().replace("2050.5", "2060").replace("darks = 3", "darks = 4"))
     with pytest.raises(PlanError, match=r"differs in \[camera\], \[rail\] from the one that the photographs in"):
         begin(plan_file, tmp_path / "s", resume=True)
 
 
-def test_a_plan_may_be_mended_until_the_first_photograph(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    right, room = plan_file.read_text(), make_room(plan_file)
+def test_a_plan_may_be_mended_until_the_first_photograph(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    right, context = plan_file.read_text(), make_context(plan_file)
     plan_file.write_text(right.replace("exposure_s = 0.02", "exposure_s = 2.0"))
     with pytest.raises(DataError, match="overexposed"):
-        run(plan_file, tmp_path / "s", room, check=True)
+        run(plan_file, tmp_path / "s", context, check=True)
     assert Session.open(tmp_path / "s").frames == ()
     plan_file.write_text(right)
-    session = run(plan_file, tmp_path / "s", make_room(plan_file), resume=True)
+    session = run(plan_file, tmp_path / "s", make_context(plan_file), resume=True)
     assert len(session.frames) == ALL
     assert session.plan == load_plan(plan_file)
     assert [event["event"] for event in session.events].count("replanned") == 1
@@ -197,13 +201,13 @@ def test_a_plan_may_be_mended_until_the_first_photograph(plan_file: Path, tmp_pa
 
 
 def test_a_range_beyond_the_rail_is_refused_before_anything_moves(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    room = make_room(plan_file)
+    context = make_context(plan_file)
     plan_file.write_text(plan_file.read_text().replace("2050.5", "2450, 1940"))
     words = r"2450 mm \(rail position 500 mm\), 1940 mm \(rail position -10 mm\): the rail goes from -5 to 105\.5 mm"
     with pytest.raises(PlanError, match=f"{words}, ranges 1945 to 2055.5 mm"):
-        run(plan_file, tmp_path / "s", room)
+        run(plan_file, tmp_path / "s", context)
     assert Session.open(tmp_path / "s").frames == ()
 
 
@@ -216,17 +220,20 @@ class BareCamera:
 
 
 def test_a_person_is_asked_for_the_cap_where_the_camera_has_none(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    room = make_room(plan_file)
-    bench = next(iter(room.shared.values()))
+    context = make_context(plan_file)
+    bench = next(iter(context.shared.values()))
     asked = []
 
     def ask(words: str) -> None:
         asked.append(words)
         bench.covered = words.startswith("Put")
 
-    with begin(plan_file, tmp_path / "s", resume=False) as session, open_devices(session.plan, room=room) as devices:
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         bare = Devices(BareCamera(devices), devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
         with pytest.raises(PlanError, match=r"run this at a terminal or with --monitor, or set camera\.darks = 0"):
             capture(session, bare)
@@ -235,9 +242,11 @@ def test_a_person_is_asked_for_the_cap_where_the_camera_has_none(
     assert len(session.frames) == ALL
 
 
-def test_time_passes_on_the_benchs_own_clock(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    room = make_room(plan_file)
-    run(plan_file, tmp_path / "s", room)
+def test_time_passes_on_the_benchs_own_clock(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
+    context = make_context(plan_file)
+    run(plan_file, tmp_path / "s", context)
     # 5 mm home, up to 100.5 mm from -5 mm, back to 50 mm by way of 49, up to 100.5 mm, at 20 mm/s; three settlings of 1 s;
     # eleven exposures of 0.02 s, and four to look round
-    assert next(iter(room.shared.values())).clock_s == pytest.approx((5 + 105.5 + 51.5 + 1 + 50.5) / 20 + 3 + 15 * 0.02)
+    assert next(iter(context.shared.values())).clock_s == pytest.approx(
+        (5 + 105.5 + 51.5 + 1 + 50.5) / 20 + 3 + 15 * 0.02
+    )

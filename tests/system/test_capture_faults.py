@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_optics import Floats32
-from labkit.drivers.bench_setup import settings_for
-from labkit.drivers.bench_world import Fault
-from labkit.drivers.simulated_rail import SimulatedRail
+from labkit.capture.capture import capture
+from labkit.devices.context import DeviceContext
+from labkit.devices.observer import Observer
+from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.rail import SimulatedRail
+from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.simulated.world import Fault
 from labkit.errors import DeviceError, InputError, RailError
-from labkit.lab.capture import capture
-from labkit.lab.devices import Room
-from labkit.lab.discover import open_devices
-from labkit.lab.session import Session, begin, verify
-from labkit.lab.watch import Watcher
 from labkit.plan import load_plan
+from labkit.session.session import Session, begin, verify
+from labkit.types import Floats32
 from tests.plans import SMALL, plan_text, simulated
 
 PLAN = plan_text(
@@ -82,9 +82,9 @@ class WatchedBench(Bench):
         return self.drawn[key]
 
 
-def run(plan_file: Path, folder: Path, bench: Bench, *watchers: Watcher) -> Session:
-    room = Room({"simulated:": bench}, bench.wait, [*watchers])
-    with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, room=room) as devices:
+def run(plan_file: Path, folder: Path, bench: Bench, *observers: Observer) -> Session:
+    context = DeviceContext({"simulated:": bench}, bench.wait, [*observers])
+    with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
         capture(session, devices)
     return session
 

@@ -19,19 +19,12 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from labkit.drivers.grbl_controller import GrblController
-from labkit.drivers.grbl_firmware import GRBL, GRBL_HAL, Firmware
-from labkit.drivers.grbl_rail import GrblRail
-from labkit.drivers.grbl_simulator import grbl_port
-from labkit.drivers.pty_port import Kind, LineFault, PtyPort
-from labkit.drivers.zaber_rail import ZaberRail
-from labkit.drivers.zaber_simulator import ZaberController
-from labkit.errors import LabkitError
-from labkit.lab.capture import capture
-from labkit.lab.devices import (
+from labkit.capture.capture import capture
+from labkit.capture.sequence import missing, picture_for
+from labkit.devices.context import Devices
+from labkit.devices.protocols import (
     Camera,
     CameraInfo,
-    Devices,
     Display,
     ExposureSettings,
     PanelInfo,
@@ -40,10 +33,17 @@ from labkit.lab.devices import (
     RawFrame,
     Shown,
 )
-from labkit.lab.discover import open_devices
-from labkit.lab.session import Session, begin, verify
-from labkit.lab.shots import missing, picture_for
+from labkit.devices.registry import open_devices
+from labkit.drivers.grbl.rail import GrblRail
+from labkit.drivers.simulated.controllers.grbl import grbl_port
+from labkit.drivers.simulated.controllers.grbl_controller import GrblController
+from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, GRBL_HAL, Firmware
+from labkit.drivers.simulated.controllers.pty_port import Kind, LineFault, PtyPort
+from labkit.drivers.simulated.controllers.zaber import ZaberController
+from labkit.drivers.zaber.rail import ZaberRail
+from labkit.errors import LabkitError
 from labkit.plan import parse_plan
+from labkit.session.session import Session, begin, verify
 from tests.plans import SMALL, plan_text, simulated
 
 DEVICES = simulated([2100, 2150, 2050], 1950.0)

@@ -16,11 +16,11 @@ import pytest
 
 from labkit import __version__
 from labkit.cli import run
-from labkit.drivers import bench_setup
-from labkit.drivers.bench_world import BenchSettings
-from labkit.drivers.simulated_camera import SimulatedCamera
+from labkit.drivers.simulated import setup as bench_setup
+from labkit.drivers.simulated.camera import SimulatedCamera
+from labkit.drivers.simulated.world import BenchSettings
 from labkit.errors import CameraError
-from labkit.lab.session import Session
+from labkit.session.session import Session
 from tests.plans import IPAD, PORTRAIT, SMALL, plan_text, simulated
 
 WriteDng = Callable[..., Path]

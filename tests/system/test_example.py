@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.drivers.bench import Bench
-from labkit.drivers.bench_setup import settings_for
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import settings_for
 from labkit.plan import load_plan
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 

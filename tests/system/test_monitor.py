@@ -18,7 +18,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from labkit.lab.session import Session
+from labkit.session.session import Session
 from tests.drivers.test_web_monitor import PLAN
 
 LABKIT = [sys.executable, "-c", "from labkit.cli import main; main()"]

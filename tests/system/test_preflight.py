@@ -10,22 +10,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labkit.drivers.bench_world import Fault
+from labkit.capture.capture import capture
+from labkit.capture.sequence import picture_for
+from labkit.devices.context import Devices
+from labkit.devices.protocols import Check, ExposureSettings, Picture, Shown
+from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.world import Fault
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
-from labkit.inference.pose import find_target, grey_image
-from labkit.lab.capture import capture
-from labkit.lab.devices import Check, Devices, ExposureSettings, Picture, Shown
-from labkit.lab.discover import open_devices
-from labkit.lab.raw import read_raw
-from labkit.lab.session import Session, begin
-from labkit.lab.sharpness import blur_px, edge_px
-from labkit.lab.shots import picture_for
+from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
 from labkit.plan import load_plan
+from labkit.raw.decode import read_raw
+from labkit.session.session import Session, begin
 from labkit.target import open_target
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
-from .conftest import RoomMaker
+from .conftest import ContextMaker
 
 
 class Display:
@@ -46,15 +47,15 @@ class Display:
 def problems_of(
     plan_file: Path,
     folder: Path,
-    make_room: RoomMaker,
+    make_context: ContextMaker,
     faults: Sequence[Fault] = (),
     light: float = 1.0,
     turned: int = 0,
     check: Check | None = None,
 ) -> LabkitError:
     """What a capture with those faults says before its first frame."""
-    room = make_room(plan_file, faults, light)
-    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, room=room) as devices:
+    context = make_context(plan_file, faults, light)
+    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
         if check is not None:
             monitored = SimpleNamespace(check=lambda frames: check)
             for name in ("identify", "configure", "expose", "cover", "close"):
@@ -70,12 +71,12 @@ def problems_of(
 
 
 def test_what_is_right_is_noted_with_blur_margin_and_room(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     said: list[str] = []
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file)) as devices,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         capture(session, devices, warn=said.append)
     (noted,) = [event for event in session.events if event["event"] == "preflight"]
@@ -87,11 +88,11 @@ def test_what_is_right_is_noted_with_blur_margin_and_room(
 
 
 def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file)) as devices,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         capture(session, devices)
     moves = [event["range_mm"] for event in session.events if event["event"] == "moved"]
@@ -111,35 +112,37 @@ def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
     ],
 )
 def test_a_device_that_fails_is_said_before_the_first_frame(
-    fault: Fault, words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    fault: Fault, words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
-    error = problems_of(plan_file, tmp_path / "s", make_room, [fault])
+    error = problems_of(plan_file, tmp_path / "s", make_context, [fault])
     assert isinstance(error, DeviceError)
     assert words in str(error)
 
 
 @pytest.mark.parametrize(("light", "words"), [(2.5, "is overexposed"), (0.002, "is black")])
-def test_wrong_light_is_said(light: float, words: str, plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
-    assert words in str(problems_of(plan_file, tmp_path / "s", make_room, light=light))
+def test_wrong_light_is_said(
+    light: float, words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    assert words in str(problems_of(plan_file, tmp_path / "s", make_context, light=light))
 
 
 def test_a_target_that_leaves_the_frame_is_said_of_both_ends(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     # half of the picture's 90 panel pixels go round to its other side: there is no carpet to be found
-    error = problems_of(plan_file, tmp_path / "s", make_room, turned=45)
+    error = problems_of(plan_file, tmp_path / "s", make_context, turned=45)
     assert isinstance(error, DataError)
     assert str(error).startswith("2 things are not right: (1) at 2050.5 mm: ")
     assert "; (2) at 2000 mm: " in str(error)
 
 
 def test_everything_that_is_wrong_is_said_at_once(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10_000))
     battery = Check(("the camera's battery is at 9 %: charge it",), ("manual focus",))
     faults = [Fault("rail", "stall", 1, 3)]
-    error = problems_of(plan_file, tmp_path / "s", make_room, faults, light=2.5, turned=45, check=battery)
+    error = problems_of(plan_file, tmp_path / "s", make_context, faults, light=2.5, turned=45, check=battery)
     assert isinstance(error, DeviceError)
     for words in (
         "5 things",
@@ -153,19 +156,19 @@ def test_everything_that_is_wrong_is_said_at_once(
 
 
 def test_too_little_room_for_the_whole_plan_is_said(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=50_000))
-    error = problems_of(plan_file, tmp_path / "s", make_room)
+    error = problems_of(plan_file, tmp_path / "s", make_context)
     assert isinstance(error, InputError)
     assert "11 photographs take" in str(error)
 
 
-def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
     faults = [Fault("camera", "timeout", 2), Fault("rail", "stall", 1), Fault("display", "sleep", 2)]
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file, faults)) as devices,
+        open_devices(session.plan, context=make_context(plan_file, faults)) as devices,
     ):
         capture(session, devices)
     assert len(session.frames) == 11
@@ -198,6 +201,8 @@ def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: P
     assert few < many
 
 
-def test_no_target_at_all_is_an_error_of_the_target(plan_file: Path, tmp_path: Path, make_room: RoomMaker) -> None:
+def test_no_target_at_all_is_an_error_of_the_target(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
     plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000]"))
-    assert isinstance(problems_of(plan_file, tmp_path / "s", make_room, turned=45), TargetError)
+    assert isinstance(problems_of(plan_file, tmp_path / "s", make_context, turned=45), TargetError)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers import grbl_simulator
-from labkit.lab.capture import capture
-from labkit.lab.discover import open_devices
-from labkit.lab.session import begin, verify
+from labkit.capture.capture import capture
+from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.controllers import grbl as grbl_simulator
+from labkit.session.session import begin, verify
 
-from .conftest import RoomMaker
+from .conftest import ContextMaker
 
 FRAMES, SETTLED = 500, 150
 """By the latter, five stops in, every library is loaded and every cache full."""
@@ -38,7 +38,7 @@ class Held:
 
 @pytest.mark.timeout(300)
 def test_memory_threads_and_handles_stay_flat_over_500_frames(
-    plan_file: Path, tmp_path: Path, make_room: RoomMaker, monkeypatch: pytest.MonkeyPatch
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fast = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
     monkeypatch.setattr(grbl_simulator, "LEADSCREW", grbl_simulator.LEADSCREW | fast)
@@ -49,7 +49,7 @@ def test_memory_threads_and_handles_stay_flat_over_500_frames(
     held: dict[int, Held] = {}
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
-        open_devices(session.plan, room=make_room(plan_file)) as devices,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         capture(session, devices, progress=lambda done, total, step: held.update({done: Held.now()}))
     assert len(session.frames) == FRAMES

@@ -18,24 +18,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import labkit.drivers.bench
+import labkit.drivers.simulated.bench
+from labkit.analysis.wavefronts import fit_session
+from labkit.capture.capture import capture
 from labkit.demo import compare
-from labkit.drivers.bench import Bench
-from labkit.drivers.dng import RawTags, write_raw
-from labkit.drivers.gphoto2_camera import Gphoto2Camera
-from labkit.drivers.gphoto2_link import Link
+from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame
+from labkit.devices.registry import open_devices
+from labkit.drivers.gphoto2.camera import Gphoto2Camera
+from labkit.drivers.gphoto2.link import Link
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import DeviceError
-from labkit.lab.capture import capture
-from labkit.lab.devices import CameraInfo, Check, Devices, ExposureSettings, RawFrame, Room
-from labkit.lab.discover import open_devices
-from labkit.lab.raw import read_raw
-from labkit.lab.session import Session, begin, verify
 from labkit.plan import load_plan
-from labkit.products.wavefront import fit_session
+from labkit.raw.decode import read_raw
+from labkit.session.session import Session, begin, verify
 from labkit.summary import read_results
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
-from .conftest import RoomMaker
+from .conftest import ContextMaker
 
 pytest.importorskip("gphoto2")
 
@@ -93,16 +94,16 @@ def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     tmp_path: Path, photograph: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(labkit.drivers.bench, "KEPT_PICTURES", 99)
+    monkeypatch.setattr(labkit.drivers.simulated.bench, "KEPT_PICTURES", 99)
     plan_file = tmp_path / "plan.toml"
     plan_file.write_text(PLAN)
-    room = Room()
+    context = DeviceContext()
     with (
-        open_devices(load_plan(plan_file), room=room) as simulated,
-        Gphoto2Camera("", f_number=4.0, keep=False, wait=room.wait, release_s=1.0) as tethered,
+        open_devices(load_plan(plan_file), context=context) as simulated,
+        Gphoto2Camera("", f_number=4.0, keep=False, wait=context.wait, release_s=1.0) as tethered,
         begin(plan_file, tmp_path / "session", resume=False) as session,
     ):
-        bench: Bench = next(iter(room.shared.values()))
+        bench: Bench = next(iter(context.shared.values()))
         camera = CameraOnTheBench(tethered, bench, photograph)
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
         capture(session, devices, check=False)
@@ -126,13 +127,15 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
 FAULTY = Path(__file__).parents[1] / "drivers" / "faulty_gphoto2.py"
 
 
-def tethered_capture(plan_file: Path, folder: Path, bench_room: Room, photograph: Path, **spec: Any) -> Session:
+def tethered_capture(
+    plan_file: Path, folder: Path, bench_room: DeviceContext, photograph: Path, **spec: Any
+) -> Session:
     """Capture, or go on, through a libgphoto2 with trouble to order."""
     calls = Path(tempfile.mkdtemp(dir=folder.parent))
     link = Link([sys.executable, str(FAULTY), json.dumps({**spec, "folder": str(calls)})])
     with (
         begin(plan_file, folder, resume=True) as session,
-        open_devices(session.plan, room=bench_room) as simulated,
+        open_devices(session.plan, context=bench_room) as simulated,
         Gphoto2Camera("", f_number=8.0, keep=False, wait=lambda s: None, link=link, release_s=1.0) as tethered,
     ):
         camera = CameraOnTheBench(tethered, next(iter(bench_room.shared.values())), photograph)
@@ -149,16 +152,16 @@ def tethered_capture(plan_file: Path, folder: Path, bench_room: Room, photograph
     [("init", 1, -53), ("trigger_capture", 2, -110), ("file_get", 7, -7), ("file_get", 12, "crash")],
 )
 def test_a_capture_that_the_camera_stops_is_completed_by_resuming(
-    call: str, at: int, kind: int | str, plan_file: Path, tmp_path: Path, make_room: RoomMaker, photograph: Path
+    call: str, at: int, kind: int | str, plan_file: Path, tmp_path: Path, make_context: ContextMaker, photograph: Path
 ) -> None:
     # two in the preflight's look at the far end, two at the near one, eleven to keep
     fault = {"call": call, "kind": kind, "at": at, "times": 999}
     with pytest.raises(DeviceError) as caught:
-        tethered_capture(plan_file, tmp_path / "s", make_room(plan_file), photograph, fault=fault)
+        tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault)
     assert "\n" not in str(caught.value)
     kept = {frame.file: frame.sha256 for frame in Session.open(tmp_path / "s").frames}
     assert len(kept) == max(0, at - 1 - 4)
-    session = tethered_capture(plan_file, tmp_path / "s", make_room(plan_file), photograph)
+    session = tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph)
     assert len(session.frames) == 11
     assert verify(session) == []
     assert kept.items() <= {frame.file: frame.sha256 for frame in session.frames}.items()
@@ -179,7 +182,7 @@ def _counts_of_the_simulated_camera(plan_file: Path, folder: Path, like: Bench) 
     """
     bench = Bench(like.settings)
     bench._seen = like._seen
-    room = Room({"simulated:seed=3": bench}, bench.wait)
-    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, room=room) as devices:
+    context = DeviceContext({"simulated:seed=3": bench}, bench.wait)
+    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
         capture(session, devices, check=False)
     return _counts(session)

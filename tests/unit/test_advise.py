@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from labkit.analysis.advise import advise, best_order
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
 from labkit.plan import Plan, parse_plan
-from labkit.products.advise import advise, best_order
 
 TEXT = PLAN.format(address="simulated:")
 

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import bias_sensitivity, detector_information, mtf_std, psf_std, uniform_bound
 from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
-from labkit.inference.determined import bound_of
+from labkit.inference.fisher_scoring import NoisePrior, Problem, State, climb
+from labkit.inference.goodness_of_fit import judge
+from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import Detector, FrameData, low_orders, predict
-from labkit.inference.localmin import (
+from labkit.inference.optimum_tests import (
     LocalTest,
     Relaxation,
     against,
@@ -24,9 +27,6 @@ from labkit.inference.localmin import (
     shipped_relaxation,
     wilson_hilferty,
 )
-from labkit.inference.pose import find_target, grey_image
-from labkit.inference.solve import NoisePrior, Problem, State, climb
-from labkit.inference.verdict import judge
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
 from labkit.optics.psf import Pupil, diffraction_mtf
 from labkit.optics.pupil import disc_area

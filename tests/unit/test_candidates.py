@@ -6,7 +6,8 @@ from scipy.optimize import NonlinearConstraint, approx_fprime, minimize
 
 from labkit.inference.candidates import NOLL, candidates, is_trivial, rotated, shipped, strehl
 from labkit.optics.psf import Pupil
-from labkit.optics.zernike import Floats, zernike
+from labkit.optics.zernike import zernike
+from labkit.types import Floats
 
 WAVES = np.random.default_rng(2).normal(scale=0.05, size=12)
 

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from labkit.analysis.focus import MODEL_FLOOR_WAVES, DefocusPoint, choose_signs, fit_focus
 from labkit.errors import DataError
 from labkit.optics.lens import ThinLens
-from labkit.optics.zernike import Floats
-from labkit.products.focus import MODEL_FLOOR_WAVES, DefocusPoint, choose_signs, fit_focus
+from labkit.types import Floats
 
 RANGES = (500.0, 510.0, 520.0, 535.0, 550.0)
 BEST = {"R": 512.0, "B": 515.0}

@@ -9,20 +9,26 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["errors"],
-    ["files"],
-    ["arrays"],
+    ["types", "errors"],
+    ["files", "arrays"],
     ["plan"],
     ["target"],
     ["target_file"],
+    ["execute"],
     ["optics"],
     ["imaging"],
     ["inference"],
-    ["lab"],
-    ["execute"],
-    ["products"],
-    ["summary", "console", "report"],
-    ["study"],
+    ["raw"],
+    ["session"],
+    ["finder"],
+    ["calibration"],
+    ["devices"],
+    ["capture"],
+    ["analysis"],
+    ["report"],
+    ["experiments"],
+    ["console"],
+    ["summary"],
     ["demo"],
     ["cli"],
 ]
@@ -58,6 +64,13 @@ def room(dotted: str) -> str | None:
     return parts[1] if known else None
 
 
+def dotted_name(path: Path) -> str:
+    """What a module is imported as: drivers/ and targets/ are packages of labkit."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "labkit" else ("labkit", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
 def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
@@ -91,11 +104,53 @@ def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
 
 @pytest.mark.parametrize("path", modules("targets"), ids=name)
 def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> None:
-    assert {room(dotted) for dotted in imported(path)} <= {None, "arrays", "errors", "plan", "target", "targets"}
+    assert {room(dotted) for dotted in imported(path)} <= {
+        None,
+        "arrays",
+        "errors",
+        "plan",
+        "target",
+        "targets",
+        "types",
+    }
 
 
 @pytest.mark.parametrize("path", modules("drivers"), ids=name)
 def test_a_driver_knows_nothing_of_the_model_that_it_tests(path: Path) -> None:
     # the simulated bench would agree with any mistake that it shared
-    allowed = {None, "errors", "files", "plan", "target", "lab", "drivers"}
-    assert {room(dotted) for dotted in imported(path)} <= allowed
+    forbidden = {"optics", "imaging", "inference", "calibration", "analysis", "results", "report"}
+    assert {room(dotted) for dotted in imported(path)} & forbidden == set()
+
+
+DOTTED = {dotted_name(path): path for path in modules("labkit", "drivers", "targets")}
+
+
+def reached(start: Path) -> set[str]:
+    """Dotted names of everything that a module imports, by whatever way."""
+    found: set[str] = set()
+    todo = [start]
+    while todo:
+        for dotted in imported(todo.pop()):
+            # "labkit.raw.mosaic.Mosaic" is a name in the module labkit.raw.mosaic
+            module = next((m for m in (dotted, dotted.rpartition(".")[0]) if m in DOTTED), dotted)
+            if module not in found:
+                found.add(module)
+                todo += [DOTTED[module]] if module in DOTTED else []
+    return found
+
+
+def test_devices_reach_no_raw_decoding() -> None:
+    for path in modules("labkit/devices"):
+        assert {"rawpy", "labkit.raw.decode", "labkit.raw.formats"} & reached(path) == set(), name(path)
+
+
+def test_no_driver_reaches_a_simulator() -> None:
+    for path in modules("drivers"):
+        if "simulated" not in path.parts:
+            assert {m for m in reached(path) if m.startswith("labkit.drivers.simulated")} == set(), name(path)
+
+
+def test_the_mathematics_reaches_no_session_and_no_device() -> None:
+    for path in modules("labkit/optics", "labkit/imaging", "labkit/inference"):
+        below = {"session", "raw", "devices", "capture", "drivers", "analysis", "report"}
+        assert {m for m in reached(path) if room(m) in below} == set(), name(path)

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from labkit.imaging.model import Evaluation
+from labkit.inference.fisher_scoring import NoisePrior, Problem, State
+from labkit.inference.goodness_of_fit import SIGNIFICANCE, judge
 from labkit.inference.likelihood import Detector, FrameData, log_likelihood, low_orders, predict, score
-from labkit.inference.solve import NoisePrior, Problem, State
-from labkit.inference.verdict import SIGNIFICANCE, judge
+from labkit.types import Floats
 
-Floats = NDArray[np.float64]
 DETECTOR = Detector(400.0, 30.0, 0.5, 4.0)
 SHAPE = (12, 15)
 UNEVEN = np.array([0.1, -0.05, 0.02, 0.03, -0.04])

@@ -10,8 +10,8 @@ from unittest.mock import Mock
 import pytest
 
 from labkit.errors import PlanError, SessionError
-from labkit.lab.journal import JournalWriter
-from labkit.lab.session import Session, begin, verify
+from labkit.session.journal import JournalWriter
+from labkit.session.session import Session, begin, verify
 from tests.plans import PORTRAIT, plan_text
 
 P = ParamSpec("P")

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from labkit.lab.raw import Mosaic
-from labkit.lab.sharpness import sharpest_edge_px
+from labkit.finder.sharpness import sharpest_edge_px
+from labkit.raw.mosaic import Mosaic
 
 BAYER, MONO = ("RG", "GB"), ("M",)
 

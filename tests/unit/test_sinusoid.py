@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize_scalar
 
-from labkit.optics.zernike import Floats
-from labkit.study.roc import area, detection
-from labkit.study.sinusoid import (
+from labkit.experiments.roc import area, detection
+from labkit.experiments.sinusoid import (
     HIGHEST,
     TRUE,
     Optima,
@@ -21,6 +20,7 @@ from labkit.study.sinusoid import (
     relaxation,
     two_sided,
 )
+from labkit.types import Floats
 
 DRAWS = 400
 

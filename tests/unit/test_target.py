@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import signal
 
 from labkit.errors import TargetError
 from labkit.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
-
-Floats = NDArray[np.float64]
+from labkit.types import Floats
 
 
 def carpet_transform(order: int, nu_y: Floats, nu_x: Floats) -> Floats:

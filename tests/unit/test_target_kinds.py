@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from labkit.errors import PlanError, TargetError
@@ -16,9 +15,9 @@ from labkit.target_file import read_spec, render_file
 from labkit.targets.noise import noise_cells
 from labkit.targets.slanted_edge import SlantedEdge
 from labkit.targets.tribar import tribar_cells, triple
+from labkit.types import Floats
 from tests.plans import PORTRAIT, plan_text
 
-Floats = NDArray[np.float64]
 KINDS = ["tribar:order=3,size_mm=25.4", "checkerboard:cells=9,size_mm=25.4", "noise:cells=32,size_mm=25.4"]
 
 

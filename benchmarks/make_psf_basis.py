@@ -1,0 +1,45 @@
+"""Makes labkit/inference/psf_basis.npz by Algorithm 4.9: `python -m benchmarks.make_relaxation` (6 minutes)."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+import labkit.inference
+from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves
+from labkit.files import write_atomically
+from labkit.imaging.model import ForwardModel
+from labkit.inference.bounds import expected
+from labkit.inference.fisher_scoring import Problem, climb
+from labkit.inference.fit import NEAR_WINDOW
+from labkit.inference.likelihood import predict
+from labkit.inference.optimum_tests import find_relaxation
+
+WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
+
+
+def main() -> None:
+    """Climb from random starts in noise-free pictures of random wavefronts; keep what ends elsewhere."""
+    model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), window_airy=NEAR_WINDOW)
+    cases = []
+    for seed in range(WAVEFRONTS):
+        rng = np.random.default_rng([SEED, seed])
+        trial = draw_trial(rng)
+        truth = trial.state(trial.waves)
+        problem = expected(Problem(model, (trial.frame,), trial.noise), truth)
+        for _ in range(STARTS):
+            found = climb(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
+            if np.linalg.norm(trial.error(found.state.waves)) > 0.02:
+                seen = problem.relative(found.state)[0]
+                variance = predict(seen, problem.frames[0], found.state.detectors()[0])[1]
+                cases.append((problem, found.state, 1 / variance))
+    relaxation = find_relaxation(cases, DEGREES)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, directions=relaxation.directions.astype(np.float32))
+    path = Path(labkit.inference.__file__).with_name("psf_basis.npz")
+    write_atomically(path, buffer.getvalue())
+    print(f"{len(cases)} wrong optima of {WAVEFRONTS * STARTS} climbs; {path.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""Any camera that libgphoto2 drives, over USB. Address: "gphoto2:" for the only one, or "gphoto2:usb:001,004".
+
+libgphoto2 runs in a process of its own (`gphoto2_worker`): when it hangs, crashes or loses the camera, the camera is
+let go, looked for again, reset on USB if need be, opened and set as before, a bounded number of times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame, Setting
+from labkit.drivers.gphoto2.files import clear_folder, fresh_folder, kept
+from labkit.drivers.gphoto2.link import (
+    BUSY,
+    CLAIM,
+    DIED,
+    FULL,
+    GONE,
+    HUNG,
+    IO,
+    NO_CAMERA,
+    TIMEOUT,
+    UNSUPPORTED,
+    Link,
+    Trouble,
+)
+from labkit.drivers.gphoto2.settings import ISO, SHUTTER, Wanted, number_of, percent_of, seconds_of, wanted
+from labkit.errors import CameraError, DeviceTimeoutError, PlanError
+from labkit.plan import Plan
+
+Result = TypeVar("Result")
+
+ADVICE = {
+    IO: "it does not answer over USB: look at cable and battery, switch it off and on",
+    GONE: "it is not on USB any more: look at cable and battery",
+    NO_CAMERA: "it is not on USB: plug it in, switch it on, its automatic power-off off",
+    CLAIM: "another program holds it, often the desktop's file manager: close that, or run gio mount -s gphoto2",
+    BUSY: "it stays busy: look at what its screen says",
+    TIMEOUT: "it does not answer in time: look at what its screen says, switch it off and on",
+    FULL: "its memory or card is full: empty it",
+}
+
+PAUSES_S = (0.5, 2.0, 5.0)
+"""Waited before each new try; with them an operation is tried four times."""
+
+ASK_S, OPEN_S, CLOSE_S = 10.0, 30.0, 10.0
+"""Longest time for a question to the body; for opening it, which lists all its settings; for closing it."""
+
+RELEASE_S = 30.0
+"""An exposure, the body's own noise reduction (as long again) and the transfer take at most this and twice the time."""
+
+LOW_PERCENT, EMPTY_PERCENT = 20.0, 5.0
+"""With less charge a capture is not begun; with less than that no photograph is taken."""
+
+
+def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Camera:
+    """The camera at that address, opened when it is first needed. Raises PlanError."""
+    port = address.partition(":")[2]
+    if port and not re.fullmatch(r"usb:\d+,\d+", port):
+        raise PlanError(f'address "{address}": allowed is gphoto2: for the only camera, or such as gphoto2:usb:001,004')
+    if find_spec("gphoto2") is None:
+        raise PlanError(f'address "{address}" needs the package gphoto2: pip install gphoto2')
+    settings = plan.camera
+    return Gphoto2Camera(
+        port,
+        f_number=(settings.f_number if settings else None) or plan.lens.f_number,
+        keep=settings is not None and settings.capture_target == "card",
+        wait=lambda seconds: context.wait(seconds),
+    )
+
+
+class Gphoto2Camera:
+    """A Camera, Adjustable and Checkable.
+
+    port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
+    the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from the end of
+    an exposure to its file.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        f_number: float | None,
+        keep: bool,
+        wait: Callable[[float], None],
+        link: Link | None = None,
+        release_s: float = RELEASE_S,
+    ) -> None:
+        self._port = port
+        self._f_number = f_number
+        self._keep = keep
+        self._wait = wait
+        self._link = link or Link()
+        self._release_s = release_s
+        self._is_open = False
+        self._seen_at = ""
+        self._exposure: ExposureSettings | None = None
+        self._wanted: Wanted | None = None
+        self._body: dict[str, Setting] = {}
+        self._info: CameraInfo | None = None
+
+    def identify(self) -> CameraInfo:
+        """Who it is; finds it again if it had dropped off."""
+
+        def ask() -> CameraInfo:
+            self._state()
+            assert self._info is not None
+            return self._info
+
+        return self._doing("finding the camera", ask)
+
+    def configure(self, settings: ExposureSettings) -> None:
+        """Set exposure, aperture, raw format, where photographs go, and all that must be off. Raises CameraError."""
+        self._exposure, self._wanted = settings, None
+        self._doing("setting the camera", self._set_all)
+
+    def expose(self, path: Path) -> RawFrame:
+        """Expose once into `path` with the raw format's suffix after it; as the body is set, if not configured."""
+        return self._doing(f"photographing {path.name}", lambda: self._expose(path), path.parent)
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Everything the body offers."""
+        return self._doing("listing the camera's settings", self._list)
+
+    def check(self, frames: int) -> Check:
+        """Battery, and the card if photographs are to stay on it; what to look at by hand."""
+        problems = []
+        state = self._doing("asking the camera for battery and storage", self._state)
+        charge = percent_of(state.get("battery"))
+        if charge is not None and charge < LOW_PERCENT:
+            problems.append(f"the camera's battery is at {charge:g} %: charge it, or feed it from the mains")
+        free = state.get("free_images")
+        if self._keep and free is not None and free < frames:
+            problems.append(f"the camera's card has room for {free} photographs, {frames} are to come: empty it")
+        return Check(tuple(problems), self._wanted.by_hand if self._wanted else ())
+
+    def close(self) -> None:
+        """Let the camera go; again does nothing."""
+        self._is_open = False
+        self._link.close(CLOSE_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _doing(self, what: str, action: Callable[[], Result], folder: Path | None = None) -> Result:
+        """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""
+        pauses = iter((*PAUSES_S, None))
+        for attempt, pause_s in enumerate(pauses, 1):
+            try:
+                self._open()
+                return action()
+            except Trouble as trouble:
+                if pause_s is None or trouble.code == UNSUPPORTED:
+                    raise _told(what, trouble, attempt) from trouble
+                self._let_go(trouble.code, attempt)
+                self._wait(pause_s)
+            finally:
+                if folder is not None:
+                    clear_folder(folder)
+        raise AssertionError("unreachable: the last attempt returns or raises")
+
+    def _let_go(self, code: int, attempt: int) -> None:
+        """Close the camera, and clear what keeps it from being opened again."""
+        self._is_open = False
+        if code == CLAIM:
+            _unmount()
+        try:
+            self._link.ask("close", CLOSE_S)
+            if self._seen_at and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT))):
+                self._link.ask("reset", ASK_S, port=self._seen_at)
+        except Trouble:
+            self._link.kill()
+
+    def _open(self) -> None:
+        """Find and open the camera, and set it as it was before."""
+        if self._is_open:
+            return
+        model, port = self._choose([(model, port) for model, port in self._link.ask("find", ASK_S)])
+        self._seen_at = port
+        version = self._link.ask("open", OPEN_S, model=model, port=port)
+        try:
+            self._list()
+            serial = str(self._body["serialnumber"].value) if "serialnumber" in self._body else ""
+            info = CameraInfo(_printable(model), _printable(serial), f"libgphoto2 {version}")
+            if self._info not in (None, info):
+                raise CameraError(f"another camera came back: {info}; the session's is {self._info}: plug that in")
+            self._info = info
+            if self._wanted is not None:
+                self._set_all()
+        except CameraError:
+            self._link.close(CLOSE_S)
+            raise
+        self._is_open = True
+
+    def _choose(self, found: list[tuple[str, str]]) -> tuple[str, str]:
+        """The camera to open: at the port asked for; the only one; or, if it was open before, of the same model."""
+        listed = ", ".join(f"{model} at {port}" for model, port in found)
+        if not found:
+            raise Trouble(NO_CAMERA, "no camera found")
+        for model, port in found:
+            if port == self._port:
+                return model, port
+        if self._info is not None:  # plugged in again, it has another number
+            found = [(model, port) for model, port in found if _printable(model) == self._info.model]
+        elif self._port:
+            raise CameraError(f"no camera at {self._port}; there is {listed}: give camera.address as one of these")
+        if len(found) > 1:
+            raise CameraError(f'several cameras: {listed}; say which, as camera.address = "gphoto2:{found[0][1]}"')
+        if not found:
+            raise Trouble(NO_CAMERA, f"only {listed} found")
+        return found[0]
+
+    def _list(self) -> tuple[Setting, ...]:
+        listed = tuple(
+            Setting(one["name"], one["label"], one["value"], tuple(one["choices"]), one["readonly"])
+            for one in self._link.ask("settings", OPEN_S)
+        )
+        self._body = {setting.name: setting for setting in listed}
+        return listed
+
+    def _set_all(self) -> None:
+        assert self._exposure is not None
+        self._list()
+        self._wanted = wanted(self._body, self._exposure, self._f_number, "card" if self._keep else "ram")
+        for name, value in self._wanted.changes:
+            if self._body[name].value != value:
+                self._set(name, value)
+        self._set_right()
+
+    def _set_right(self) -> dict[str, Any]:
+        """Read back all that was set: bodies change settings by themselves, and one with another. The values."""
+        if self._wanted is None:
+            return {}
+        asked = dict(self._wanted.changes)
+        now: dict[str, Any] = self._link.ask("read", ASK_S, names=list(asked))
+        wrong = {name: value for name, value in asked.items() if now[name] != value}
+        for name, value in wrong.items():
+            self._set(name, value)
+        if wrong:
+            now = self._link.ask("read", ASK_S, names=list(asked))
+            for name, value in asked.items():
+                _refuse_other(name, value, now[name])
+        return now
+
+    def _set(self, name: str, value: Any) -> None:
+        _refuse_other(name, value, self._link.ask("set", ASK_S, name=name, value=value))
+
+    def _state(self) -> dict[str, Any]:
+        """Battery and free storage, as far as the body tells."""
+        state: dict[str, Any] = {}
+        if "batterylevel" in self._body:
+            state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])["batterylevel"]
+        try:
+            stores = self._link.ask("storage", ASK_S)
+        except Trouble as trouble:
+            if trouble.code != UNSUPPORTED:
+                raise
+            stores = []
+        for key, name in (("images", "free_images"), ("kilobytes", "free_kilobytes")):
+            if told := [store[key] for store in stores if store[key] is not None]:
+                state[name] = max(told)
+        return state
+
+    def _expose(self, path: Path) -> RawFrame:
+        if self._exposure is not None and self._wanted is None:  # setting it was given up half-way
+            self._set_all()
+        now, state = self._set_right(), self._state()
+        charge = percent_of(state.get("battery"))
+        if charge is not None and charge < EMPTY_PERCENT:
+            raise CameraError(f"the camera's battery is at {charge:g} %: charge it")
+        wanted = self._wanted
+        exposure_s, iso = self._exposed(now)
+        bulb = None
+        if wanted and wanted.bulb:
+            bulb = [wanted.exposure_s, list(wanted.bulb.press), list(wanted.bulb.release)]
+        wait_s = self._release_s + 2 * exposure_s
+        answer = self._link.ask(
+            "expose",
+            wait_s + exposure_s + ASK_S,
+            folder=str(fresh_folder(path.parent)),
+            files=wanted.files if wanted else None,
+            wait_s=wait_s,
+            keep=self._keep,
+            live_view="viewfinder" in self._body,
+            bulb=bulb,
+        )
+        made = kept(answer["files"], path, wait_s)
+        meta = {**now, **state, **({"strays": answer["strays"]} if answer["strays"] else {})}
+        return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
+
+    def _exposed(self, now: Mapping[str, Any]) -> tuple[float, int]:
+        """Shutter time and ISO of the next photograph: as set, or as the body says, or as asked."""
+        values = {name: setting.value for name, setting in self._body.items()} | dict(now)
+        seconds = next((s for name in SHUTTER if name in values and (s := seconds_of(values[name]))), None)
+        iso = next((n for name in ISO if name in values and (n := number_of(values[name]))), None)
+        if self._exposure is not None:
+            seconds = self._wanted.exposure_s if self._wanted else self._exposure.exposure_s
+            iso = iso or self._exposure.iso
+        return seconds or 1.0, round(iso or 0)
+
+
+def _told(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
+    """A trouble as a line for people."""
+    text = str(trouble)
+    if trouble.code in ADVICE:
+        text = f"{ADVICE[trouble.code]} (libgphoto2: {text})"
+    elif trouble.code in (HUNG, DIED):
+        text = f"{text}: switch the camera off and on, look at its cable"
+    line = f"{what} failed {tries} times: {text}"
+    return DeviceTimeoutError(line) if trouble.code in (TIMEOUT, HUNG) else CameraError(line)
+
+
+def _printable(text: str) -> str:
+    """What a camera calls itself, fit for a terminal."""
+    return "".join(letter for letter in text if letter.isprintable())
+
+
+def _refuse_other(name: str, asked: Any, is_now: Any) -> None:
+    if asked != is_now:
+        raise CameraError(f"{name} was set to {asked}, but the camera has {is_now}: look at its dials and locks")
+
+
+def _unmount() -> None:
+    """Ask the desktop's file manager to let cameras go."""
+    if gio := shutil.which("gio"):
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            subprocess.run([gio, "mount", "-s", "gphoto2"], timeout=10, capture_output=True, check=False)

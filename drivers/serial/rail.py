@@ -1,0 +1,136 @@
+"""What all rails on a serial line share: the line, found again after it was lost; travel; whether the position is known."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from types import TracebackType
+from typing import ClassVar, Self
+
+from labkit.devices.protocols import Travel
+from labkit.drivers.serial.wire import SerialWire
+from labkit.errors import RailError, RailLimitError
+
+TOLERANCE_MM = 0.02
+"""Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
+
+
+class SerialRail(ABC):
+    """A line at `path`, opened by `_open`; whatever breaks it is told as RailError and closes it.
+
+    It must be homed before it moves, and again whenever its position is in doubt.
+    run_up_mm: every stop is approached from below over this way, which takes up the play of the screw. reply_s: longest
+    silence. back_s: how long a port that was unplugged is waited for; the first time it has to be there. after_close:
+    what else is to be let go.
+    """
+
+    NAME: ClassVar[str]
+    BAUD: ClassVar[int] = 115_200
+
+    def __init__(
+        self, path: str, run_up_mm: float, reply_s: float, back_s: float, after_close: Callable[[], None]
+    ) -> None:
+        self._path = path
+        self._run_up_mm = run_up_mm
+        self._reply_s = reply_s
+        self._back_s = back_s
+        self._opened_before = False
+        self._after_close = after_close
+        self._wire: SerialWire | None = None
+        self._lock = threading.RLock()
+        self._homed = False
+        self._stopping = False  # another thread wants it to stand
+        self._at_mm = 0.0
+        self._reach = Travel(0.0, 1.0)
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Where it can go and still be approached from below, by the controller's own limits."""
+        return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
+
+    def move_to(self, position_mm: float) -> float:
+        """Go there from below; the position that the controller reports once it stands, in mm.
+
+        Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
+        DeviceTimeoutError.
+        """
+        travel = self.travel_mm
+        if not travel.low_mm <= position_mm <= travel.high_mm:
+            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+        with self._lock:
+            self._check_ready()
+            return self._approach(position_mm)
+
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        with self._lock:
+            self._check_ready()
+
+    def close(self) -> None:
+        """Let the rail go; again does nothing."""
+        self._hang_up()
+        self._after_close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def __str__(self) -> str:
+        return f"{self.NAME} at {self._path}"
+
+    def _open(self, begin: Callable[[], None]) -> None:
+        """Open the line and do what has to be done first; closes it again if that fails."""
+        self._wire = SerialWire(self._path, self.BAUD, self._back_s if self._opened_before else 0.0)
+        try:
+            begin()
+        except BaseException:
+            self._hang_up()
+            raise
+        self._opened_before = True
+
+    def _refuse_stopped(self) -> None:
+        """Raise if a stop was asked for before anything moved, which the controller would not know of."""
+        if self._stopping:
+            raise RailError(f"{self} was stopped before it moved")
+
+    @abstractmethod
+    def _check_ready(self) -> None:
+        """Raise unless the carriage is known to stand where it was left."""
+
+    @abstractmethod
+    def _approach(self, position_mm: float) -> float:
+        """Go to a place within the travel, from below; where it then stands."""
+
+    def _send(self, data: bytes) -> None:
+        try:
+            self._connected().send(data)
+        except RailError:
+            self._hang_up()
+            raise
+
+    def _line(self, deadline_s: float) -> str | None:
+        """The next line, or None at the deadline."""
+        try:
+            return self._connected().line(deadline_s)
+        except RailError:
+            self._hang_up()
+            raise
+
+    def _connected(self) -> SerialWire:
+        if self._wire is None:
+            raise RailError(f"{self} is not connected; home it")
+        return self._wire
+
+    def _hang_up(self) -> None:
+        self._homed = False
+        if self._wire is not None:
+            self._wire.close()
+        self._wire = None
+
+    def _lost(self, reason: str) -> RailError:
+        """The error to raise when the carriage may stand anywhere."""
+        self._homed = False
+        return RailError(f"{self} {reason}; its position is lost: home it")

@@ -1,0 +1,299 @@
+"""The simulated world that the simulated camera, rail and display share.
+
+One seed settles all of it: what is fixed (aberration, pose, the panel's unevenness, each pixel's response) is drawn
+when the bench is made; noise is drawn for each frame by its name and scatter for each stop by its number, so a capture
+that was interrupted goes on as if it had not been. Time is a number here: nothing sleeps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.drivers.simulated.optics import defocus_waves, point_spread
+from labkit.drivers.simulated.scene import (
+    FineGrid,
+    Glass,
+    SceneTransform,
+    carry,
+    photograph,
+    project,
+    render,
+    transform,
+)
+from labkit.drivers.simulated.world import FIXED_MODES, REFERENCE_NM, BenchSettings, Fault, Truth, Visit
+from labkit.types import Floats, Floats32
+
+KEPT_PICTURES = 4
+"""White, black and the target at one stop are shown in turn; more than these need not be kept."""
+
+
+class Bench:
+    """The bench: where the carriage stands, what is on the glass, and the photograph that makes.
+
+    The public methods are what devices do to the world. `truth` is for demos and tests, and never for an estimator.
+    """
+
+    def __init__(self, settings: BenchSettings, faults: Sequence[Fault] = ()) -> None:
+        self.settings = settings
+        self.clock_s = 0.0
+        self.covered = False
+        self.camera_present = True
+        self.carriage_mm = 0.0  # before scatter
+        self.screw_mm = 0.0
+        self._faults = tuple(faults)
+        self._calls: Counter[str] = Counter()
+        self._stops: Counter[float] = Counter()
+        self._scatter_mm = 0.0
+        self._wander_px = (0.0, 0.0)
+        self._asked_mm = 0.0
+        self._visits: dict[float, Visit] = {}
+        self._codes = np.zeros(settings.panel.pixels, dtype=np.int16)
+        self._seen: dict[bytes, Floats32] = {}
+        self._draw()
+
+    def trouble(self, device: str) -> str | None:
+        """Count a call to a device; the kind of fault that is due on it, if any."""
+        self._calls[device] += 1
+        call = self._calls[device]
+        for fault in self._faults:
+            if fault.device == device and fault.call <= call < fault.call + fault.times:
+                return fault.kind
+        return None
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.clock_s += seconds
+
+    def turn_screw(self, screw_mm: float, lost_mm: float = 0.0) -> None:
+        """Drive the rail's screw to a position; the carriage follows once the play is taken up, less what is lost."""
+        rail = self.settings.rail
+        self.wait(abs(screw_mm - self.screw_mm) / rail.speed_mm_per_s)
+        self.screw_mm = screw_mm
+        reached = screw_mm - lost_mm
+        # driven from below the carriage lies on the screw; from above it lags by the play
+        self.carriage_mm = min(max(self.carriage_mm, reached), reached + rail.play_mm)
+
+    def stand(self, asked_mm: float) -> None:
+        """The carriage comes to rest: this stop's scatter and sideways wander are drawn."""
+        self._stops[asked_mm] += 1
+        rng = self._generator("stop", f"{asked_mm:.4f}", str(self._stops[asked_mm]))
+        self._asked_mm = asked_mm
+        self._scatter_mm = rng.normal(0, self.settings.rail.scatter_mm)
+        wander = self.settings.pose.wander_px
+        self._wander_px = (rng.uniform(-wander, wander), rng.uniform(-wander, wander))
+
+    @property
+    def position_mm(self) -> float:
+        """Where the carriage truly stands."""
+        return self.carriage_mm + self._scatter_mm
+
+    @property
+    def range_mm(self) -> float:
+        """How far the panel's centre truly is from the lens, along its axis."""
+        rail = self.settings.rail
+        return rail.range_at_zero_mm + rail.direction * self.position_mm
+
+    def light(self, picture: NDArray[np.uint8]) -> None:
+        """Put grey values of panel pixels on the glass, centred and black around. Raises ValueError if too large."""
+        rows, cols = self.settings.panel.pixels
+        height, width = picture.shape
+        if height > rows or width > cols:
+            raise ValueError(f"a picture of {height} × {width} pixels is larger than the panel, {rows} × {cols}")
+        top, left = (rows - height) // 2, (cols - width) // 2
+        self._codes = np.zeros((rows, cols), dtype=np.int16)
+        self._codes[top : top + height, left : left + width] = picture
+
+    def expose(self, exposure_s: float, iso: int, name: str) -> NDArray[np.uint16]:
+        """A photograph, (rows, cols) counts, of what stands before the camera now. `name` draws its noise."""
+        self.wait(exposure_s)
+        sensor = self.settings.sensor
+        rng = self._generator("frame", name)
+        per_s = self._hot_electrons_per_s.copy()
+        if not self.covered:
+            per_s += self._white_electrons_per_s * self._picture()
+        electrons = rng.poisson(per_s * exposure_s) + rng.normal(0, sensor.read_noise_electrons, per_s.shape)
+        counts = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
+        return np.clip(np.rint(counts), 0, sensor.white_level).astype(np.uint16)
+
+    @property
+    def truth(self) -> Truth:
+        """What is true of this bench and of the stops at which it took pictures."""
+        lens, sensor = self.settings.lens, self.settings.sensor
+        return Truth(
+            seed=self.settings.seed,
+            best_focus_mm=dict(lens.best_focus_mm),
+            pupil_magnification=lens.pupil_magnification,
+            modes_waves=self._modes,
+            counts_per_electron=sensor.counts_per_electron,
+            read_noise_counts=sensor.read_noise_electrons * sensor.counts_per_electron,
+            visits=tuple(self._visits.values()),
+        )
+
+    def irradiance(self, colour: str, samples: int | None = None, halo_um: float | None = None) -> Floats32:
+        """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
+        scene = self._scene(samples, halo_um)
+        return photograph(scene, self._psf(colour, scene.grid), self.settings.sensor.fill_factor)
+
+    def _draw(self) -> None:
+        """Everything that stays as it is while the bench lives."""
+        lens, sensor, pose = self.settings.lens, self.settings.sensor, self.settings.pose
+        rng = self._generator("fixed")
+        shared = rng.normal(size=len(FIXED_MODES))
+        self._modes = {}
+        for colour in lens.wavelength_nm:
+            own = shared + lens.colour_share * rng.normal(size=shared.size)
+            amounts = own * lens.aberration_waves / np.linalg.norm(own)
+            self._modes[colour] = dict(zip(FIXED_MODES, amounts.tolist(), strict=True))
+        self._tilt_deg = (rng.uniform(-1, 1) * pose.tilt_deg, rng.uniform(-1, 1) * pose.tilt_deg)
+        self._roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
+        self._offset_px = tuple(rng.uniform(-pose.offset_px, pose.offset_px, 2))
+        self._waves = rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)), rng.uniform(0, 2 * np.pi, 5)
+        high, wide = self.settings.panel.pixels
+        y_mm = (np.arange(float(high)) - (high - 1) / 2) * self.settings.panel.pitch_mm
+        x_mm = (np.arange(float(wide)) - (wide - 1) / 2) * self.settings.panel.pitch_mm
+        self._evenness = self._shine(x_mm[None, :], y_mm[:, None]).astype(np.float32)
+        shape = (sensor.rows, sensor.cols)
+        response = 1 + sensor.response_std * rng.normal(size=shape)
+        bad = rng.choice(response.size, sensor.hot_pixels + sensor.dead_pixels, replace=False)
+        hot, dead = np.split(bad, [sensor.hot_pixels])
+        response.flat[dead] *= rng.uniform(0, 0.4, dead.size)
+        self._hot_electrons_per_s = np.zeros(shape)
+        self._hot_electrons_per_s.flat[hot] = 10 ** rng.uniform(4.3, 5.6, hot.size)
+        self._white_electrons_per_s = sensor.white_electrons_per_s * response * self._colour_map() * self._vignette()
+
+    def _generator(self, *purpose: str) -> np.random.Generator:
+        return np.random.default_rng([self.settings.seed, zlib.crc32("/".join(purpose).encode())])
+
+    def _colours(self) -> NDArray[np.str_]:
+        """(rows, cols) name of each pixel's colour."""
+        sensor = self.settings.sensor
+        if sensor.pattern == "mono":
+            return np.full((sensor.rows, sensor.cols), next(iter(self.settings.lens.wavelength_nm)))
+        cell = np.array(list(sensor.pattern)).reshape(2, 2)
+        return np.tile(cell, (sensor.rows // 2 + 1, sensor.cols // 2 + 1))[: sensor.rows, : sensor.cols]
+
+    def _colour_map(self) -> Floats:
+        colours = self._colours()
+        shares = np.ones(colours.shape)
+        for colour, share in self.settings.sensor.colour_response.items():
+            shares[colours == colour] = share
+        return shares
+
+    def _vignette(self) -> Floats:
+        """Light that reaches each pixel: falls with the square of the distance from a point near the middle."""
+        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
+        y = np.linspace(-1, 1, rows)[:, None] - 0.06
+        x = np.linspace(-1, 1, cols)[None, :] + 0.04
+        return 1 - self.settings.lens.vignetting * (x * x + y * y) / 2
+
+    def _shine(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """How brightly the panel's places shine, about 1: five slow waves across the glass."""
+        high, wide = (n * self.settings.panel.pitch_mm for n in self.settings.panel.pixels)
+        vectors, phases = self._waves
+        total = sum(
+            np.cos(2 * np.pi * (v * y_mm / high + w * x_mm / wide) + phase)
+            for (v, w), phase in zip(vectors, phases, strict=True)
+        )
+        return np.asarray(1 + self.settings.panel.unevenness * np.sqrt(2 / len(phases)) * total)
+
+    def _radiance(self, codes: NDArray[np.int16]) -> Floats32:
+        panel = self.settings.panel
+        lit = 1 / panel.contrast + (1 - 1 / panel.contrast) * (np.arange(256) / 255) ** panel.gamma
+        return lit.astype(np.float32)[codes]
+
+    def _to_pixels(self) -> Floats:
+        """(3, 3): panel mm to pixels, by the camera's true pose at this stop."""
+        lens, sensor = self.settings.lens, self.settings.sensor
+        focus_mm = float(np.mean(list(lens.best_focus_mm.values())))
+        image_mm = lens.focal_length_mm * focus_mm / (focus_mm - lens.focal_length_mm)
+        pixels_per_tangent = image_mm / (sensor.pitch_um * 1e-3)
+        col = (sensor.cols - 1) / 2 + self._wander_px[1]
+        row = (sensor.rows - 1) / 2 + self._wander_px[0]
+        camera = np.array([[pixels_per_tangent, 0, col], [0, pixels_per_tangent, row], [0, 0, 1]])
+        aside = self.range_mm / pixels_per_tangent
+        shift = (self._offset_px[0] * aside, self._offset_px[1] * aside)
+        return camera @ project(self._tilt_deg, self._roll_deg, shift, self.range_mm)
+
+    def _from_pixels(self) -> Floats:
+        return np.asarray(np.linalg.inv(self._to_pixels()), dtype=np.float64)
+
+    def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
+        lens, sensor = self.settings.lens, self.settings.sensor
+        nyquist_um = min(lens.wavelength_nm.values()) * 1e-3 * lens.f_number / 2
+        per_pixel = samples or max(self.settings.samples_per_pixel, int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)))
+        reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um * per_pixel))
+        return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
+
+    def _scene(self, samples: int | None = None, halo_um: float | None = None) -> SceneTransform:
+        grid = self._grid(samples, halo_um)
+        glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm)
+        return transform(render(glass, self._to_pixels(), grid), grid)
+
+    def _psf(self, colour: str, grid: FineGrid) -> Floats32:
+        lens = self.settings.lens
+        waves = {4: self._defocus(colour), **self._modes[colour]}
+        spacing_um = self.settings.sensor.pitch_um / grid.samples
+        return point_spread(waves, lens.wavelength_nm[colour], lens.f_number, spacing_um, grid.reach, REFERENCE_NM)
+
+    def _defocus(self, colour: str) -> float:
+        lens = self.settings.lens
+        return defocus_waves(
+            self.range_mm,
+            lens.best_focus_mm[colour],
+            lens.focal_length_mm,
+            lens.f_number,
+            lens.pupil_magnification,
+            REFERENCE_NM,
+        )
+
+    def _picture(self) -> Floats32:
+        """(rows, cols) what each pixel sees, white = 1, through its own colour; the latest few are kept."""
+        key = self._to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
+        if key not in self._seen:
+            self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
+            self._seen[key] = self._uniform() if self._fills_the_view() else self._mosaic()
+        return self._seen[key]
+
+    def _mosaic(self) -> Floats32:
+        """Each pixel through its own colour; the stop is noted in the truth."""
+        scene, colours = self._scene(), self._colours()
+        seen = np.zeros(colours.shape, dtype=np.float32)
+        for colour in np.unique(colours):
+            here = colours == colour
+            seen[here] = photograph(scene, self._psf(str(colour), scene.grid), self.settings.sensor.fill_factor)[here]
+        rail = self.settings.rail
+        asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
+        defocus = {colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm}
+        pose = tuple(tuple(row) for row in self._to_pixels().tolist())
+        self._visits[asked_mm] = Visit(asked_mm, self.range_mm, defocus, pose)
+        return seen
+
+    def _fills_the_view(self) -> bool:
+        """Whether all the glass is one grey and reaches beyond everything the camera can see, its halo included."""
+        if self._codes.min() != self._codes.max():
+            return False
+        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
+        rim = self.settings.halo_um / self.settings.sensor.pitch_um + 1
+        x, y = np.array([-rim, cols + rim])[None, :], np.array([-rim, rows + rim])[:, None]
+        right, down = carry(self._from_pixels(), x, y)
+        high, wide = (n * self.settings.panel.pitch_mm / 2 for n in self.settings.panel.pixels)
+        return bool(np.all(np.abs(right) < wide) and np.all(np.abs(down) < high))
+
+    def _uniform(self) -> Floats32:
+        """A panel in one grey: only its unevenness is left to see, so slow that the blur changes nothing of it."""
+        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
+        x_mm, y_mm = carry(self._from_pixels(), np.arange(float(cols))[None, :], np.arange(float(rows))[:, None])
+        level = self._radiance(self._codes[:1, :1])[0, 0]
+        return np.asarray(level * self._shine(x_mm, y_mm), dtype=np.float32)
+
+
+def demo_bench(seed: int = 1) -> Bench:
+    """The bench of the demo: 70 mm, f/2.8, a carpet of 46.8 mm at 3.0 to 3.3 m."""
+    return Bench(replace(BenchSettings(), seed=seed))

@@ -1,0 +1,92 @@
+"""A camera on the simulated bench: photographs what its display shows from where its rail stands. Writes DNG."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import CameraInfo, ExposureSettings, RawFrame
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.dng import RawTags, write_raw
+from labkit.drivers.simulated.setup import shared_bench
+from labkit.errors import CameraError, DeviceTimeoutError
+from labkit.plan import Plan
+
+
+def open_camera(address: str, plan: Plan, context: DeviceContext) -> SimulatedCamera:
+    """The camera of the context's bench. Raises PlanError."""
+    return SimulatedCamera(shared_bench(context, address, plan))
+
+
+class SimulatedCamera:
+    """A Camera that can also cover its own lens."""
+
+    def __init__(self, bench: Bench, timeout_s: float = 10.0) -> None:
+        self._bench = bench
+        self._timeout_s = timeout_s
+        self._settings: ExposureSettings | None = None
+
+    def identify(self) -> CameraInfo:
+        """Who it is; plugs it in again if it dropped off."""
+        self._bench.camera_present = True
+        return CameraInfo(model="labkit simulated bench", serial=str(self._bench.settings.seed), driver="simulated")
+
+    def configure(self, settings: ExposureSettings) -> None:
+        """Set shutter time and ISO. Raises CameraError if it has dropped off."""
+        self._refuse_absent()
+        self._settings = settings
+
+    def expose(self, path: Path) -> RawFrame:
+        """Expose once into `path` with ".dng" (or ".tif" without a mosaic) after it."""
+        self._refuse_absent()
+        if self._settings is None:
+            raise CameraError("the simulated camera was not configured: tell it exposure time and ISO first")
+        match self._bench.trouble("camera"):
+            case "timeout":
+                self._bench.wait(self._timeout_s)
+                raise DeviceTimeoutError(f"no picture came from the simulated camera within {self._timeout_s:g} s")
+            case "unplug":
+                self._bench.camera_present = False
+                self._settings = None
+                raise CameraError("the simulated camera dropped off USB while exposing; look at its cable")
+            case "card_full":
+                raise CameraError("the simulated camera's card is full; empty it")
+        return self._write(path, self._settings)
+
+    def cover(self, closed: bool) -> None:
+        """Cap the lens, or take the cap off."""
+        self._bench.covered = closed
+
+    def close(self) -> None:
+        """Let it go."""
+        self._settings = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _refuse_absent(self) -> None:
+        if not self._bench.camera_present:
+            raise CameraError("the simulated camera is not on USB; plug it in")
+
+    def _write(self, path: Path, settings: ExposureSettings) -> RawFrame:
+        sensor = self._bench.settings.sensor
+        file = path.with_name(path.name + (".tif" if sensor.pattern == "mono" else ".dng"))
+        if file.exists():
+            raise CameraError(f"{file} is there already; photographs are never overwritten")
+        counts = self._bench.expose(settings.exposure_s, settings.iso, file.name)
+        tags = RawTags(
+            pattern=sensor.pattern,
+            black_level=sensor.black_level,
+            white_level=sensor.white_level,
+            exposure_s=settings.exposure_s,
+            iso=settings.iso,
+            taken=datetime.now(),
+        )
+        write_raw(file, counts, tags)
+        return RawFrame(file, settings.exposure_s, settings.iso)

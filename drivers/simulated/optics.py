@@ -1,0 +1,113 @@
+"""The true lens of the simulated bench: Zernike modes, defocus against range, diffraction.
+
+Written without labkit.optics and labkit.imaging, which it is there to test.
+
+Conventions. Pupil coordinates (u right, v down) run as columns and rows do on the sensor; theta is measured from
+u towards v. The field is ``g(x) = sum A(w) exp(2 pi i phi(w)) exp(-2 pi i w.x)``, the transform of the pupil as in
+the diffraction integral: a path that grows to the right throws light to the right. The wavefront ``phi`` is in waves of
+the light's own length. Defocus (Noll 4) is positive for a target beyond best focus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import factorial, sqrt
+
+import numpy as np
+import scipy.fft
+
+from labkit.types import Floats, Floats32
+
+
+def noll_to_nm(j: int) -> tuple[int, int]:
+    """Radial order n and azimuthal order m of Noll's mode j; m < 0 for the sine modes. Raises ValueError for j < 1."""
+    if j < 1:
+        raise ValueError(f"Noll's modes are counted from 1, not {j}")
+    n = 0
+    while (n + 1) * (n + 2) // 2 < j:
+        n += 1
+    place = j - n * (n + 1) // 2 - 1
+    m = 2 * ((place + 1) // 2) if n % 2 == 0 else 2 * (place // 2) + 1
+    return n, m if j % 2 == 0 else -m
+
+
+def zernike(j: int, u: Floats, v: Floats) -> Floats:
+    """Noll's mode j, unit RMS over the disc, at pupil coordinates (u right, v down). Shapes as given; unitless.
+
+    Thesis (2.39)-(2.41), (2.40) corrected: (n - k)! in the radial polynomial.
+    """
+    n, signed = noll_to_nm(j)
+    m = abs(signed)
+    squared = u * u + v * v
+    radial = np.zeros_like(squared)
+    for k in range((n - m) // 2 + 1):
+        weight = (-1) ** k * factorial(n - k) / factorial(k)
+        weight /= factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k)
+        radial += weight * squared ** ((n - m) // 2 - k)
+    if m == 0:
+        return sqrt(n + 1) * radial
+    turn = (u + 1j * v) ** m
+    mode: Floats = sqrt(2 * (n + 1)) * radial * (turn.real if signed > 0 else turn.imag)
+    return mode
+
+
+def defocus_waves(
+    range_mm: float,
+    best_focus_mm: float,
+    focal_length_mm: float,
+    f_number: float,
+    pupil_magnification: float,
+    reference_nm: float = 450.0,
+) -> float:
+    """Defocus (Noll 4, waves RMS at reference_nm) of a target at range_mm; positive beyond best focus.
+
+    The sagittae of two spheres about the exit pupil, which sits (1 - mp) f nearer to the image than the rear
+    principal plane. Thesis (4.40) with its sign corrected.
+    """
+
+    def image_mm(distance_mm: float) -> float:
+        return distance_mm * focal_length_mm / (distance_mm - focal_length_mm)
+
+    half_pupil = pupil_magnification * focal_length_mm / f_number / 2
+
+    def sagitta(distance_mm: float) -> float:
+        radius = image_mm(distance_mm) + (pupil_magnification - 1) * focal_length_mm
+        return sqrt(radius**2 - half_pupil**2)
+
+    path_mm = image_mm(range_mm) - image_mm(best_focus_mm) + sagitta(best_focus_mm) - sagitta(range_mm)
+    return path_mm / sqrt(12) / (reference_nm * 1e-6)
+
+
+def point_spread(
+    waves: Mapping[int, float],
+    wavelength_nm: float,
+    f_number: float,
+    spacing_um: float,
+    reach: int,
+    reference_nm: float = 450.0,
+) -> Floats32:
+    """The lens's PSF on a square grid of spacing_um: (2 reach + 1, 2 reach + 1), centred, unit sum.
+
+    waves: {Noll mode: waves RMS at reference_nm}. The pupil is sampled so finely that the field repeats only after
+    2.6 times the reach: what wraps around lands beyond the window, but for the faint outermost tail.
+    """
+    n = scipy.fft.next_fast_len(int(2.6 * reach) + 1)
+    radius = n * spacing_um / (2 * wavelength_nm * 1e-3 * f_number)
+    if 4 * radius > n:
+        raise ValueError(f"a grid of {spacing_um:g} um is too coarse for f/{f_number:g} at {wavelength_nm:g} nm")
+    edge = int(radius) + 2
+    v, u = np.meshgrid(*2 * [np.arange(-edge, edge + 1) / radius], indexing="ij")
+    inside = np.clip((1 - np.hypot(u, v)) * radius + 0.5, 0, 1)  # grey edge: the share of the sample within the disc
+    path = np.zeros_like(u)
+    for mode, amount in waves.items():
+        path += amount * zernike(mode, u, v)
+    lit = inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)
+    pupil = np.zeros((n, n), dtype=np.complex64)
+    index = np.arange(-edge, edge + 1)
+    pupil[np.ix_(index, index)] = lit
+    field = scipy.fft.fft2(pupil, workers=2, overwrite_x=True)
+    around = np.arange(-reach, reach + 1)
+    window = field[np.ix_(around, around)]
+    intensity = window.real**2 + window.imag**2
+    psf: Floats32 = (intensity / intensity.sum(dtype=np.float64)).astype(np.float32)
+    return psf

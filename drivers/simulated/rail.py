@@ -1,0 +1,93 @@
+"""The rail of the simulated bench, with an encoder on its carriage."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Travel
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import shared_bench
+from labkit.errors import DeviceTimeoutError, RailError, RailLimitError
+from labkit.plan import Plan
+
+RUN_UP_MM = 1.0
+"""Every stop is approached from below over at least this way, which takes up the play of the screw."""
+
+TOLERANCE_MM = 0.2
+"""A carriage farther than this from where it should be has lost steps."""
+
+
+def open_rail(address: str, plan: Plan, context: DeviceContext) -> SimulatedRail:
+    """The rail of the context's bench. Raises PlanError."""
+    return SimulatedRail(shared_bench(context, address, plan))
+
+
+class SimulatedRail:
+    """A Rail. Like a real one it must be homed before it moves, and again after trouble."""
+
+    def __init__(self, bench: Bench, timeout_s: float = 60.0) -> None:
+        self._bench = bench
+        self._timeout_s = timeout_s
+        self._homed = False
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Where it can go."""
+        rail = self._bench.settings.rail
+        return Travel(rail.low_mm, rail.high_mm)
+
+    def home(self) -> None:
+        """Drive to the lower end and find the zero again."""
+        self._bench.turn_screw(self._bench.settings.rail.low_mm)
+        self._homed = True
+
+    def move_to(self, position_mm: float) -> float:
+        """Go there from below; the position that the encoder reads.
+
+        Raises RailLimitError outside the travel, RailError before homing or after lost steps, DeviceTimeoutError.
+        """
+        travel = self.travel_mm
+        if not travel.low_mm <= position_mm <= travel.high_mm:
+            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+        if not self._homed:
+            raise RailError("the simulated rail does not know where it is; home it first")
+        trouble = self._bench.trouble("rail")
+        if trouble in ("stall", "limit"):
+            self._fail(trouble)
+        self._bench.turn_screw(max(position_mm - RUN_UP_MM, travel.low_mm))
+        self._bench.turn_screw(position_mm, lost_mm=RUN_UP_MM / 2 if trouble == "lost_steps" else 0.0)
+        self._bench.stand(position_mm)
+        return self._measure(position_mm)
+
+    def stop(self) -> None:
+        """It stands whenever it is asked: moves are over at once."""
+
+    def close(self) -> None:
+        """Let it go."""
+        self._homed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _measure(self, position_mm: float) -> float:
+        step_mm = self._bench.settings.rail.encoder_step_mm
+        measured_mm = round(self._bench.position_mm / step_mm) * step_mm
+        if abs(measured_mm - position_mm) > TOLERANCE_MM:
+            self._homed = False
+            raise RailError(
+                f"the simulated rail was sent to {position_mm:.3f} mm and its encoder reads {measured_mm:.3f} mm: "
+                f"it lost steps; home it"
+            )
+        return measured_mm
+
+    def _fail(self, trouble: str) -> None:
+        self._homed = False
+        if trouble == "limit":
+            raise RailError("the simulated rail ran onto a limit switch; home it")
+        self._bench.wait(self._timeout_s)
+        raise DeviceTimeoutError(f"the simulated rail was still not there after {self._timeout_s:g} s; home it")

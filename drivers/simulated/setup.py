@@ -1,0 +1,120 @@
+"""A bench for a plan: nominal as the plan has it, true with what no plan says, drawn from the seed in the address."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterable
+
+import numpy as np
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.panels import panel_info
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.errors import PlanError
+from labkit.plan import Plan, RailSettings
+from labkit.target import open_target
+
+MOST_PIXELS = 640
+"""Largest side of the simulated sensor: beyond it the brute force wants more than 2 GB."""
+
+WHITE_COUNTS = 10_350.0
+"""What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
+
+
+def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Bench:
+    """The one bench of a context, made at first asking from an address such as "simulated:" or "simulated:seed=3".
+
+    Raises PlanError for an address that is not understood, or another than the context's bench has.
+    """
+    others = [key for key, thing in context.shared.items() if isinstance(thing, Bench) and key != address]
+    if others:
+        raise PlanError(f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address')
+    bench = context.shared.get(address)
+    if bench is None:
+        bench = context.shared[address] = Bench(settings_for(plan, _seed(address)))
+    if not isinstance(bench, Bench):
+        raise PlanError(f'"{address}" is no bench but {type(bench).__name__}')
+    context.wait = bench.wait
+    return bench
+
+
+def settings_for(plan: Plan, seed: int) -> BenchSettings:
+    """A bench on which the plan makes sense: its target in frame at every range, its exposure right.
+
+    Raises PlanError if the plan lacks [rail], [display] or [camera], or its target needs too large a sensor.
+    """
+    if plan.camera is None or plan.rail is None or plan.display is None:
+        raise PlanError("a simulated bench needs a plan with [camera], [rail] and [display]")
+    rng = np.random.default_rng([seed, zlib.crc32(b"plan")])
+    glass = panel_info(plan.display)
+    rows, cols = _sensor_size(plan, min(plan.rail.ranges_mm))
+    mono = plan.sensor.cfa_pattern == "mono"
+    usual = TrueSensor()
+    # colours of the mosaic that the plan does not measure need a wavelength all the same
+    wavelength_nm = {} if mono else dict(TrueLens().wavelength_nm)
+    wavelength_nm |= {channel.name: channel.wavelength_nm for channel in plan.channel}
+    black, white = plan.sensor.black_level, plan.sensor.white_level
+    sensor = TrueSensor(
+        rows=rows,
+        cols=cols,
+        pitch_um=plan.sensor.pixel_pitch_um,
+        fill_factor=plan.sensor.fill_factor,
+        pattern="mono" if mono else plan.sensor.cfa_pattern or "RGGB",
+        black_level=usual.black_level if black is None else round(black),
+        white_level=usual.white_level if white is None else round(white),
+        white_electrons_per_s=WHITE_COUNTS
+        / (usual.counts_per_electron * plan.camera.exposure_s * plan.camera.iso / 100),
+        colour_response={} if mono else usual.colour_response,
+    )
+    lens = TrueLens(
+        focal_length_mm=plan.lens.focal_length_mm,
+        f_number=plan.lens.f_number,
+        pupil_magnification=rng.uniform(0.9, 1.1),
+        wavelength_nm=wavelength_nm,
+        best_focus_mm=_best_focus_mm(wavelength_nm, plan.rail.ranges_mm, rng),
+    )
+    panel = TruePanel(pixels=glass.pixels, pitch_mm=glass.pitch_mm, gamma=glass.gamma)
+    return BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
+
+
+def _seed(address: str) -> int:
+    """The seed in "simulated:seed=3"; 1 if none is given."""
+    query = address.partition(":")[2]
+    key, _, value = query.partition("=")
+    if query and (key != "seed" or not value.isdecimal()):
+        raise PlanError(f'address "{address}": allowed is simulated: or simulated:seed=N with a whole N')
+    return int(value) if query else 1
+
+
+def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
+    """(rows, cols), multiples of 8, that hold the target at the nearest range, with a margin for roll and aim."""
+    focal_mm = plan.lens.focal_length_mm
+    per_mm = focal_mm / (nearest_mm - focal_mm) / (plan.sensor.pixel_pitch_um * 1e-3)
+    high, wide = (side * per_mm for side in open_target(plan.target).size_mm)
+    rows, cols = (8 * math.ceil((a + 0.021 * b + 24) / 8) for a, b in ((high, wide), (wide, high)))
+    if max(rows, cols) > MOST_PIXELS:
+        raise PlanError(
+            f"target.size_mm = {plan.target.size_mm:g}: it fills {max(high, wide):.0f} pixels at {nearest_mm:g} mm, "
+            f"and the simulated camera has up to {MOST_PIXELS}; take a smaller target or a longer range"
+        )
+    return rows, cols
+
+
+def _best_focus_mm(colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np.random.Generator) -> dict[str, float]:
+    """Best focus in the nearer half of the ranges, each colour's a few thousandths from the others'."""
+    near, far = min(ranges_mm), max(ranges_mm)
+    middle = near + (far - near) * rng.uniform(0.05, 0.5)
+    return {colour: middle * (1 + rng.uniform(-0.002, 0.002)) for colour in colours}
+
+
+def _rail(rail: RailSettings) -> TrueRail:
+    """A rail that reaches every range, and a little more on either side."""
+    stops = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
+    return TrueRail(
+        low_mm=min(0.0, *stops) - 5.0,
+        high_mm=max(0.0, *stops) + 5.0,
+        range_at_zero_mm=rail.range_at_zero_mm,
+        direction=rail.direction,
+    )

@@ -1,0 +1,126 @@
+"""A display that is any browser: an iPad or a monitor fills its screen with labkit's page.
+
+`web://127.0.0.1:8642` serves this machine alone; `web://0.0.0.0:8642` is reached from the lab's network. Several displays
+at once end their addresses in names: `web://0.0.0.0:8642/left` and `web://0.0.0.0:8642/right` share one server.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.panels import panel_info
+from labkit.devices.protocols import PanelInfo, Picture, Shown
+from labkit.devices.test_patterns import pattern
+from labkit.drivers.web.address import Serving, parse_address
+from labkit.drivers.web.screen import Order, Report, Screen
+from labkit.errors import DisplayError, PlanError
+from labkit.plan import Plan
+
+HOLD_S = 600.0
+"""How long a capture is held for a display that is not right; then it stops, to be resumed."""
+
+PATIENCE_S = 2.0
+"""A display that is right again sooner is not worth a word."""
+
+
+def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay:
+    """The screen of an address; the first starts the server. Raises PlanError, or DisplayError for a port in use."""
+    if plan.display is None:
+        raise PlanError("a web display needs a plan with [display]")
+    host, port, name = parse_address(address)
+    panel = panel_info(plan.display)
+    with ExitStack() as stack:
+        server = stack.enter_context(Serving(host, port, context))
+        screen = server.add_screen(name, panel)
+        stack.callback(server.remove_screen, name)
+        close = stack.pop_all().close
+    context.link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
+    return WebDisplay(screen, close, context.tell, server.monitor.refuse_abort)
+
+
+class WebDisplay:
+    """A Display on a web page. It is held to its word: a picture counts as shown when its page has read it back."""
+
+    def __init__(
+        self,
+        screen: Screen,
+        close: Callable[[], None],
+        tell: Callable[[str], None],
+        refuse_abort: Callable[[], None] = lambda: None,
+        hold_s: float = HOLD_S,
+    ) -> None:
+        self._screen = screen
+        self._close: Callable[[], None] | None = close
+        self._tell, self._refuse_abort = tell, refuse_abort
+        self.hold_s = hold_s
+        self._shown: tuple[Order, Report] | None = None
+
+    @property
+    def panel(self) -> PanelInfo:
+        """The glass, as the plan describes it."""
+        return self._screen.panel
+
+    @property
+    def url(self) -> str:
+        """The address to open on the display."""
+        return self._screen.url
+
+    def show(self, picture: Picture) -> Shown:
+        """Show it; holds until the page confirms it. Raises DisplayError if that takes longer than hold_s."""
+        if isinstance(picture, str):
+            picture = pattern(picture, self.panel)
+        order = self._screen.want(picture)
+        report = self._hold(lambda: self._screen.confirms(order))
+        self._shown = order, report
+        return Shown((picture.shape[0], picture.shape[1]))
+
+    def undisturbed(self) -> bool:
+        """Whether the picture was there all the time since it was shown: the page is asked, and waited for as in show."""
+        asked = self._screen.ask()
+        now = self._hold(lambda: self._screen.problem is None and self._answered(asked))
+        if self._shown is None:
+            return False
+        order, then = self._shown
+        return self._screen.confirms(order) and (now.page, now.disturbed) == (then.page, then.disturbed)
+
+    def close(self) -> None:
+        """Let the page go; the last screen stops the server."""
+        if self._close is not None:
+            self._close()
+            self._close = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _answered(self, asked: int) -> bool:
+        report = self._screen.report
+        return report is not None and report.asked >= asked
+
+    def _hold(self, good: Callable[[], bool]) -> Report:
+        """Wait until it is right, saying what is not; the report that it is right by."""
+        since, told = time.monotonic(), None
+        screen = self._screen
+        while True:
+            with screen.changed:
+                report = screen.report
+                if report is not None and good():
+                    return report
+                screen.changed.wait(0.2)
+            self._refuse_abort()
+            if self._close is None:
+                raise DisplayError(f'display "{screen.name}" was closed')
+            waited_s = time.monotonic() - since
+            problem = screen.problem or "its page has not confirmed the picture"
+            if waited_s > self.hold_s:
+                raise DisplayError(f'display "{screen.name}": {problem} (waited {self.hold_s:g} s for {screen.url})')
+            if waited_s > PATIENCE_S and problem != told:
+                told = problem
+                self._tell(f'waiting for the display "{screen.name}": {problem}')

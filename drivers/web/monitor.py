@@ -1,0 +1,207 @@
+"""What the operator's page shows, and the buttons on it: a Observer of captures."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import datetime
+from queue import SimpleQueue
+from typing import Any
+
+from labkit.devices.operator import Operator
+from labkit.drivers.web.preview import Look, look_at
+from labkit.raw.mosaic import Mosaic
+from labkit.types import FrameKind
+
+LOG_LINES, SHARPNESS_POINTS = 200, 60
+
+
+class Monitor:
+    """The state of the operator's page. The capture's thread writes it, the server's reads it."""
+
+    def __init__(self, wishes: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._wishes, self._operator = now, wishes, operator
+        self._lock = threading.Condition()
+        self._listeners: dict[object, Callable[[], None]] = {}
+        self._phase, self._doing = "idle", ""
+        self._done = self._total = 0
+        self._first: tuple[float, int] | None = None
+        self._latest_s = 0.0
+        self._paused = self._stopping = False
+        self._paused_s = 0.0
+        self._choices: list[str] = []
+        self._picked: str | None = None
+        self._asked = 0
+        self._devices: dict[str, dict[str, str]] = {}
+        self._log: deque[dict[str, str]] = deque(maxlen=LOG_LINES)
+        self._look: Look | None = None
+        self._sharpness: deque[dict[str, Any]] = deque(maxlen=SHARPNESS_POINTS)
+        self.preview = b""
+
+    # the capture's side
+
+    def noted(self, event: str, **fields: Any) -> None:
+        """Something happened."""
+        with self._lock:
+            self._take_note(event, fields)
+            if event != "doing":
+                self._write(in_words(event, fields))
+        self.wake()
+
+    def took(self, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
+        """A photograph is in the session."""
+        look, preview = look_at(self._look.number + 1 if self._look else 1, name, kind, range_mm, mosaic)
+        with self._lock:
+            self._look, self.preview = look, preview
+            if look.edge_px is not None:
+                self._sharpness.append({"name": name, "edge_px": look.edge_px})
+            self._latest_s = self._now()
+            if self._first is None:
+                self._first, self._paused_s = (self._latest_s, done), 0.0
+            self._done, self._total = done, total
+            # a photograph in the session means that whatever was in trouble has got over it
+            self._devices = {device: {**state, "state": "good"} for device, state in self._devices.items()}
+            self._devices["camera"] = {"state": "good", "text": f"took {name}"}
+        self.wake()
+
+    def may_go_on(self) -> None:
+        """Hold while paused. Raises KeyboardInterrupt once asked to abort."""
+        since = self._now()
+        with self._lock:
+            while self._paused and not self._stopping:
+                self._lock.wait(0.5)
+            if self._first is not None:
+                self._paused_s += self._now() - since
+        self.refuse_abort()
+
+    def refuse_abort(self) -> None:
+        """Raise KeyboardInterrupt, once, if the operator pressed abort."""
+        with self._lock:
+            if not self._stopping:
+                return
+            self._stopping = self._paused = False
+        raise KeyboardInterrupt
+
+    # the page's side
+
+    def act(self, what: str) -> None:
+        """A button: pause, resume, abort, or one of the choices. Anything else is ignored."""
+        with self._lock:
+            if what in self._choices:
+                self._wishes.put(what)
+            elif self._phase == "capturing" and what in ("pause", "resume", "abort"):
+                self._paused = what == "pause"
+                self._stopping = self._stopping or what == "abort"
+                self._write(f"operator: {what}")
+                self._lock.notify_all()
+        self.wake()
+
+    def answer(self, number: int, text: str) -> None:
+        """An answer to the question of that number; ignored if it has been answered."""
+        if self._operator.answer(number, text):
+            with self._lock:
+                self._write(f"operator: {text or 'done'}")
+            self.wake()
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that the page shows, for JSON; without the displays, which the server knows."""
+        question = self._operator.question
+        with self._lock:
+            return {
+                "phase": self._shown_phase(question is not None),
+                "doing": self._doing,
+                "done": self._done,
+                "total": self._total,
+                "left_s": self._left_s(),
+                "frame": asdict(self._look) if self._look else None,
+                "sharpness": list(self._sharpness),
+                "devices": [{"device": device, **state} for device, state in self._devices.items()],
+                "choices": list(self._choices),
+                "picked": self._picked,
+                "question": asdict(question) if question else None,
+                "log": list(self._log),
+            }
+
+    def listen(self, who: object, wake: Callable[[], None]) -> None:
+        """Call `wake`, from any thread, when the snapshot changes."""
+        with self._lock:
+            self._listeners[who] = wake
+
+    def unlisten(self, who: object) -> None:
+        """No more."""
+        with self._lock:
+            self._listeners.pop(who, None)
+
+    def wake(self) -> None:
+        """Tell every listener that there is something new; a question too."""
+        question = self._operator.question
+        with self._lock:
+            if question is not None and question.number > self._asked:
+                self._asked = question.number
+                self._write(f"asked: {question.text}")
+            listeners = tuple(self._listeners.values())
+        for tell in listeners:
+            tell()
+
+    def _write(self, text: str) -> None:
+        self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": text})
+
+    def _shown_phase(self, asking: bool) -> str:
+        if self._phase != "capturing":
+            return self._phase
+        return "stopping" if self._stopping else "asking" if asking else "paused" if self._paused else "capturing"
+
+    def _left_s(self) -> int | None:
+        """Seconds left at the pace so far, pauses not counted; None before two photographs show a pace."""
+        if self._phase != "capturing" or self._first is None or self._paused or self._done <= self._first[1]:
+            return None
+        since, already = self._first
+        pace_s = (self._latest_s - since - self._paused_s) / (self._done - already)
+        return max(0, round(pace_s * (self._total - self._done) - (self._now() - self._latest_s)))
+
+    def _take_note(self, event: str, fields: dict[str, Any]) -> None:
+        match event:
+            case "doing":
+                self._phase, self._doing = "capturing", str(fields["what"])
+            case "began":
+                self._phase, self._first = "capturing", None
+                self._total = int(fields["total"])
+                self._done = self._total - int(fields["missing"])
+            case "complete" | "stopped" | "interrupted":
+                self._phase = event
+                self._doing = str(fields.get("error", ""))
+                self._paused = self._stopping = False
+            case "serving":
+                self._phase, self._choices, self._picked = "serving", list(fields["choices"]), fields["picked"]
+            case "camera":
+                self._devices["camera"] = {"state": "good", "text": str(fields["model"])}
+            case "moved":
+                self._devices["rail"] = {"state": "good", "text": f"at {fields['measured_range_mm']:g} mm"}
+            case "trouble":
+                self._devices[str(fields["device"])] = {"state": "bad", "text": str(fields["error"])}
+
+
+def in_words(event: str, fields: dict[str, Any]) -> str:
+    """An event of the journal as a line for people."""
+    match event, fields:
+        case "began", {"missing": missing}:
+            return f"began: {missing} photographs to take"
+        case "moved", {"measured_range_mm": range_mm, "position_mm": position_mm}:
+            return f"moved to {range_mm:g} mm, rail at {position_mm:g} mm"
+        case "camera", {"model": model, "serial": serial}:
+            return f"camera: {model}, serial number {serial}"
+        case "trouble", {"device": device, "attempt": attempt, "error": error}:
+            return f"trouble with the {device}, try {attempt}: {error}"
+        case "serving", {"picked": picked}:
+            return f"showing {picked}"
+        case "preflight", {"problems": problems}:
+            return f"looked round: {'; '.join(problems) or 'all is right'}"
+        case "stopped", {"error": error}:
+            return f"stopped: {error}"
+        case "rejected", {"file": file, "reason": reason}:
+            return f"put aside as {file}: {reason}"
+    words = ", ".join(f"{key} {value}" for key, value in fields.items())
+    return f"{event}: {words}".rstrip(": ")

@@ -1,0 +1,345 @@
+"""Serves the pages of screens and of the operator, on a thread of its own. Nothing but these pages' files is served."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+import uvicorn
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter, ValidationError
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import PanelInfo
+from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token
+from labkit.drivers.web.monitor import Monitor
+from labkit.drivers.web.screen import Report, Screen
+from labkit.errors import DisplayError, PlanError
+
+START_S = STOP_S = 10.0
+SEND_S = PONG_S = 10.0
+"""A page that takes longer to accept a message, or to answer a ping, is let go; it comes back by itself."""
+
+PING_S = 5.0
+
+MOST_BYTES = 2048
+"""Of a message from a page, and (eight times as many) of a request's head."""
+
+MOST_MONITORS = 32
+AT_MOST_EVERY_S, AT_LEAST_EVERY_S = 0.2, 2.0
+"""How often the operator's page is told what is new, and any page that the server is there."""
+
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+}
+GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
+
+
+class Press(BaseModel):
+    """A button of the operator's page."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    do: Annotated[str, StringConstraints(max_length=40)]
+
+
+class Answer(BaseModel):
+    """An answer to the question of that number: nothing that a terminal would not take as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    answer: Annotated[int, Field(ge=0, le=2**53)]
+    text: Annotated[str, StringConstraints(pattern=r"^[ -~]{0,24}$")]
+
+
+PRESS_OR_ANSWER: TypeAdapter[Press | Answer] = TypeAdapter(Press | Answer)
+
+
+@cache
+def page_files() -> dict[str, bytes]:
+    """Every file that is ever served, by name."""
+    return {entry.name: entry.read_bytes() for entry in (files("labkit.targets") / "web").iterdir()}
+
+
+class WebServer:
+    """Listens on one address for the pages of all its users, which it counts for `Serving`."""
+
+    def __init__(self, host: str, port: int, context: DeviceContext) -> None:
+        """Raises DisplayError if the address cannot be listened on."""
+        self._socket = _listen(host, port)
+        self._host, self.port = host, self._socket.getsockname()[1]
+        self.token = kept_token(_state_folder())
+        self.screens: dict[str, Screen] = {}
+        self.monitor = Monitor(context.wishes, context.operator)
+        self.users = 0
+        self._monitors = 0
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                Guard(self._app(), self.token),
+                loop="asyncio",
+                http=Connection,
+                ws="websockets-sansio",
+                ws_max_size=MOST_BYTES,
+                ws_ping_interval=PING_S,
+                ws_ping_timeout=PONG_S,
+                ws_per_message_deflate=False,
+                lifespan="off",
+                log_config=None,
+                log_level="critical",
+                access_log=False,
+                proxy_headers=False,
+                server_header=False,
+                h11_max_incomplete_event_size=8 * MOST_BYTES,
+                timeout_keep_alive=5,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread = threading.Thread(target=self._run, name="labkit-web", daemon=True)
+
+    def start(self) -> None:
+        """Serve. Raises DisplayError if it does not come up."""
+        self._thread.start()
+        deadline = time.monotonic() + START_S
+        while not self._server.started:
+            if time.monotonic() > deadline or not self._thread.is_alive():
+                self.close()
+                raise DisplayError(f"the web server on port {self.port} did not start within {START_S:g} s")
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        """Stop serving; pages go black and wait for the next time."""
+        if self._monitors:
+            time.sleep(2 * AT_MOST_EVERY_S)  # for the last news to get out
+        self._server.should_exit = True
+        if self._thread.is_alive():
+            self._thread.join(STOP_S)
+        self._socket.close()
+
+    def url(self, page: str) -> str:
+        """The address of a page, by which other machines reach it."""
+        return f"http://{reachable(self._host)}:{self.port}/{self.token}/{page}"
+
+    def add_screen(self, name: str, panel: PanelInfo) -> Screen:
+        """A screen of that name. Raises PlanError if there is one already."""
+        if name in self.screens:
+            raise PlanError(f'two displays are called "{name}": end their addresses in different names')
+        self.screens[name] = Screen(name, panel, self.url(name))
+        return self.screens[name]
+
+    def remove_screen(self, name: str) -> None:
+        """Take a screen away; its page goes black."""
+        self.screens.pop(name).dismiss()
+
+    def _run(self) -> None:
+        self._server.run(sockets=[self._socket])
+
+    def _app(self) -> Starlette:
+        app = Starlette(
+            routes=[
+                Route("/page/{file}", self._file, methods=["GET"]),
+                Route("/monitor", self._monitor_page, methods=["GET"]),
+                Route("/monitor/frame", self._frame, methods=["GET"]),
+                WebSocketRoute("/monitor/socket", self._monitor_socket),
+                Route("/{screen}", self._screen_page, methods=["GET"]),
+                Route("/{screen}/picture", self._picture, methods=["GET"]),
+                WebSocketRoute("/{screen}/socket", self._screen_socket),
+            ],
+        )
+        app.router.redirect_slashes = False
+        return app
+
+    async def _file(self, request: Request) -> Response:
+        name = request.path_params["file"]
+        return _answer(page_files().get(name), TYPES.get(Path(name).suffix, ""))
+
+    async def _monitor_page(self, request: Request) -> Response:
+        return _answer(page_files()["monitor.html"], TYPES[".html"])
+
+    async def _frame(self, request: Request) -> Response:
+        return _answer(self.monitor.preview or None, "image/jpeg")
+
+    async def _screen_page(self, request: Request) -> Response:
+        known = request.path_params["screen"] in self.screens
+        return _answer(page_files()["display.html"] if known else None, TYPES[".html"])
+
+    async def _picture(self, request: Request) -> Response:
+        screen = self.screens.get(request.path_params["screen"])
+        order = screen.order if screen else None
+        return _answer(order.png if order else None, "image/png")
+
+    async def _screen_socket(self, socket: WebSocket) -> None:
+        screen = self.screens.get(socket.path_params["screen"])
+        if screen is None:
+            await socket.close()
+            return
+        await socket.accept()
+        wake = _Alarm()
+        screen.open(socket, wake.ring)
+
+        def hear(text: str) -> None:
+            screen.hear(socket, Report.model_validate_json(text))
+
+        def message() -> dict[str, Any] | int:
+            if screen.holds(socket):
+                return _message(screen)
+            return TAKEN_OVER if self.screens.get(screen.name) is screen else GONE
+
+        try:
+            await _converse(socket, hear, message, wake, 0.0)
+        finally:
+            screen.leave(socket)
+
+    async def _monitor_socket(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if self._monitors >= MOST_MONITORS:
+            await socket.close(CROWDED)
+            return
+        self._monitors += 1
+        wake = _Alarm()
+        self.monitor.listen(socket, wake.ring)
+
+        def hear(text: str) -> None:
+            match PRESS_OR_ANSWER.validate_json(text):
+                case Press(do=what):
+                    self.monitor.act(what)
+                case Answer(answer=number, text=words):
+                    self.monitor.answer(number, words)
+
+        try:
+            await _converse(socket, hear, self._overview, wake, AT_MOST_EVERY_S)
+        finally:
+            self.monitor.unlisten(socket)
+            self._monitors -= 1
+
+    def _overview(self) -> dict[str, Any]:
+        displays = [
+            {"name": name, "url": screen.url, "problem": screen.problem, "pixels": list(screen.panel.pixels)}
+            for name, screen in tuple(self.screens.items())
+        ]
+        return {**self.monitor.snapshot(), "displays": displays}
+
+
+class _Alarm:
+    """Wakes one task of the server's loop, from any thread."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._event = asyncio.Event()
+
+    def ring(self) -> None:
+        with contextlib.suppress(RuntimeError):  # the server has stopped
+            self._loop.call_soon_threadsafe(self._event.set)
+
+    async def wait(self, at_most_s: float) -> None:
+        try:
+            async with asyncio.timeout(at_most_s):
+                await self._event.wait()
+        except TimeoutError:
+            pass
+        self._event.clear()
+
+
+async def _converse(
+    socket: WebSocket,
+    hear: Callable[[str], None],
+    message: Callable[[], dict[str, Any] | int],
+    wake: _Alarm,
+    pause_s: float,
+) -> None:
+    """Hear a page and tell it what is new, until it goes, or `message` gives a code to end by."""
+    listener = asyncio.create_task(_listen_to(socket, hear))
+    told: dict[str, Any] | None = None
+    told_at = 0.0
+    try:
+        while not listener.done():
+            news = message()
+            if isinstance(news, int):
+                await _within(socket.close(news))
+                return
+            if news != told or time.monotonic() - told_at > AT_LEAST_EVERY_S:
+                await _within(socket.send_text(json.dumps(news)))
+                told, told_at = news, time.monotonic()
+                await asyncio.sleep(pause_s)
+            await wake.wait(0.5)
+    except (WebSocketDisconnect, TimeoutError, RuntimeError):
+        pass  # gone, or too slow
+    finally:
+        listener.cancel()
+
+
+async def _listen_to(socket: WebSocket, hear: Callable[[str], None]) -> None:
+    try:
+        while True:
+            hear(await socket.receive_text())
+    except (ValidationError, KeyError):
+        await _within(socket.close(NOT_UNDERSTOOD))
+    except (WebSocketDisconnect, TimeoutError, RuntimeError):
+        pass
+
+
+async def _within(step: Awaitable[None]) -> None:
+    await asyncio.wait_for(step, SEND_S)
+
+
+def _message(screen: Screen) -> dict[str, Any]:
+    """What a screen's page is told."""
+    return {
+        "name": screen.name,
+        "panel": list(screen.panel.pixels),
+        "picture": screen.order.number if screen.order else None,
+        "problem": screen.problem if screen.report else None,
+        "ask": screen.asked,
+    }
+
+
+def _answer(content: bytes | None, kind: str) -> Response:
+    if content is None:
+        return Response(status_code=404, headers=HEADERS)
+    return Response(content, media_type=kind, headers=HEADERS)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        listener = socket.create_server(where[:2], family=family, backlog=256)
+    except OSError as error:
+        raise DisplayError(
+            f"cannot listen on {host} port {port}: {error.strerror or error}; give another port"
+        ) from error
+    listener.setblocking(False)
+    return listener
+
+
+def reachable(host: str) -> str:
+    """An address for a URL: of a server on all of a machine's addresses, the one that others reach it by."""
+    if host not in ("0.0.0.0", "::", ""):
+        return f"[{host}]" if ":" in host else host
+    six = host == "::"
+    with socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # sends nothing: only the route is looked up (test addresses of RFC 3849 and 5737)
+            probe.connect(("2001:db8::1" if six else "192.0.2.1", 9))
+            address = str(probe.getsockname()[0])
+            return f"[{address}]" if six else address
+        except OSError:
+            return socket.gethostname()
+
+
+def _state_folder() -> Path:
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "labkit"

@@ -1,0 +1,319 @@
+"""Before the first photograph: which target, how much light, what can be told (thesis §3.7 with its misprint corrected)."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import ceil, floor, isfinite, log
+from typing import Any
+
+import numpy as np
+
+from labkit.analysis.focus import TELLING_STD, DefocusPoint, fit_focus
+from labkit.devices.panels import panel_info
+from labkit.errors import DataError, PlanError
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.warp import Pose
+from labkit.inference.bounds import fisher_information, parameter_names
+from labkit.inference.fisher_scoring import NoisePrior, Problem, State
+from labkit.inference.identifiability import Bound, bound_of
+from labkit.inference.likelihood import FrameData
+from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
+from labkit.plan import Plan
+from labkit.target import Target, open_target
+
+AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
+ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
+READ_ELECTRONS = 3.0
+WAVES_RMS = 0.05  # of every other mode together: a usual lens
+WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
+MOST_PX = 10_000  # across the widest sensors
+NAMED = 4  # of what is left open
+MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
+STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
+CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
+
+
+@dataclass(frozen=True)
+class RangeAdvice:
+    """One range. size_px: of the target's side; cell_airy: of its smallest cell in Airy radii; order: the highest whose
+    cells the lens resolves; size_mm: the least side at which it resolves the plan's order; defocus_waves: expected, RMS;
+    std_*: standard errors, waves RMS at the reference wavelength."""
+
+    range_mm: float
+    size_px: float
+    cell_airy: float | None
+    order: int
+    size_mm: float | None
+    defocus_waves: float
+    std_defocus_waves: float
+    std_wavefront_waves: float
+    undetermined: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """ranges: one for each of the plan; best_focus_std_mm, magnification_std: None with fewer than two ranges; told: whether
+    the pupil magnification can be; nearest_mm: the range where a pixel of the display is an Airy radius, if there is a
+    display; frames: photographs for each range for the wanted error, as exposed; notes: in words."""
+
+    channel: str
+    electrons: float
+    ranges: tuple[RangeAdvice, ...]
+    best_focus_std_mm: float | None
+    magnification_std: float | None
+    told: bool
+    telling_ranges_mm: tuple[float, ...]
+    telling_std: float | None
+    nearest_mm: float | None
+    frames: int | None
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """With null for errors that are not finite."""
+        told = asdict(self)
+        for one in told["ranges"]:
+            one.update({key: None for key, value in one.items() if isinstance(value, float) and not isfinite(value)})
+        return told
+
+
+def advise(
+    plan: Plan,
+    *,
+    ranges_mm: Sequence[float] | None = None,
+    electrons: float = ELECTRONS,
+    want_waves: float | None = None,
+) -> Advice:
+    """What a plan will tell, from its lens, sensor, target and ranges alone.
+
+    ranges_mm: instead of the plan's. electrons: at white, in one photograph. want_waves: a wavefront's standard error.
+    The middle of the ranges is taken for best focus. Raises PlanError where there are no ranges, DataError where want_waves
+    or electrons is not positive.
+    """
+    ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
+    if not ranges:
+        raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
+    if not 1 <= electrons <= MOST_ELECTRONS:
+        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
+    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
+        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    wrong = [r for r in ranges if not lens.focal_length_mm < r <= FARTHEST_MM]
+    if wrong:
+        allowed = f"more than the focal length, {lens.focal_length_mm:g} mm, and at most {FARTHEST_MM:g} mm"
+        raise PlanError(f"range {wrong[0]:g} mm: allowed is {allowed}")
+    focus_mm, target, frames = _middle(ranges, lens), open_target(plan.target), _frames(plan)
+    advised = [_at(plan, lens, target, r, focus_mm, electrons, frames) for r in ranges]
+    best_std, magnification_std = _focus_std(plan, lens, advised, focus_mm)
+    worst = max(a.std_wavefront_waves for a in advised)
+    telling, telling_std = _telling_ranges(min(ranges), lens, advised, plan)
+    wanted = max(1, ceil(frames * (worst / want_waves) ** 2)) if want_waves and isfinite(worst) else None
+    told = magnification_std is not None and magnification_std <= TELLING_STD
+    nearest_mm = _nearest_mm(plan)
+    notes = [*_target_notes(plan, advised), *_display_notes(plan, min(ranges), nearest_mm), *_sampling_notes(plan)]
+    if wanted is not None and wanted > frames:
+        notes.append(
+            f"{wanted} photographs a range, or {wanted / frames:.3g} times the light, would bring the wavefront's standard "
+            f"error from {worst:.2g} to {want_waves:g} waves"
+        )
+    return Advice(
+        plan.channel[_shortest(plan)].name,
+        electrons,
+        tuple(advised),
+        best_std,
+        magnification_std,
+        told,
+        telling,
+        telling_std,
+        nearest_mm,
+        wanted,
+        tuple(notes),
+    )
+
+
+def best_order(plan: Plan, range_mm: float) -> int:
+    """The highest carpet order whose cells span an Airy radius or more at a range, (3.50)-(3.52) corrected; 0 for none."""
+    elements = plan.target.size_mm / _airy_on_target_mm(plan, range_mm)
+    return max(0, min(8, floor(log(max(elements, 1.0)) / log(3))))
+
+
+def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
+    """Radius of the Airy disc seen on the target, z1 lambda / D per unit of range, for the shortest wavelength."""
+    wavelength_mm = plan.channel[_shortest(plan)].wavelength_nm * 1e-6
+    diameter_mm = plan.lens.focal_length_mm / plan.lens.f_number
+    return AIRY_ZERO * wavelength_mm / diameter_mm * range_mm
+
+
+def _nearest_mm(plan: Plan) -> float | None:
+    """Range at which a pixel of the plan's display is an Airy radius, (3.49) corrected; nearer it is seen as a pixel."""
+    return None if plan.display is None else panel_info(plan.display).pitch_mm / _airy_on_target_mm(plan, 1.0)
+
+
+def _shortest(plan: Plan) -> int:
+    return min(range(len(plan.channel)), key=lambda k: plan.channel[k].wavelength_nm)
+
+
+def _frames(plan: Plan) -> int:
+    return plan.camera.frames_per_range if plan.camera else 1
+
+
+def _middle(ranges: Sequence[float], lens: ThinLens) -> float:
+    """The range in the middle of those of the lens's image distances: where one would focus."""
+    image = float(np.mean([lens.image_distance_mm(min(ranges)), lens.image_distance_mm(max(ranges))]))
+    return image * lens.focal_length_mm / (image - lens.focal_length_mm)
+
+
+def _at(
+    plan: Plan, lens: ThinLens, target: Target, range_mm: float, focus_mm: float, electrons: float, frames: int
+) -> RangeAdvice:
+    side_px = plan.target.size_mm / float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
+    defocus = float(defocus_waves(lens, range_mm, focus_mm, plan.reference_wavelength_nm))
+    bound, shrunk = _bound(plan, target, min(side_px, WIDEST_PX), defocus, electrons, frames)
+    smaller = shrunk * min(1.0, WIDEST_PX / side_px)
+    modes = plan.fit.zernike_noll[1] - plan.fit.zernike_noll[0] + 1
+    cell_airy = size_mm = None
+    if plan.target.kind == "sierpinski" and plan.target.order:
+        size_mm = 3**plan.target.order * _airy_on_target_mm(plan, range_mm)
+        cell_airy = plan.target.size_mm / size_mm
+    return RangeAdvice(
+        range_mm,
+        side_px,
+        cell_airy,
+        best_order(plan, range_mm),
+        size_mm,
+        defocus,
+        float(bound.std[0]) * smaller,
+        bound.rms(0, modes) * smaller,
+        bound.undetermined,
+    )
+
+
+def _bound(
+    plan: Plan, target: Target, side_px: float, defocus: float, electrons: float, frames: int
+) -> tuple[Bound, float]:
+    """Of one photograph, light and noise in electrons; and by what more of them shrink it."""
+    channel = plan.channel[_shortest(plan)]
+    first, last = plan.fit.zernike_noll
+    noll = tuple(range(first, last + 1))
+    optics = Optics(
+        channel.wavelength_nm * 1e-3,
+        plan.reference_wavelength_nm * 1e-3,
+        plan.lens.f_number,
+        plan.sensor.pixel_pitch_um,
+        plan.sensor.active_um,
+        noll,
+    )
+    edge = ceil(1.2 * side_px / 2) * 2
+    half = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * side_px / 2
+    turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])  # no pixel row along a row of cells
+    pose = Pose.from_corners(half @ turn + (edge - 1) / 2 + 0.3, target.size_mm)
+    used = np.zeros((edge, edge), dtype=bool)
+    for row, col in ((0, 0),) if len(plan.channel) == 1 else ((1, 1),):
+        every = 1 if len(plan.channel) == 1 else 2
+        used[row::every, col::every] = True
+    one = np.ones((edge, edge))
+    frame = FrameData(0 * one, used, one, 0 * one)
+    waves = np.full(len(noll), WAVES_RMS / np.sqrt(len(noll)))
+    if noll[0] == 4:
+        waves[0] = defocus if abs(defocus) > 0.01 else 0.01
+    noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
+    state = State(waves, (pose,), np.array([electrons]), np.zeros(1), noise.centre)
+    problem = Problem(ForwardModel.build(optics, target, (edge, edge)), (frame,), noise)
+    bound = bound_of(fisher_information(problem, state, len(noll)), parameter_names(state, noll))
+    return bound, 1 / np.sqrt(frames)
+
+
+def _focus_std(
+    plan: Plan, lens: ThinLens, advised: Sequence[RangeAdvice], focus_mm: float
+) -> tuple[float | None, float | None]:
+    points = [
+        DefocusPoint(a.range_mm, "one", a.defocus_waves, a.std_defocus_waves)
+        for a in advised
+        if np.isfinite(a.std_defocus_waves)
+    ]
+    if len({p.range_mm for p in points}) < 2 or plan.fit.zernike_noll[0] != 4:
+        return None, None
+    # colours share the magnification, so more of them help; one is told of, as if it were alone
+    focus = fit_focus(
+        points,
+        lens.focal_length_mm,
+        lens.f_number,
+        plan.reference_wavelength_nm,
+        plan.fit.convention,
+        plan.fit.range_std_mm,
+    )
+    return float(focus.std[0]), float(focus.std[-1])
+
+
+def _telling_ranges(
+    nearest: float, lens: ThinLens, advised: Sequence[RangeAdvice], plan: Plan
+) -> tuple[tuple[float, ...], float | None]:
+    """The farthest three ranges, a wave of defocus apart, that tell the pupil magnification; none where none does."""
+    std = max((a.std_defocus_waves for a in advised if np.isfinite(a.std_defocus_waves)), default=np.inf)
+    focal, reference_mm = lens.focal_length_mm, plan.reference_wavelength_nm * 1e-6
+    step_mm = STEP_WAVES * np.sqrt(12) * reference_mm * 8 * lens.f_number**2  # of the image, for so much defocus
+    for near in np.geomspace(nearest, CLOSEST * focal, 25) if nearest > CLOSEST * focal and np.isfinite(std) else ():
+        images = float(lens.image_distance_mm(near)) - step_mm * np.arange(3)
+        if images[-1] <= focal:
+            continue  # there is no range so far
+        ranges = tuple(float(f"{r:.3g}") for r in images * focal / (images - focal))
+        focus = _middle(ranges, lens)
+        waves = defocus_waves(lens, np.array(ranges), focus, plan.reference_wavelength_nm)
+        points = [DefocusPoint(r, "one", float(w), std) for r, w in zip(ranges, waves, strict=True)]
+        fitted = fit_focus(
+            points, focal, lens.f_number, plan.reference_wavelength_nm, plan.fit.convention, plan.fit.range_std_mm
+        )
+        if fitted.std[-1] <= TELLING_STD / 2:
+            return ranges, float(fitted.std[-1])
+    return (), None
+
+
+def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
+    notes = []
+    if plan.target.kind == "sierpinski" and plan.target.order is not None:
+        lowest = min(a.order for a in advised)
+        if plan.target.order > lowest:
+            notes.append(
+                f"order {plan.target.order} has cells smaller than the Airy disc: order {lowest} says nearly as much, "
+                "and prints and shows more easily"
+            )
+        elif plan.target.order < lowest:
+            notes.append(
+                f"order {lowest} would be resolved too, and holds more fine detail than order {plan.target.order}"
+            )
+    smallest, largest = min(a.size_px for a in advised), max(a.size_px for a in advised)
+    if smallest < 40:
+        wide = 60 / smallest * plan.target.size_mm
+        notes.append(f"the target spans {smallest:.0f} pixels only: about {wide:.3g} mm would span 60")
+    if largest > MOST_PX:
+        notes.append(f"the target spans {largest:.0f} pixels: no sensor sees it whole; choose a smaller one")
+    for one in advised:
+        if one.undetermined:
+            many = len(one.undetermined)
+            what = f"{many} combinations of wavefront, pose and light" if many > NAMED else ", ".join(one.undetermined)
+            notes.append(f"at {one.range_mm:g} mm the photographs leave open: {what}")
+    return notes
+
+
+def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None) -> list[str]:
+    if plan.display is None or nearest_mm is None:
+        return []
+    notes, pitch_mm = [], panel_info(plan.display).pitch_mm
+    if plan.target.kind == "sierpinski" and plan.target.order:
+        cell_mm = plan.target.size_mm / 3**plan.target.order
+        if cell_mm < pitch_mm:
+            least = 3**plan.target.order * pitch_mm
+            notes.append(
+                f"cells of {cell_mm:.3g} mm are finer than the display's pixels, {pitch_mm:.3g} mm: show order "
+                f"{plan.target.order} at {least:.3g} mm or more, or a lower order"
+            )
+    if nearest_range_mm < nearest_mm:
+        notes.append(
+            f"nearer than {nearest_mm:.0f} mm the lens resolves the display's own pixels: gaps between them would count"
+        )
+    return notes
+
+
+def _sampling_notes(plan: Plan) -> list[str]:
+    nyquist_um = plan.channel[_shortest(plan)].wavelength_nm * 1e-3 * plan.lens.f_number / 2
+    every = 1 if len(plan.channel) == 1 else 2
+    times = every * plan.sensor.pixel_pitch_um / nyquist_um
+    return [f"a channel's pixels are {times:.1f} times as far apart as Nyquist asks: aliasing, which the fit models"]

@@ -1,0 +1,162 @@
+"""Master frames: offset, smooth illumination and pixel response, each with what is known of its error.
+
+Plain arrays in, plain arrays out. Everything works on the full raw grid; `planes` are the slices of the colour
+filter's cell (one for mono), because neighbours of one colour lie two pixels apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from labkit.types import Floats
+
+Mask = NDArray[np.bool_]
+Plane = tuple[slice, slice]
+
+SLAB_ROWS = 256
+"""Stacks are worked on so many rows at a time: a whole stack of floats of a large sensor would not fit."""
+
+REJECT_SIGMAS = 4.0
+"""Values of a stack farther than this from their median are left out of the mean."""
+
+OUTLIER_SIGMAS = 8.0
+"""Pixels whose response differs from their neighbours' by more than this are not used."""
+
+ILLUMINATION_ORDER = 4
+"""Total degree of the polynomial in row and column that takes vignetting and the display's fall-off."""
+
+SMOOTH_PX = 16.0
+"""Standard deviation, in pixels of one plane, of the smoothing of what the polynomial leaves."""
+
+LIT = 0.25
+"""A flat's brightness, as a share of its bright parts', below which the display does not reach."""
+
+
+def planes_of(pattern: Sequence[str]) -> tuple[Plane, ...]:
+    """Slices of the full grid, one for each place of the filter's cell; a single one for ("M",)."""
+    height, width = len(pattern), len(pattern[0])
+    return tuple((slice(row, None, height), slice(col, None, width)) for row in range(height) for col in range(width))
+
+
+def clipped_mean(stack: NDArray[np.uint16]) -> Floats:
+    """(rows, cols) mean of (frames, rows, cols), without the values far from each pixel's median.
+
+    With fewer than three frames the plain mean.
+    """
+    if len(stack) < 3:
+        return np.asarray(stack.mean(axis=0, dtype=np.float64))
+    mean = np.empty(stack.shape[1:])
+    for rows in _slabs(stack.shape[1]):
+        slab = stack[:, rows].astype(np.float64)
+        away = np.abs(slab - np.median(slab, axis=0))
+        own = 1.4826 * np.median(away, axis=0)  # bright pixels are noisier than others
+        mean[rows] = np.average(slab, axis=0, weights=away <= REJECT_SIGMAS * np.maximum(own, max(np.median(own), 0.5)))
+    return mean
+
+
+def _slabs(rows: int) -> Iterator[slice]:
+    return (slice(start, min(start + SLAB_ROWS, rows)) for start in range(0, rows, SLAB_ROWS))
+
+
+def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
+    """Normal values of unknown spread about their mean, measured with known variance: posterior mean and deviation.
+
+    Empirical Bayes: the spread's variance is what the values scatter beyond their measurement error (robustly), the
+    posterior pulls each value towards the common mean by its own unreliability (Efron and Morris, JASA 70, 1975).
+    """
+    error = np.broadcast_to(np.asarray(variance, dtype=np.float64), values.shape)
+    # means of whole numbers stand on few steps: a clipped variance does not mind, a median deviation would
+    kept = values[~outliers(values, np.ones(values.shape, dtype=np.bool_), least=float(np.sqrt(error.max())))]
+    centre = float(kept.mean())
+    prior = max(float(kept.var()) - float(np.median(error)), 0.0)
+    if prior == 0.0:
+        return np.full_like(values, centre), np.zeros_like(values)
+    pull = prior / (prior + error)
+    return centre + pull * (values - centre), np.sqrt(pull * error)
+
+
+@dataclass(frozen=True, slots=True)
+class Illumination:
+    """Relative illumination of one plane (mean 1 where lit), its level in counts, and where it is lit."""
+
+    relative: Floats
+    level: float
+    lit: Mask
+
+
+def smooth_illumination(flat: Floats, good: Mask) -> Illumination:
+    """The smooth part of a plane's mean flat.
+
+    flat: (rows, cols) counts with black removed; good: pixels that may be used. A robust polynomial of low order takes
+    the fall-off, a wide Gaussian mean what it leaves; pixel response stays out of both, being uncorrelated.
+    """
+    lit = _lit(flat, good)
+    use = good & lit
+    surface = _polynomial(flat, use)
+    remainder = np.where(use, flat / surface, 0.0)
+    sigma = min(SMOOTH_PX, min(flat.shape) / 8)
+    weight = ndimage.gaussian_filter(use.astype(np.float64), sigma, mode="constant")
+    centre = float(np.median(remainder[use]))
+    spread = 1.4826 * float(np.median(np.abs(remainder[use] - centre)))
+    calm = np.clip(remainder, centre - 5 * spread, centre + 5 * spread) * use
+    smooth = ndimage.gaussian_filter(calm, sigma, mode="constant") / np.maximum(weight, 1e-3)
+    light = surface * np.where(weight > 1e-3, smooth, 1.0)
+    level = float(light[use].mean())
+    return Illumination(np.where(lit, light / level, 1.0), level, lit)
+
+
+def _lit(flat: Floats, good: Mask) -> Mask:
+    """Where the display reaches: all of the frame, or less its dark part and a seam of 5 % beside that."""
+    side = max(1, min(flat.shape) // 60)
+    coarse = ndimage.uniform_filter(np.where(good, flat, 0.0), side) / np.maximum(
+        ndimage.uniform_filter(good.astype(np.float64), side), 1e-3
+    )
+    bright = coarse > LIT * np.percentile(coarse, 95)
+    if bright.all():
+        return np.asarray(bright)
+    holes_filled = ndimage.binary_closing(np.pad(bright, 2 * side, mode="edge"), iterations=2 * side)
+    bright = holes_filled[2 * side : -2 * side, 2 * side : -2 * side]
+    return np.asarray(ndimage.binary_erosion(bright, iterations=3 * side, border_value=1))
+
+
+def _polynomial(flat: Floats, use: Mask) -> Floats:
+    """Robust least squares of a polynomial of total degree ILLUMINATION_ORDER, on means of small blocks."""
+    block = max(1, min(flat.shape) // 60)
+    rows, cols = (n // block * block for n in flat.shape)
+    shape = (rows // block, block, cols // block, block)
+    weight = use[:rows, :cols].reshape(shape).sum(axis=(1, 3)).astype(np.float64)
+    mean = np.where(use, flat, 0.0)[:rows, :cols].reshape(shape).sum(axis=(1, 3)) / np.maximum(weight, 1.0)
+    y, x = (2 * (np.arange(n // block) * block + (block - 1) / 2) / max(n - 1, 1) - 1 for n in flat.shape)
+    design = _powers(y, x).reshape(-1, mean.size).T
+    scale, trust = float(mean.max()), weight.ravel().copy()
+    coefficients = np.zeros(design.shape[1])
+    for _ in range(5):
+        # Legendre polynomials are nearly orthogonal, so the normal equations do
+        weighed = design.T * trust
+        coefficients = np.linalg.lstsq(weighed @ design, weighed @ mean.ravel() / scale, rcond=None)[0]
+        away = np.abs(mean.ravel() / scale - design @ coefficients)
+        spread = 1.4826 * float(np.median(away[weight.ravel() > 0]))
+        trust = weight.ravel() / np.maximum(1.0, away / max(2 * spread, 1e-12))  # Huber's weights
+    y, x = (np.linspace(-1, 1, n) for n in flat.shape)
+    surface = scale * np.tensordot(coefficients, _powers(y, x), axes=1)
+    # outside of the lit part a polynomial may do anything
+    return np.asarray(np.maximum(surface, 0.02 * scale))
+
+
+def _powers(y: Floats, x: Floats) -> Floats:
+    """(terms, rows, cols) products of Legendre polynomials up to the total degree."""
+    py, px = (np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T for u in (y, x))
+    degrees = range(ILLUMINATION_ORDER + 1)
+    return np.array([np.outer(py[i], px[j]) for i in degrees for j in degrees if i + j <= ILLUMINATION_ORDER])
+
+
+def outliers(values: Floats, among: Mask, least: float = 0.0) -> Mask:
+    """Those `among` whose values lie 8 robust standard deviations, and `least`, from the median of them all."""
+    centre = float(np.median(values[among]))
+    spread = 1.4826 * float(np.median(np.abs(values[among] - centre)))
+    return np.asarray(among & (np.abs(values - centre) > max(OUTLIER_SIGMAS * spread, least)))

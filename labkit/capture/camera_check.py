@@ -1,0 +1,147 @@
+"""A camera by itself: what it lets be set, and what a photograph of it is worth. For `labkit camera`."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Adjustable, Camera, Check, Checkable, ExposureSettings, Setting
+from labkit.devices.registry import open_camera
+from labkit.errors import CameraError, TargetError
+from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.sharpness import blur_px, sharpest_edge_px
+from labkit.plan import Plan, load_plan, parse_plan
+from labkit.raw.decode import read_raw
+from labkit.raw.frame_quality import pixel_noise
+from labkit.raw.mosaic import MONO, Mosaic
+from labkit.target import open_target
+from labkit.types import Counts
+
+BARE = """
+lens = {{ focal_length_mm = 50.0, f_number = 8.0 }}
+sensor = {{ pixel_pitch_um = 5.0 }}
+target = {{ kind = "sierpinski", order = 5, size_mm = 50.0 }}
+channel = [{{ name = "G", wavelength_nm = 550.0 }}]
+[camera]
+address = "{address}"
+exposure_s = 0.01
+"""
+"""A plan that says nothing but where the camera is."""
+
+BLOCKS = 8
+"""Noise is looked for in 8 × 8 parts of a photograph."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """A camera and the plan it was opened with; planned: whether that says how to expose and what stands before it."""
+
+    camera: Camera
+    plan: Plan
+    planned: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ColourReport:
+    """Of one colour of a photograph: counts above black in the middle and at most, share that is full, noise of a pixel."""
+
+    name: str
+    median: float
+    brightest: float
+    full_percent: float
+    noise: float
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """A test photograph: how the camera exposed, how light and sharp it is, and what to look at by hand.
+
+    edge_px: pixels over which its sharpest edges rise; blur_px: diameter of the blur circle on the plan's target; each
+    None where there is nothing to tell it from; target: in words.
+    """
+
+    exposure_s: float
+    iso: int
+    pixels: tuple[int, int]
+    colours: tuple[ColourReport, ...]
+    edge_px: float | None
+    blur_px: float | None
+    target: str
+    problems: tuple[str, ...]
+    by_hand: tuple[str, ...]
+
+
+def open_alone(where: str) -> Alone:
+    """The camera of a plan, or at an address such as "gphoto2:". Raises PlanError, or what the driver raises."""
+    path = Path(where)
+    planned = path.suffix == ".toml" or path.is_file()
+    plan = load_plan(path) if planned else parse_plan(BARE.format(address=where), Path())
+    if plan.camera is None:
+        raise CameraError(f"plan {where} has no [camera]: add it, or give an address such as gphoto2:")
+    return Alone(open_camera(plan.camera.address, plan, DeviceContext()), plan, planned)
+
+
+def offered(camera: Camera) -> tuple[Setting, ...]:
+    """Everything that it lets be set or read. Raises CameraError for a camera that has no settings."""
+    if not isinstance(camera, Adjustable):
+        raise CameraError("this camera has no settings to list")
+    return camera.settings()
+
+
+def take_test_frame(alone: Alone) -> FrameReport:
+    """Photograph once and look at it; nothing is kept. Raises what the driver raises, RawError, PlanError."""
+    camera, settings = alone.camera, alone.plan.camera
+    assert settings is not None
+    camera.identify()
+    if alone.planned:
+        camera.configure(ExposureSettings(settings.exposure_s, settings.iso))
+    with tempfile.TemporaryDirectory() as folder:
+        frame = camera.expose(Path(folder) / "test")
+        mosaic = read_raw(frame.path, alone.plan.sensor)
+    check = camera.check(1) if isinstance(camera, Checkable) else Check()
+    blur, words = None, "not looked for: give a plan that says what it is"
+    try:
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        if alone.planned:
+            target = open_target(alone.plan.target)
+            blur, words = blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
+    except TargetError as error:
+        words = str(error)
+    return FrameReport(
+        exposure_s=frame.exposure_s,
+        iso=frame.iso or mosaic.iso or 0,
+        pixels=(mosaic.counts.shape[0], mosaic.counts.shape[1]),
+        colours=tuple(_colours(mosaic)),
+        edge_px=sharpest_edge_px(mosaic),
+        blur_px=blur,
+        target=words,
+        problems=check.problems,
+        by_hand=check.by_hand,
+    )
+
+
+def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
+    names = ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
+    for name in names:
+        row, col = mosaic.places(name)[0]
+        step = 1 if name == "mono" else 2
+        plane = np.ascontiguousarray(mosaic.counts[row::step, col::step])
+        black = float(mosaic.black[row, col])
+        yield ColourReport(
+            name,
+            median=float(np.median(plane)) - black,
+            brightest=float(np.percentile(plane, 99.9)) - black,
+            full_percent=100 * float(np.mean(plane >= mosaic.white)),
+            noise=_noise(plane, mosaic.white),
+        )
+
+
+def _noise(plane: Counts, white: float) -> float:
+    """Noise of a pixel where the picture is smooth and nothing is full, for what is full has none."""
+    blocks = [block for band in np.array_split(plane, BLOCKS) for block in np.array_split(band, BLOCKS, axis=1)]
+    return float(np.quantile([pixel_noise(block) for block in blocks if block.max() < white] or [0.0], 0.1))

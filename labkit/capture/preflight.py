@@ -1,0 +1,204 @@
+"""Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is said at once.
+
+Devices, context on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
+light right, is the target wholly in the frame, is it sharp enough to be fitted? Test photographs are not kept.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from labkit.devices.context import Devices
+from labkit.devices.panel_image import PanelPicture
+from labkit.devices.protocols import Check, Checkable, Picture
+from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
+from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.sharpness import blur_px
+from labkit.inference.fit import FARTHEST_WAVES
+from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
+from labkit.plan import Plan
+from labkit.raw.frame_quality import exposure_problem
+from labkit.raw.mosaic import Mosaic
+from labkit.target import open_target
+
+Result = TypeVar("Result")
+
+SPARE_SHARE = 0.05
+"""Of the room that photographs will take: kept free for journal and results."""
+
+PV_PER_RMS = float(np.sqrt(12))
+
+
+@dataclass(frozen=True, slots=True)
+class Hands:
+    """What a capture does with its devices, each again on passing trouble; they raise LabkitError if it lasts.
+
+    photograph: takes the picture that is shown, under a name; the file and what is in it.
+    """
+
+    ready: Callable[[], object]
+    home: Callable[[], object]
+    go_to: Callable[[float], object]
+    show: Callable[[Picture], object]
+    photograph: Callable[[str, Picture], tuple[Path, Mosaic]]
+
+
+@dataclass(slots=True)
+class Findings:
+    """What came out: errors, what only a person can look at, and measured numbers, by what they are of.
+
+    dark: camera or display failed for good, so that no more photographs are tried.
+    """
+
+    problems: list[LabkitError] = field(default_factory=list)
+    dark: bool = False
+    by_hand: list[str] = field(default_factory=list)
+    measured: dict[str, Any] = field(default_factory=dict)
+
+    def tried(self, action: Callable[[], Result]) -> Result | None:
+        """Do it; None if it failed, which is then noted."""
+        try:
+            return action()
+        except (DeviceError, InputError) as error:
+            self.problems.append(error)
+            return None
+
+    def raise_problems(self) -> None:
+        """Raise the one problem, or one error that says them all; nothing if there is none."""
+        if len(self.problems) == 1:
+            raise self.problems[0]
+        if self.problems:
+            kind = DeviceError if any(isinstance(error, DeviceError) for error in self.problems) else DataError
+            listed = "; ".join(f"({i}) {error}" for i, error in enumerate(self.problems, 1))
+            raise kind(f"{len(self.problems)} things are not right: {listed}")
+
+
+def preflight(
+    plan: Plan,
+    devices: Devices,
+    hands: Hands,
+    *,
+    picture: PanelPicture,
+    ends_mm: Sequence[float],
+    frames: int,
+    folder: Path,
+) -> Findings:
+    """Look at everything once. ends_mm: the nearest and the farthest stop; frames: photographs to come, into `folder`."""
+    found = Findings()
+    ready = found.tried(lambda: hands.ready() or True)
+    for device in (devices.camera, devices.rail, devices.display):
+        _check(device, frames, found)
+    homed = found.tried(lambda: hands.home() or True) if ends_mm else None
+    blurs_px: dict[float, float] = {}
+    for range_mm in ends_mm:
+        there = homed and found.tried(partial(_go_to, hands, range_mm))
+        blur = _look(plan, hands, picture, range_mm, found) if there and ready and not found.dark else None
+        if blur is not None:
+            blurs_px[range_mm] = blur
+    if "frame_bytes" in found.measured:
+        _check_disk(folder, frames, found)
+    found.problems += _focus_problems(plan, blurs_px)
+    return found
+
+
+def _go_to(hands: Hands, range_mm: float) -> bool:
+    hands.go_to(range_mm)
+    return True
+
+
+def _check(device: object, frames: int, found: Findings) -> None:
+    if isinstance(device, Checkable):
+        check = found.tried(lambda: device.check(frames)) or Check()
+        found.problems += [DeviceError(problem) for problem in check.problems]
+        found.by_hand += check.by_hand
+
+
+def _look(plan: Plan, hands: Hands, picture: PanelPicture, range_mm: float, found: Findings) -> float | None:
+    """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
+    at = f"at {range_mm:g} mm"
+    white = _photograph(hands, f"preflight_{range_mm:.10g}_white", "white", found)
+    if white is not None and "exposure" not in found.measured:
+        problem = exposure_problem(white, "flat", (channel.name for channel in plan.channel))
+        found.measured["exposure"] = problem or "right"
+        if problem:
+            hint = "; is the cap on the lens, the display dark?" if "black" in problem else ""
+            found.problems.append(DataError(f"a test photograph of white {at} {problem}{hint}"))
+    shown = _photograph(hands, f"preflight_{range_mm:.10g}_target", picture.grey, found)
+    if shown is None:
+        return None
+    target = open_target(plan.target)
+    given = plan.target.corners_px
+    scale = float(
+        ground_sample_mm(ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), range_mm, plan.sensor.pixel_pitch_um)
+    )
+    try:
+        grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
+        corners = np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
+    except TargetError as error:
+        found.problems.append(TargetError(f"{at}: {error}"))
+        return None
+    blur = blur_px(grey, target, corners)
+    margin = min(float(corners.min()), float(np.min(np.array(grey.shape) - 1 - corners)))
+    found.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
+    return blur
+
+
+def _photograph(hands: Hands, name: str, picture: Picture, found: Findings) -> Mosaic | None:
+    def take() -> Mosaic:
+        hands.show(picture)
+        path, mosaic = hands.photograph(name, picture)
+        found.measured["frame_bytes"] = path.stat().st_size
+        return mosaic
+
+    if found.dark:
+        return None
+    seen = found.tried(take)
+    found.dark = seen is None and isinstance(found.problems[-1], DeviceError)
+    return seen
+
+
+def _check_disk(folder: Path, frames: int, found: Findings) -> None:
+    needed, free = found.measured["frame_bytes"] * frames * (1 + SPARE_SHARE), shutil.disk_usage(folder).free
+    found.measured["free_bytes"] = free
+    if free < needed:
+        found.problems.append(
+            InputError(
+                f"{frames} photographs take {needed / 1e9:.2f} GB, and {free / 1e9:.2f} GB are free at {folder}: "
+                f"make context, or capture to another disk"
+            )
+        )
+
+
+def _focus_problems(plan: Plan, blurs_px: dict[float, float]) -> list[LabkitError]:
+    """Where the blur is beyond what a fit looks for, or best focus beyond the rail by more than the rail's own way."""
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    pitch_mm = plan.sensor.pixel_pitch_um * 1e-3
+    # a circle c of defocus W (peak to valley) has c = 8 N W
+    limit_mm = 8 * lens.f_number * FARTHEST_WAVES * PV_PER_RMS * plan.reference_wavelength_nm * 1e-6
+    problems: list[LabkitError] = [
+        DataError(
+            f"out of focus at {range_mm:g} mm: a point spreads over {blur:.0f} pixels, "
+            f"up to {limit_mm / pitch_mm:.0f} can be fitted; focus on the middle of the ranges"
+        )
+        for range_mm, blur in blurs_px.items()
+        if blur * pitch_mm > limit_mm
+    ]
+    if len(blurs_px) == 2 and not problems:
+        near, far = sorted(blurs_px)
+        way_px = float(circle_of_confusion_mm(lens, far, near)) / pitch_mm
+        least = min(blurs_px.values())
+        if least > max(2 * way_px, 8.0):
+            problems.append(
+                DataError(
+                    f"best focus is far from the ranges: a point spreads over {blurs_px[near]:.0f} pixels at {near:g} mm and "
+                    f"{blurs_px[far]:.0f} at {far:g} mm; focus between them"
+                )
+            )
+    return problems

@@ -1,0 +1,64 @@
+"""What a plan asks of the bench: which photographs, at which places, of which picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from labkit.devices.context import Devices
+from labkit.devices.panel_image import PanelPicture, panel_picture
+from labkit.errors import PlanError
+from labkit.plan import CameraSettings, Plan, RailSettings
+from labkit.session.session import Session
+from labkit.target import open_target
+from labkit.types import FrameKind
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A photograph to take: its name without the suffix, which the camera chooses."""
+
+    name: str
+    kind: FrameKind
+    range_mm: float | None
+
+
+def shots(plan: Plan) -> tuple[Shot, ...]:
+    """Every photograph that a plan asks for, in the order of taking. Raises PlanError without [camera] or [rail]."""
+    camera, rail = bench_settings(plan)
+    found = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
+    for range_mm in rail.ranges_mm:
+        found += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
+        found += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
+    return tuple(found)
+
+
+def missing(session: Session) -> tuple[Shot, ...]:
+    """What the session's plan asks for and its journal has not."""
+    done = {Path(frame.file).stem for frame in session.frames}
+    return tuple(shot for shot in shots(session.plan) if shot.name not in done)
+
+
+def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
+    """The target as the display will show it; to be asked before a session is begun.
+
+    Raises TargetError or PlanError for a plan that these devices cannot run: a target that does not fit the panel, a
+    range that the rail does not reach.
+    """
+    _, rail = bench_settings(plan)
+    travel = devices.rail.travel_mm
+    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= rail.position_mm(mm) <= travel.high_mm]
+    if beyond:
+        places = ", ".join(f"{mm:g} mm (rail position {rail.position_mm(mm):g} mm)" for mm in beyond)
+        raise PlanError(
+            f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
+            f"ranges {rail.range_mm(travel.low_mm):g} to {rail.range_mm(travel.high_mm):g} mm"
+        )
+    return panel_picture(open_target(plan.target), devices.display.panel)
+
+
+def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
+    """Camera and rail of a plan. Raises PlanError for one that says nothing of them."""
+    if plan.camera is None or plan.rail is None:
+        raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
+    return plan.camera, plan.rail

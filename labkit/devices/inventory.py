@@ -1,0 +1,189 @@
+"""What is plugged in, who holds it, what may not be opened, and which drivers are installed: for `labkit devices`."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import usb.core
+from serial.tools import list_ports
+
+from labkit.devices.registry import GROUPS, installed
+
+IMAGE_CLASS = 6
+"""USB interface class of still cameras (PTP), by the USB class codes."""
+
+STABLE_NAMES = Path("/dev/serial/by-id")
+"""Where udev keeps names of serial ports that do not change with the order of plugging."""
+
+RULES_FILE = "/etc/udev/rules.d/70-labkit.rules"
+"""A number below 73, or the tag uaccess comes too late."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """A device on USB; `where` is bus and number, as in gphoto2:usb:001,004; holders: programs that have it open."""
+
+    where: str
+    vendor_product: str
+    name: str
+    is_camera: bool
+    holders: tuple[str, ...] = ()
+    permitted: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial port, where a rail may hang; stable_path stays the same however things are plugged."""
+
+    path: str
+    name: str
+    vendor_product: str = ""
+    stable_path: str = ""
+    holders: tuple[str, ...] = ()
+    permitted: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """Everything found; drivers: names of those installed for camera, rail, display; notes: what was not seen."""
+
+    usb: tuple[UsbDevice, ...]
+    serial: tuple[SerialPort, ...]
+    drivers: dict[str, tuple[str, ...]]
+    notes: tuple[str, ...]
+
+
+def look_around() -> Connected:
+    """Look at USB, serial ports and entry points. What cannot be looked at is told in `notes`."""
+    notes: tuple[str, ...] = ()
+    try:
+        devices = tuple(_usb_devices())
+    except usb.core.NoBackendError:
+        devices = ()
+        notes = ("USB was not looked at: libusb is missing (Debian: apt-get install libusb-1.0-0)",)
+    except usb.core.USBError as error:
+        devices = ()
+        notes = (f"USB was not looked at: {error}",)
+    ports = tuple(_serial_ports())
+    for device in devices:
+        if device.is_camera:
+            notes += _hindrances(f"usb:{device.where}", device.permitted, device.holders)
+    for port in ports:
+        notes += _hindrances(port.path, port.permitted, port.holders)
+    return Connected(devices, ports, {device: installed(device) for device in GROUPS}, notes)
+
+
+def udev_rules(found: Connected) -> str:
+    """Rules that let whoever sits at this machine open the cameras and USB serial ports found, and keep others off."""
+    lines = [
+        f"# labkit devices --udev | sudo tee {RULES_FILE}",
+        "# sudo udevadm control --reload && sudo udevadm trigger, then plug the devices in again",
+    ]
+    rules = [
+        (device.vendor_product, device.name, 'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {ids}, {access}')
+        for device in found.usb
+        if device.is_camera
+    ]
+    rules += [
+        # ModemManager takes every new port for a modem, and talks to it
+        (port.vendor_product, port.name, 'SUBSYSTEM=="tty", {ids}, {access}, ENV{{ID_MM_DEVICE_IGNORE}}="1"')
+        for port in found.serial
+    ]
+    written = set()
+    for vendor_product, name, rule in rules:
+        ids = re.fullmatch("([0-9a-f]{4}):([0-9a-f]{4})", vendor_product)
+        if not ids or (vendor_product, rule) in written:
+            continue
+        written.add((vendor_product, rule))
+        attribute, group = ("ATTR", "plugdev") if "usb_device" in rule else ("ATTRS", "dialout")
+        match = f'{attribute}{{idVendor}}=="{ids[1]}", {attribute}{{idProduct}}=="{ids[2]}"'
+        access = f'MODE="0660", GROUP="{group}", TAG+="uaccess"'
+        lines += [f"# {printable(name)}", rule.format(ids=match, access=access)]
+    if not written:
+        lines.append("# no camera and no USB serial port is plugged in: plug them in and run this again")
+    return "\n".join(lines)
+
+
+def printable(name: str) -> str:
+    """A name that a device gives itself, fit for a terminal and for a comment."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
+
+
+def holders(paths: Iterable[str], proc: Path = Path("/proc")) -> dict[str, tuple[str, ...]]:
+    """Programs, as "name (process id)", that have each of these files open, this process aside.
+
+    Programs of other users are seen by root only.
+    """
+    found: dict[str, list[str]] = {path: [] for path in paths}
+    for folder in proc.glob("[0-9]*"):
+        if folder.name == str(os.getpid()):
+            continue
+        with suppress(OSError):  # gone meanwhile, or somebody else's
+            opened = {os.readlink(handle) for handle in (folder / "fd").iterdir()}
+            name = printable((folder / "comm").read_text(encoding="utf-8", errors="replace").strip())
+            for path in opened & found.keys():
+                found[path].append(f"{name} ({folder.name})")
+    return {path: tuple(sorted(names)) for path, names in found.items()}
+
+
+def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[str, ...]:
+    """What keeps us from opening a device, in words."""
+    found: tuple[str, ...] = ()
+    if not permitted:
+        found += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
+    if names:
+        advice = "; let it go with: gio mount -s gphoto2" if any("gvfs" in name for name in names) else ""
+        found += (f"{where}: in use by {', '.join(names)}{advice}",)
+    return found
+
+
+def _usb_devices() -> Iterator[UsbDevice]:
+    devices = list(usb.core.find(find_all=True))
+    held = holders(_usb_file(device) for device in devices)
+    for device in devices:
+        file = _usb_file(device)
+        yield UsbDevice(
+            where=f"{device.bus or 0:03d},{device.address or 0:03d}",
+            vendor_product=f"{device.idVendor:04x}:{device.idProduct:04x}",
+            name=_name(device),
+            is_camera=any(interface.bInterfaceClass == IMAGE_CLASS for setting in device for interface in setting),
+            holders=held[file],
+            permitted=_may_open(file),
+        )
+
+
+def _usb_file(device: usb.core.Device) -> str:
+    return f"/dev/bus/usb/{device.bus or 0:03d}/{device.address or 0:03d}"
+
+
+def _serial_ports() -> Iterator[SerialPort]:
+    ports = sorted(list_ports.comports(), key=lambda port: port.device)
+    held = holders(port.device for port in ports)
+    stable = {str(link.resolve()): str(link) for link in sorted(STABLE_NAMES.glob("*"))}
+    for port in ports:
+        yield SerialPort(
+            path=port.device,
+            name=printable(port.description or ""),
+            vendor_product="" if port.vid is None else f"{port.vid:04x}:{port.pid:04x}",
+            stable_path=stable.get(port.device, ""),
+            holders=held[port.device],
+            permitted=_may_open(port.device),
+        )
+
+
+def _may_open(path: str) -> bool:
+    """Whether this user may read and write a device; one whose file is not to be seen counts as if."""
+    return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)
+
+
+def _name(device: usb.core.Device) -> str:
+    """Maker and product, as far as this user may read them."""
+    try:
+        return printable(" ".join(str(word) for word in (device.manufacturer, device.product) if word))
+    except (usb.core.USBError, ValueError, NotImplementedError):
+        return ""

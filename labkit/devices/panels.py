@@ -1,0 +1,28 @@
+"""Panels by their makers' data sheets, and the panel that a plan describes."""
+
+from __future__ import annotations
+
+from labkit.devices.protocols import PanelInfo
+from labkit.errors import PlanError
+from labkit.plan import DisplaySettings
+
+PANELS = {
+    "ipad-9.7-retina": PanelInfo((1536, 2048), 25.4 / 264),
+    "ipad-10.2": PanelInfo((1620, 2160), 25.4 / 264),
+    "ipad-pro-11": PanelInfo((1668, 2388), 25.4 / 264),
+    "ipad-pro-12.9": PanelInfo((2048, 2732), 25.4 / 264),
+    "ipad-mini-8.3": PanelInfo((1488, 2266), 25.4 / 326),
+}
+"""Panels a plan can name, landscape, by their makers' data sheets."""
+
+
+def panel_info(settings: DisplaySettings) -> PanelInfo:
+    """The panel that a plan's [display] table describes. Raises PlanError for a name that is not known."""
+    if settings.pixels is not None and settings.pixel_pitch_mm is not None:
+        return PanelInfo(settings.pixels, settings.pixel_pitch_mm)
+    if settings.panel not in PANELS:
+        known = ", ".join(sorted(PANELS))
+        raise PlanError(
+            f'display.panel = "{settings.panel}": known are {known}; or give pixel_pitch_mm and pixels instead'
+        )
+    return PANELS[settings.panel]

@@ -1,0 +1,228 @@
+"""What a camera, a rail and a display can do, as the rest of labkit sees them.
+
+Drivers keep these protocols without importing anything else of labkit but its errors. All calls are synchronous, every
+wait in them has a time limit, and each device is a context manager that closes itself. They raise DeviceError
+(CameraError, RailError, RailLimitError, DisplayError, DeviceTimeoutError).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = Literal["white", "black"] | NDArray[np.uint8]
+"""What a display shows: all of the panel in one grey, or grey values of panel pixels, centred, black around them."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """Who a camera says it is."""
+
+    model: str
+    serial: str
+    driver: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureSettings:
+    """How to expose: shutter time and sensitivity."""
+
+    exposure_s: float
+    iso: int
+
+    def __post_init__(self) -> None:
+        if not (self.exposure_s > 0 and self.iso > 0):
+            raise ValueError(f"exposure time and ISO must be above 0: {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class RawFrame:
+    """A raw file as it came from the camera: where it lies, how it was exposed, what else the camera said (JSON)."""
+
+    path: Path
+    exposure_s: float
+    iso: int
+    meta: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Something that a camera lets be set, or only read: its value now, and the values it takes if they are listed."""
+
+    name: str
+    label: str
+    value: Any
+    choices: tuple[Any, ...]
+    readonly: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What a device says of itself before a capture: what stands in the way, and what only a person can look at."""
+
+    problems: tuple[str, ...] = ()
+    by_hand: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """Positions that a rail can reach."""
+
+    low_mm: float
+    high_mm: float
+
+    def __post_init__(self) -> None:
+        if not self.low_mm < self.high_mm:
+            raise ValueError(f"empty travel: {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class PanelInfo:
+    """A display's glass: (height, width) in pixels, the pitch of its square pixels, how a pixel's colours lie."""
+
+    pixels: tuple[int, int]
+    pitch_mm: float
+    subpixels: Literal["rgb", "none"] = "rgb"
+    gamma: float = 2.2
+
+    def __post_init__(self) -> None:
+        if not (min(self.pixels) > 0 and self.pitch_mm > 0 and self.gamma > 0):
+            raise ValueError(f"a panel has pixels, a pitch and a gamma above 0: {self}")
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """(height, width) of the lit area."""
+        return self.pixels[0] * self.pitch_mm, self.pixels[1] * self.pitch_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A display's word that a picture is on the glass: (height, width) of its lit part in panel pixels."""
+
+    pixels: tuple[int, int]
+
+
+class Camera(AbstractContextManager["Camera"], Protocol):
+    """A camera that delivers raw files."""
+
+    def identify(self) -> CameraInfo:
+        """Who it is; finds it again, if it had dropped off its cable."""
+        ...
+
+    def configure(self, settings: ExposureSettings) -> None:
+        """Set how the next frames are exposed; read back, never silently rounded."""
+        ...
+
+    def expose(self, path: Path) -> RawFrame:
+        """Expose once and write the raw file as it came, whole or not at all, to a path that does not exist yet."""
+        ...
+
+    def close(self) -> None:
+        """Let the camera go; again does nothing."""
+        ...
+
+
+@runtime_checkable
+class Coverable(Protocol):
+    """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
+
+    def cover(self, closed: bool) -> None:
+        """Close or open what keeps the light out."""
+        ...
+
+
+@runtime_checkable
+class Adjustable(Protocol):
+    """A camera that can say what there is to be set on it."""
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Everything that it offers."""
+        ...
+
+
+@runtime_checkable
+class Checkable(Protocol):
+    """A device that can say whether it is fit for a capture."""
+
+    def check(self, frames: int) -> Check:
+        """Whether that many more photographs can be expected of it."""
+        ...
+
+
+class Rail(AbstractContextManager["Rail"], Protocol):
+    """A motorised stage along the optical axis."""
+
+    @property
+    def travel_mm(self) -> Travel:
+        """Where it can go."""
+        ...
+
+    def home(self) -> None:
+        """Find the zero again."""
+        ...
+
+    def move_to(self, position_mm: float) -> float:
+        """Go there, and return the measured position in mm once it stands."""
+        ...
+
+    def stop(self) -> None:
+        """Stop at once."""
+        ...
+
+    def close(self) -> None:
+        """Let the rail go; again does nothing."""
+        ...
+
+
+@runtime_checkable
+class Steadfast(Protocol):
+    """A rail that can tell whether it was moved."""
+
+    def check_still(self) -> None:
+        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        ...
+
+
+class Controller(Protocol):
+    """A simulated motion controller that a rail's driver talks to, as to a real one, over a serial port."""
+
+    @property
+    def path(self) -> str:
+        """The port's device file."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+class Display(AbstractContextManager["Display"], Protocol):
+    """A panel that shows targets, pixel for pixel."""
+
+    @property
+    def panel(self) -> PanelInfo:
+        """The glass."""
+        ...
+
+    def show(self, picture: Picture) -> Shown:
+        """Show it, and return once it is known to be on the glass."""
+        ...
+
+    def close(self) -> None:
+        """Let the display go; again does nothing."""
+        ...
+
+
+@runtime_checkable
+class Attentive(Protocol):
+    """A display that can lose its picture while a photograph is taken, and knows."""
+
+    def undisturbed(self) -> bool:
+        """Whether the picture was on the glass all the time since `show` returned; the display itself is asked."""
+        ...

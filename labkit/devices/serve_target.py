@@ -1,0 +1,108 @@
+"""Shows a target on displays until Ctrl-C, or whatever else a person picks on the operator's page."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from labkit.devices.context import DeviceContext
+from labkit.devices.panel_image import panel_picture
+from labkit.devices.panels import PANELS
+from labkit.devices.protocols import Display, Picture
+from labkit.devices.test_patterns import PATTERNS, pattern
+from labkit.errors import DisplayError, PlanError
+from labkit.plan import DisplaySettings, Plan, load_plan
+from labkit.target import Target
+
+TARGET = "target"
+CHOICES = (TARGET, *PATTERNS)
+
+RETRY_S = 1.0
+"""After a display has failed; most of them have waited long before they say so."""
+
+
+def serve_target(
+    target: Target, displays: Sequence[Display], context: DeviceContext, going: Callable[[], bool] = lambda: True
+) -> None:
+    """Show the target on every display, then whatever context.wishes asks for of CHOICES, while `going`.
+
+    A display that is not right is waited for, without end. Raises TargetError for a panel that it does not fit.
+    """
+    pictures = {name: [_picture(name, target, display) for display in displays] for name in CHOICES}
+    queues: list[SimpleQueue[Picture]] = [SimpleQueue() for _ in displays]
+    ended = threading.Event()
+
+    def serving() -> bool:
+        return going() and not ended.is_set()
+
+    for display, queue in zip(displays, queues, strict=True):
+        threading.Thread(target=_keep_showing, args=(display, queue, context, serving), daemon=True).start()
+    picked = TARGET
+    try:
+        while going():
+            for observer in context.observers:
+                observer.noted("serving", choices=CHOICES, picked=picked)
+            for queue, picture in zip(queues, pictures[picked], strict=True):
+                queue.put(picture)
+            picked = _next_wish(context, going) or picked
+    finally:
+        ended.set()  # Ctrl-C: displays are closed next, and nobody is to be told of it
+
+
+def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str, Plan]]:
+    """(address, plan) of each display: the named panels on HOST:PORT, or the display of the plan file `spec`.
+
+    Of these plans only [display] is there. Raises PlanError.
+    """
+    if not panels and spec.endswith(".toml"):
+        settings = load_plan(Path(spec)).display
+        if settings is None:
+            raise PlanError(f"plan {spec}: it has no [display]; add one, or give --panel")
+        return [(settings.address, Plan.model_construct(display=settings))]
+    if not panels:
+        raise PlanError(f"which panel? Give --panel, one of {', '.join(sorted(PANELS))}; or a plan with [display]")
+    found = []
+    for number, panel in enumerate(panels, 1):
+        address = f"web://{listen}" + (f"/{number}" if len(panels) > 1 else "")
+        found.append((address, Plan.model_construct(display=DisplaySettings(address=address, panel=panel))))
+    return found
+
+
+def _picture(name: str, target: Target, display: Display) -> Picture:
+    return panel_picture(target, display.panel).grey if name == TARGET else pattern(name, display.panel)
+
+
+def _next_wish(context: DeviceContext, going: Callable[[], bool]) -> str | None:
+    while going():
+        try:
+            wish = context.wishes.get(timeout=0.2)
+        except Empty:
+            continue
+        if wish in CHOICES:
+            return wish
+    return None
+
+
+def _keep_showing(
+    display: Display, queue: SimpleQueue[Picture], context: DeviceContext, going: Callable[[], bool]
+) -> None:
+    """Show the latest of the queue's pictures, again until it is shown or there is a later one."""
+    wanted: Picture | None = None
+    while going():
+        try:
+            wanted = queue.get(wanted is None, 0.2)
+            continue
+        except Empty:
+            pass
+        if wanted is None:
+            continue
+        try:
+            display.show(wanted)
+            wanted = None
+        except DisplayError as error:
+            if going():
+                context.tell(str(error))
+                time.sleep(RETRY_S)

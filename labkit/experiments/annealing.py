@@ -1,0 +1,123 @@
+"""Time to the optimum, our search beside SciPy's `dual_annealing` with the same likelihood and gradient: thesis Figure 4.19."""
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.optimize import dual_annealing
+
+from labkit.execute import run_all
+from labkit.experiments.conditions import NOLL, draw_trial
+from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.types import Floats
+
+SEVEN = tuple(range(4, 11))
+BOUND_WAVES = 0.25  # of every mode, for the annealing
+FOUND = 50.0  # log-likelihoods below that of the true wavefront that still belong to its optimum
+
+
+@dataclass(frozen=True)
+class Task:
+    noll: tuple[int, ...]
+    seed: int
+    cap_s: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Seconds of each; the annealing's is the cap where it had not got there. found: whether ours did."""
+
+    search: float
+    annealing: float
+    found: bool
+    capped: bool
+
+
+class _EnoughError(Exception):
+    """The annealing has found the optimum, or its time is up."""
+
+
+def work(task: Task) -> Answer:
+    """One picture. The annealing knows the pose, and is stopped as soon as it is in the right optimum; ours knows nothing."""
+    rng = np.random.default_rng([43, len(task.noll), task.seed])
+    trial = draw_trial(rng, noll=task.noll)
+    fit = trial.fit(rng)
+    problem, modes = trial.problem, len(task.noll)
+
+    def height(waves: Floats) -> float:
+        state = trial.state(waves)
+        return -problem.objective(state, problem.relative(state))
+
+    def slope(waves: Floats) -> Floats:
+        return -problem.scores(trial.state(waves), by_waves=True)[0][:modes]
+
+    goal = height(trial.waves) + FOUND
+    began = perf_counter()
+
+    def watched(waves: Floats) -> float:
+        value = height(waves)
+        if value < goal or perf_counter() - began > task.cap_s:
+            raise _EnoughError(value < goal)
+        return value
+
+    capped = False
+    local: Any = {"method": "L-BFGS-B", "jac": slope, "bounds": [(-0.5, 0.5)] * modes}
+    limits = [(-BOUND_WAVES, BOUND_WAVES)] * modes
+    try:
+        dual_annealing(watched, limits, maxiter=10**6, maxfun=10**9, rng=rng, minimizer_kwargs=local)
+    except _EnoughError as enough:
+        capped = not enough.args[0]
+    annealing = task.cap_s if capped else perf_counter() - began
+    return Answer(fit.seconds, annealing, trial.found(fit.waves), capped)
+
+
+def run(setting: Setting) -> Outcome:
+    """Mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
+    cap = 20.0 if setting.quick else 600.0
+    tasks = [Task(noll, seed, cap) for noll in (SEVEN, NOLL) for seed in range(1 if setting.quick else 20)]
+    answers: dict[int, Answer] = {}
+    for index, answer in run_all(work, tasks, setting.workers):
+        answers[index] = answer
+        setting.progress(len(answers), len(tasks), f"{len(tasks[index].noll)} modes")
+    rows = [
+        {
+            "modes": len(task.noll),
+            "seed": task.seed,
+            "search_seconds": answers[k].search,
+            "search_found": answers[k].found,
+            "annealing_seconds": answers[k].annealing,
+            "annealing_capped": answers[k].capped,
+        }
+        for k, task in enumerate(tasks)
+    ]
+    claims = []
+    for noll, thesis in ((SEVEN, 5.0), (NOLL, None)):
+        own = [answers[k] for k, task in enumerate(tasks) if task.noll == noll]
+        ours, theirs = (float(np.mean([getattr(a, key) for a in own])) for key in ("search", "annealing"))
+        label = f"{len(noll)} modes"
+        claims += [
+            Claim(f"mean time of the annealing over that of the search, {label}", thesis, theirs / ours, "", len(own)),
+            Claim(f"mean time of the search, {label}", None, ours, "s", len(own)),
+            Claim(f"mean time of the annealing, {label}, capped at {cap:g} s", None, theirs, "s", len(own)),
+            Claim(f"annealings that ran into the cap, {label}", None, float(sum(a.capped for a in own)), "", len(own)),
+        ]
+
+    def draw() -> Figure:
+        figure = Figure(figsize=(5.2, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for noll, marker in ((SEVEN, "o"), (NOLL, "s")):
+            own = [row for row in rows if row["modes"] == len(noll)]
+            axes.loglog(
+                [r["search_seconds"] for r in own],
+                [r["annealing_seconds"] for r in own],
+                marker,
+                label=f"{len(noll)} modes",
+            )
+        axes.axhline(cap, linewidth=0.8, linestyle=":", color="0.5")
+        axes.set(xlabel="our search / s", ylabel="dual annealing / s", title="Time to the optimum, from nothing")
+        axes.legend()
+        return figure
+
+    return Outcome(claims, rows, draw)

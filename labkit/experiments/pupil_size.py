@@ -1,0 +1,67 @@
+"""Accuracy of PSFs against the number of samples across the pupil: thesis Appendix F, Figures F.1 to F.3."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.experiments.conditions import random_waves
+from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.optics.psf import Pupil
+from labkit.types import Floats
+
+NOLL = tuple(range(4, 11))  # the thesis's seven modes
+AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
+
+
+def psf_of(diameter: int, waves: Floats, shaded: bool) -> Floats:
+    """(65, 65) PSF, four samples to lambda N, of a pupil so many samples across."""
+    spacing = AIRY_UM / 4
+    size = 4 * diameter  # radius = size * spacing / (2 lambda N)
+    pupil = Pupil(0.55, 0.55, 8.0, spacing, size, NOLL)
+    if not shaded:
+        rough = pupil.amplitude > 0.5
+        pupil.__dict__["amplitude"] = rough.astype(float)
+    half = size // 2
+    psf = pupil.psf(waves)[half - 2 * WIDTH : half + 2 * WIDTH + 1, half - 2 * WIDTH : half + 2 * WIDTH + 1]
+    return np.asarray(psf)
+
+
+def run(setting: Setting) -> Outcome:
+    """Summed absolute error of the PSF for a change of 1e-3 waves, and of shaded and binary pupils against a far finer one."""
+    rng = np.random.default_rng(6)
+    diameters = (31, 65, 129) if setting.quick else (31, 45, 65, 91, 129, 181, 225, 257, 361)
+    directions = 40 if setting.quick else 1000
+    finest = 401 if setting.quick else 1025
+    zero = np.zeros(len(NOLL))
+    waves = [random_waves(rng, len(NOLL), 1e-3) for _ in range(directions)]
+    around = psf_of(129, zero, True)
+    varied = np.array([np.abs(psf_of(129, w, True) - around).sum() for w in waves])
+    setting.progress(1, 2, "variation")
+    truth = psf_of(finest, zero, True)
+    rows = []
+    for diameter in diameters:
+        shaded, binary = (np.abs(psf_of(diameter, zero, kind) - truth).sum() for kind in (True, False))
+        rows.append({"diameter": diameter, "shaded_error": float(shaded), "binary_error": float(binary)})
+    setting.progress(2, 2, "pupils")
+    at = rows[-1] if setting.quick else next(row for row in rows if row["diameter"] == 225)
+    claims = [
+        Claim("summed absolute PSF change for 1e-3 waves, median", 3e-3, float(np.median(varied)), "", directions),
+        Claim(f"PSF error, shaded pupil {at['diameter']} samples across", 2e-4, at["shaded_error"], "", 1),
+        Claim(f"PSF error, binary pupil {at['diameter']} samples across", None, at["binary_error"], "", 1),
+    ]
+
+    def draw() -> Figure:
+        figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        left.hist(1e3 * varied, 30)
+        left.set(
+            xlabel="summed absolute change / 1e-3",
+            ylabel="wavefronts of 1e-3 waves RMS",
+            title="What a wavefront does to the PSF",
+        )
+        right.loglog([r["diameter"] for r in rows], [r["shaded_error"] for r in rows], "o-", label="shaded")
+        right.loglog([r["diameter"] for r in rows], [r["binary_error"] for r in rows], "s-", label="binary")
+        right.set(xlabel="samples across the pupil", ylabel="summed absolute error", title="What its sampling does")
+        right.legend()
+        return figure
+
+    return Outcome(claims, rows, draw)

@@ -1,0 +1,97 @@
+"""Runs the thesis's experiments: each ends in a few claims beside the thesis's, a table and a figure."""
+
+import csv
+import importlib
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from labkit.errors import InputError
+from labkit.files import write_atomically
+from labkit.report.style import plain_logs, png, styled
+from labkit.types import Progress
+
+STUDIES = {
+    "crb": "accuracy",
+    "global": "search",
+    "minima": "minima",
+    "annealing": "annealing",
+    "psf-accuracy": "pupil_size",
+    "roc": "roc",
+    "uniform-crb": "uniform_crb",
+    "targets": "targets",
+    "extension": "extension",
+}
+"""Name of a study -> the module of this context that does it, by its function `run`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One figure. thesis: what stands there, None where nothing does; n: trials."""
+
+    what: str
+    thesis: float | None
+    measured: float
+    unit: str
+    n: int
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a study is to be run. quick: few trials, a minute at most; workers: processes."""
+
+    quick: bool
+    workers: int
+    progress: Progress = lambda done, total, step: None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """claims; rows: of the table, all with the same keys; draw: makes the figure, under the house's style."""
+
+    claims: Sequence[Claim]
+    rows: Sequence[Mapping[str, Any]]
+    draw: Callable[[], Figure]
+
+
+def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[str, Any]:
+    """Run a study and return its summary; with a folder, write NAME.json, NAME.csv and NAME.png into it.
+
+    Raises InputError for an unknown name.
+    """
+    if name not in STUDIES:
+        raise InputError(f"no study {name!r}: there are {', '.join(STUDIES)}")
+    began = perf_counter()
+    outcome: Outcome = importlib.import_module(f"labkit.experiments.{STUDIES[name]}").run(setting)
+    summary = {
+        "schema": 1,
+        "study": name,
+        "quick": setting.quick,
+        "seconds": round(perf_counter() - began, 1),
+        "claims": [asdict(claim) | {"measured": _or_none(claim.measured)} for claim in outcome.claims],
+    }
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        table = io.StringIO()
+        writer = csv.DictWriter(table, list(outcome.rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(outcome.rows)
+        with styled():
+            figure = outcome.draw()
+            plain_logs(figure)
+        write_atomically(folder / f"{name}.csv", table.getvalue().encode())
+        write_atomically(folder / f"{name}.png", png(figure))
+        write_atomically(folder / f"{name}.json", json.dumps(summary, indent=1).encode() + b"\n")
+    return summary
+
+
+def _or_none(value: float) -> float | None:
+    """JSON knows no NaN: None where nothing was measured."""
+    return value if math.isfinite(value) else None

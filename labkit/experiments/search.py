@@ -1,0 +1,184 @@
+"""The global search from nothing against SNR: thesis Figure 4.16; and where it begins to fail."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.errors import LabkitError
+from labkit.execute import run_all
+from labkit.experiments.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
+from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.inference.phase_retrieval import Retrieval
+
+STARTS = 12  # single ones that are counted in each trial
+SAME_END = 0.05  # waves RMS: ends nearer to one another are one
+NOLL_22 = tuple(range(4, 26))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is varied. trials: in the full study."""
+
+    snr: float
+    noll: tuple[int, ...] = NOLL
+    waves_rms: float = WAVES_RMS
+    trials: int = 40
+
+    @property
+    def label(self) -> str:
+        return f"{len(self.noll)} modes, {self.waves_rms:g} waves, SNR {self.snr:g}"
+
+
+CONDITIONS = (
+    Condition(10.0, trials=30),
+    Condition(25.0, trials=30),
+    Condition(50.0, trials=200),
+    Condition(75.0),
+    *(Condition(75.0, waves_rms=waves_rms, trials=20) for waves_rms in (0.35, 0.5)),
+    *(Condition(75.0, NOLL_22, waves_rms, trials=10) for waves_rms in (0.25, 0.35, 0.5)),
+)
+QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """found: the true optimum; error, bound: waves RMS; lost: the target was not found.
+
+    right_starts: share of single random starts, the pose known, that end where one from the truth does; small_error: of
+    that end, waves RMS.
+    """
+
+    bound: float
+    found: bool = False
+    accepted: bool = False
+    error: float = np.nan
+    starts: int = 0
+    seconds: float = np.nan
+    right_starts: float = np.nan
+    small_error: float = np.nan
+    lost: bool = False
+
+
+def work(task: tuple[Condition, int]) -> Answer:
+    """One picture, from nothing."""
+    condition, seed = task
+    rng = np.random.default_rng([seed, round(condition.snr), len(condition.noll), round(100 * condition.waves_rms)])
+    trial = draw_trial(rng, snr=condition.snr, noll=condition.noll, waves_rms=condition.waves_rms)
+    try:
+        fit = trial.fit(rng)
+    except LabkitError:
+        return Answer(trial.bound, lost=True)
+    return Answer(
+        trial.bound,
+        trial.found(fit.waves),
+        fit.verdict.accepted,
+        float(np.linalg.norm(trial.error(fit.waves))),
+        fit.starts,
+        fit.seconds,
+        *_single_starts(trial, rng),
+    )
+
+
+def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float]:
+    """Share of random starts of the small problem that end right, and the error of that end."""
+    here = trial.state(np.zeros(len(trial.noll)))
+    small = Retrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
+    right = trial.error(small.descend(trial.waves).state.waves)
+    ends = [trial.error(small.descend(small.random_waves(rng)).state.waves) for _ in range(STARTS)]
+    return float(np.mean([np.linalg.norm(end - right) < SAME_END for end in ends])), float(np.linalg.norm(right))
+
+
+def run(setting: Setting) -> Outcome:
+    """How often the search finds the true optimum, whether it knows, and how long it takes."""
+    conditions = QUICK if setting.quick else CONDITIONS
+    tasks = [(condition, seed) for condition in conditions for seed in range(condition.trials)]
+    answers: dict[int, Answer] = {}
+    for index, answer in run_all(work, tasks, setting.workers):
+        answers[index] = answer
+        setting.progress(len(answers), len(tasks), tasks[index][0].label)
+    rows: list[dict[str, Any]] = []
+    for condition in conditions:
+        own = [answers[k] for k, (one, _) in enumerate(tasks) if one is condition]
+        found = [a for a in own if a.found]
+        wrong = [a for a in own if not a.found and not a.lost]
+        seconds = [a.seconds for a in own if not a.lost]
+        rows.append(
+            {
+                "modes": len(condition.noll),
+                "waves_rms": condition.waves_rms,
+                "snr": condition.snr,
+                "trials": len(own),
+                "found": len(found) / len(own),
+                "target_not_found": sum(a.lost for a in own),
+                "missed_seeds": " ".join(str(seed) for seed, a in enumerate(own) if not a.found),
+                "rms_error_when_found": _rms([a.error for a in found]),
+                "rms_bound_when_found": _rms([a.bound for a in found]),
+                "found_but_rejected": sum(not a.accepted for a in found),
+                "wrong_but_accepted": sum(a.accepted for a in wrong),
+                "right_starts": float(np.nanmean([a.right_starts for a in own])),
+                "median_error_of_small_problem": float(np.nanmedian([a.small_error for a in own])),
+                "median_starts": float(np.median([a.starts for a in own])),
+                "median_seconds": float(np.median(seconds)) if seconds else np.nan,
+                "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
+            }
+        )
+    claims = [
+        claim
+        for condition, row in zip(conditions, rows, strict=True)
+        for claim in (
+            Claim(f"global optimum found from nothing, {condition.label}", None, row["found"], "", row["trials"]),
+            Claim(f"time of a global fit, median, {condition.label}", None, row["median_seconds"], "s", row["trials"]),
+            Claim(
+                f"random starts that end right, {condition.label}",
+                None,
+                row["right_starts"],
+                "",
+                STARTS * row["trials"],
+            ),
+        )
+    ]
+    at = next(row for row in rows if row["snr"] == 50.0)
+    n = at["trials"]
+    claims += [
+        Claim("time of a global fit, 95th percentile, SNR 50", None, at["seconds_95"], "s", n),
+        Claim("true optima rejected, SNR 50", None, at["found_but_rejected"] / n, "", n),
+        Claim("wrong optima accepted, SNR 50", None, float(at["wrong_but_accepted"]), "", n),
+    ]
+
+    return Outcome(claims, rows, lambda: draw(rows))
+
+
+def draw(rows: list[dict[str, Any]]) -> Figure:
+    """Errors beside their bounds; how often stronger wavefronts are found."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    twelve = [row for row in rows if row["modes"] == len(NOLL) and row["waves_rms"] == WAVES_RMS]
+    snr = [row["snr"] for row in twelve]
+    left.loglog(snr, [row["rms_error_when_found"] for row in twelve], "o", label="RMS error, optimum found")
+    left.loglog(snr, [row["rms_bound_when_found"] for row in twelve], "-", label="Cramér-Rao bound")
+    left.set(xlabel="SNR", ylabel="waves RMS", title="From nothing, 0.25 waves, 12 modes")
+    for row in twelve:
+        left.annotate(
+            f"{100 * row['found']:.3g} %", (row["snr"], row["rms_error_when_found"]), (4, 6), textcoords="offset points"
+        )
+    left.legend()
+    for count, marker in ((12, "o-"), (22, "s-")):
+        own = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
+        waves = [r["waves_rms"] for r in own]
+        (line,) = right.plot(waves, [100 * r["found"] for r in own], marker, label=f"{count} modes, found")
+        right.plot(
+            waves,
+            [100 * r["right_starts"] for r in own],
+            marker[0] + ":",
+            color=line.get_color(),
+            label=f"{count} modes, of single starts",
+        )
+    right.set(xlabel="waves RMS", ylabel="in the right optimum / %", ylim=(0, 103), title="Stronger wavefronts, SNR 75")
+    right.legend()
+    return figure
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")

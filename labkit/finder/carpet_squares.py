@@ -1,0 +1,136 @@
+"""The nested squares of a carpet: where they are in the target, and what looks like them in a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from labkit.finder.registration import binned
+from labkit.target import CellTarget, Target
+from labkit.types import Floats
+
+Singles = NDArray[np.float32]
+
+LEVELS = (0.75, 0.65, 0.55, 0.45, 0.35)
+"""Thresholds tried, as fractions of the picture's range."""
+
+LEAST_SIDE_PX = 6.0
+
+SEARCH_SIDE = 1200
+"""A picture of more than twice this many pixels across is binned down before it is searched."""
+
+
+def central_square(target: Target) -> float | None:
+    """Side of a white square at the target's centre as a fraction of the target's, where that alone shows the pose.
+
+    It does if the target looks the same after a quarter turn and in a mirror, has a black rim around the square,
+    and no other white area is as large: a Sierpinski carpet. None for any other target.
+    """
+    if not isinstance(target, CellTarget) or target.size_mm[0] != target.size_mm[1]:
+        return None
+    cells = target.cells
+    if not (np.array_equal(cells, np.rot90(cells)) and np.array_equal(cells, cells.T)):
+        return None
+    labels, _ = ndimage.label(cells == cells.max())
+    middle = labels[cells.shape[0] // 2, cells.shape[1] // 2]
+    areas = np.bincount(labels.ravel())
+    if middle == 0 or areas[middle] != areas[1:].max():
+        return None
+    box = ndimage.find_objects(labels)[middle - 1]
+    side = box[0].stop - box[0].start
+    return float(side / cells.shape[0]) if areas[middle] == side**2 and side < cells.shape[0] else None
+
+
+def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
+    """Corners of targets, each from one quadrilateral that could be the image of the central square; largest first.
+
+    image: (rows, cols), about 0..1. Yields (4, 2) corners (row, col), the order of least rotation.
+    """
+    factor = max(1, max(image.shape) // SEARCH_SIDE)
+    image = binned(image, factor)
+    quads: list[Floats] = []
+    for binary in _thresholded(image):
+        contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        quads += [
+            quad for contour in contours if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
+        ]
+    quads.sort(key=_area, reverse=True)
+    distinct: list[Floats] = []
+    for quad in quads:
+        if all(np.max(np.abs(quad - other)) > 0.08 * np.sqrt(_area(quad)) for other in distinct):
+            distinct.append(quad)
+    for quad in distinct:
+        unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+        widened = cv2.perspectiveTransform(
+            (unit / side_fraction)[None], cv2.getPerspectiveTransform(unit, quad.astype(np.float32))
+        )[0]
+        yield (widened[:, ::-1].astype(np.float64) + 0.5) * factor - 0.5
+
+
+def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.8)
+    for level in LEVELS:
+        yield (smooth > level).astype(np.uint8)
+    # uneven light: against the mean of the neighbourhood
+    for divisor in (2, 5):
+        width = max(9, min(image.shape) // divisor)
+        yield (smooth > cv2.blur(smooth, (width, width)) + 0.05).astype(np.uint8)
+
+
+def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
+    """(4, 2) corners (x, y), clockwise from the upper left, if the contour is a convex quadrilateral; sub-pixel."""
+    length = cv2.arcLength(contour, True)
+    if length < 4 * LEAST_SIDE_PX:
+        return None
+    coarse = cv2.approxPolyDP(contour, 0.06 * length, True)
+    if len(coarse) != 4 or not cv2.isContourConvex(coarse):
+        return None
+    corners = coarse[:, 0, :].astype(np.float64)
+    sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
+    if sides.min() < LEAST_SIDE_PX or sides.max() > 2.0 * sides.min():
+        return None
+    if abs(_area(corners) - cv2.contourArea(contour)) > 0.2 * _area(corners):
+        return None
+    return _least_rotation(_fitted_sides(contour[:, 0, :].astype(np.float64), corners))
+
+
+def _fitted_sides(points: Floats, corners: Floats) -> Floats:
+    """Corners where straight lines through the middle parts of the four sides meet."""
+    lines = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (points - start) @ (end - start) / np.sum((end - start) ** 2)
+        across = np.abs(_cross(end - start, points - start)) / np.linalg.norm(end - start)
+        side = points[(along > 0.2) & (along < 0.8) & (across < 0.15 * np.linalg.norm(end - start))]
+        if len(side) < 3:
+            return corners
+        centre = side.mean(axis=0)
+        normal = np.linalg.svd(side - centre)[2][1]
+        lines.append((normal, normal @ centre))
+    met = []
+    for before, after in zip([lines[-1], *lines[:-1]], lines, strict=True):
+        normals = np.array([before[0], after[0]])
+        if abs(np.linalg.det(normals)) < 0.3:  # neighbouring sides of a square are never nearly parallel
+            return corners
+        met.append(np.linalg.solve(normals, np.array([before[1], after[1]])))
+    return np.array(met)
+
+
+def _least_rotation(corners: Floats) -> Floats:
+    """Clockwise on the screen (x right, y down), the first side pointing as nearly right as any."""
+    if _cross(corners[1] - corners[0], corners[2] - corners[1]) < 0:
+        corners = corners[::-1]
+    sides = np.roll(corners, -1, axis=0) - corners
+    return np.roll(corners, -int(np.argmax(sides[:, 0] / np.linalg.norm(sides, axis=1))), axis=0)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Third component of the vector product of (..., 2) vectors."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _area(corners: Floats) -> float:
+    return float(cv2.contourArea(corners.astype(np.float32)))

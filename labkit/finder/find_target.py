@@ -1,0 +1,170 @@
+"""Where the target is in a picture, without anybody's help: the start of every fit (thesis §2.4.2).
+
+Hypotheses come from a carpet's nested squares, or from correlation over scale and rotation; each is refined by
+registration with the rendered target, and believed only if the picture then agrees with it everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labkit.arrays import real_array
+from labkit.errors import TargetError
+from labkit.finder.carpet_squares import central_square, square_hypotheses
+from labkit.finder.registration import Agreement, parent_agreement, quick_agreement, register
+from labkit.finder.template_search import SCALE_STEP, swept_hypotheses
+from labkit.target import Target
+from labkit.types import Floats
+
+Singles = NDArray[np.float32]
+
+LEAST_AGREEMENT = 0.6
+"""Correlation with the rendered target below which a picture does not show it: all of it and the median of 3×3 parts;
+half of it for the worst of the parts. Pictures of other things stay below 0.4, targets out of focus above 0.9."""
+
+SCALE_TOLERANCE = 0.15
+"""How far `mm_per_pixel` may be off."""
+
+LEAST_SIDE_PX = 12.0
+"""A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus.
+The sweep looks for targets of 16 pixels and more; registration may shrink one by a quarter of that."""
+
+MOST_HYPOTHESES = 12
+
+LEAST_CONTRAST = 1.3
+"""Bright over dark, below which a picture shows no target. Prints have 5 at the least; an even panel stays below 1.2,
+and stretched to black and white its fading corners look like a small carpet far out of focus."""
+
+
+def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None) -> Floats:
+    """The target's four corners in a picture, to about half a pixel.
+
+    image: (rows, cols) grey, linear or nearly so, any scale and offset; NaN where there is no value. A mosaic goes
+    through `grey_image` first. mm_per_pixel: the target's millimetres that one pixel sees, within 15 %; a carpet is
+    found without it, others sooner with it. Returns (4, 2) corners (row, col), pixel centres at integers, in the order
+    of the target's own (0, 0), (0, w), (h, w), (h, 0). Where several poses look the same (a carpet has eight), the one
+    that turns it least. Raises TargetError if the target is not in the frame, or not wholly.
+    """
+    picture = _normalised(_picture("image", image))
+    seen: list[Agreement] = []
+    for start in _hypotheses(picture, target, mm_per_pixel):
+        corners, agreement = register(picture, target, start)
+        if not _whole(corners):
+            continue
+        seen.append(agreement)
+        if _believable(agreement) and _right_scale(corners, target, mm_per_pixel):
+            return _checked(picture, target, corners)
+    best = max((min(one.whole, one.median_part, 2 * one.least_part) for one in seen), default=0.0)
+    raise TargetError(
+        f"no target found in the frame: the likeliest place correlates {best:.2f} with it, "
+        f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
+    )
+
+
+def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
+    """One grey picture, about 0..1, of a mosaic, in its own pixels.
+
+    counts: (rows, cols), black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane
+    of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,
+    and shifts nothing. Raises TargetError for a picture that is nearly even.
+    """
+    mosaic = _picture("counts", counts)
+    height, width = len(pattern), len(pattern[0])
+    if mosaic.shape[0] < height or mosaic.shape[1] < width:
+        raise ValueError(
+            f"counts has shape {mosaic.shape}; at least one cell of the filter, {(height, width)}, is needed"
+        )
+    grey = np.empty_like(mosaic)
+    contrast = 0.0
+    for row in range(height):
+        for col in range(width):
+            plane = mosaic[row::height, col::width]
+            grey[row::height, col::width] = _normalised(plane)
+            dark, bright = np.nanpercentile(plane, (0.5, 99.5))
+            contrast = max(contrast, bright / dark if dark > 0 else np.inf)
+    if contrast < LEAST_CONTRAST:
+        raise TargetError(
+            f"no target found in the frame: it is nearly even, bright parts {contrast:.2f} times as bright as dark ones; "
+            "is the target shown, or white?"
+        )
+    if height * width == 1:
+        return grey
+    kernel = np.array([0.25, 0.5, 0.25])
+    return np.asarray(cv2.sepFilter2D(grey, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
+
+
+def _picture(name: str, value: ArrayLike) -> Floats:
+    """As float64 with its NaN, which stand where there is no value."""
+    real_array(name, np.nan_to_num(value) if np.asarray(value).dtype.kind == "f" else value, (None, None), "any scale")
+    return np.asarray(value, dtype=np.float64)
+
+
+def _normalised(image: Floats) -> Singles:
+    """Black about 0, white about 1, hot pixels cut off. Raises TargetError for a picture without contrast or pixels."""
+    if image.ndim != 2 or min(image.shape) < 8 or not np.isfinite(image).any():
+        raise TargetError(f"no target found in the frame: it has no pixels to look at (shape {image.shape})")
+    low, high = np.nanpercentile(image, (0.5, 99.5))
+    if not high > low:
+        raise TargetError("no target found in the frame: it is of one grey all over; check exposure and lens cap")
+    scaled = np.clip((image - low) / (high - low), -0.2, 1.2)
+    return np.asarray(np.where(np.isfinite(scaled), scaled, np.nanmedian(scaled)), dtype=np.float32)
+
+
+def _hypotheses(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iterator[Floats]:
+    """Starts for the registration: squares first, for a target that has them, then the sweep."""
+    starts: Iterator[Floats] = iter(())
+    fraction = central_square(target)
+    if fraction is not None:
+        likely = (
+            corners
+            for corners in square_hypotheses(picture, fraction)
+            if _right_scale(corners, target, mm_per_pixel, slack=2.0)
+            and quick_agreement(picture, target, corners) > 0.3
+        )
+        starts = islice(likely, MOST_HYPOTHESES)
+    return chain(starts, _swept(picture, target, mm_per_pixel))
+
+
+def _swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iterator[Floats]:
+    if mm_per_pixel is not None:
+        middle = target.size_mm[0] / mm_per_pixel
+        low, high = middle * (1 - SCALE_TOLERANCE), middle * (1 + SCALE_TOLERANCE)
+    else:
+        shape = np.array(picture.shape) / np.array(target.size_mm) * target.size_mm[0]
+        low, high = max(16.0, 0.15 * shape.min()), 1.1 * shape.min()
+    steps = max(1, round(np.log(high / low) / np.log(SCALE_STEP)))
+    yield from swept_hypotheses(picture, target, np.geomspace(low, high, steps + 1))
+
+
+def _believable(agreement: Agreement) -> bool:
+    return min(agreement.whole, agreement.median_part, 2 * agreement.least_part) >= LEAST_AGREEMENT
+
+
+def _whole(corners: Floats) -> bool:
+    """Whether a quadrilateral is convex, and no sliver."""
+    shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
+    return shortest >= LEAST_SIDE_PX and cv2.isContourConvex(corners.astype(np.float32))
+
+
+def _right_scale(corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3) -> bool:
+    if mm_per_pixel is None:
+        return True
+    ratio = np.linalg.norm(corners[0] - corners[2]) * mm_per_pixel / np.hypot(*target.size_mm)
+    tolerance = 1 + slack * SCALE_TOLERANCE
+    return bool(1 / tolerance < ratio < tolerance)
+
+
+def _checked(picture: Singles, target: Target, corners: Floats) -> Floats:
+    """The corners, if they are the whole target's and inside the frame."""
+    last = np.array(picture.shape) - 0.5
+    beyond = max(float(np.max(-0.5 - corners)), float(np.max(corners - last)))
+    if beyond > 0.5:
+        raise TargetError(f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in")
+    if central_square(target) is not None and parent_agreement(picture, target, corners) > LEAST_AGREEMENT:
+        raise TargetError("only a part of the target is in the frame: move it, or the camera, back in")
+    return corners

@@ -1,0 +1,86 @@
+"""Where a target of any kind may be in a picture: correlation over scale, rotation and position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.target import Target
+from labkit.types import Floats
+
+Singles = NDArray[np.float32]
+
+COARSE_SIDE = 64
+"""Pixels across the target at which it is searched for."""
+
+BLUR_PX = 1.2
+"""Blur of both there: it widens the peak, so that the steps of scale and angle may be coarse."""
+
+TILTS_DEG = np.linspace(-15.0, 15.0, 11)
+SCALE_STEP = 1.05
+
+
+def swept_hypotheses(image: Singles, target: Target, sides_px: Floats, most: int = 6) -> Iterator[Floats]:
+    """Corners (4, 2) (row, col) of the likeliest places, best first.
+
+    image: (rows, cols); sides_px: the target's heights to try. All four quarter turns, each ±15 degrees.
+    """
+    templates = _templates(target)
+    found: list[tuple[float, Floats]] = []
+    for side in sides_px:
+        shape = tuple(max(1, round(n * COARSE_SIDE / side)) for n in image.shape)
+        how = cv2.INTER_AREA if side > COARSE_SIDE else cv2.INTER_LINEAR
+        small = cv2.GaussianBlur(cv2.resize(image, shape[::-1], interpolation=how), (0, 0), BLUR_PX)
+        scale = np.array(image.shape) / np.array(shape)
+        for template, corners in templates:
+            if template.shape[0] > shape[0] or template.shape[1] > shape[1]:
+                continue
+            _, score, _, (col, row) = cv2.minMaxLoc(cv2.matchTemplate(small, template, cv2.TM_CCOEFF_NORMED))
+            found.append((score, (corners + (row, col) + 0.5) * scale - 0.5))
+    found.sort(key=lambda one: one[0], reverse=True)
+    kept: list[Floats] = []
+    for _, corners in found:
+        if len(kept) < most and all(np.max(np.abs(corners - other)) > 0.1 * np.ptp(corners) for other in kept):
+            kept.append(corners)
+            yield corners
+
+
+def _templates(target: Target) -> list[tuple[Singles, Floats]]:
+    """The target in every direction tried, once where several look the same."""
+    spacing = target.size_mm[0] / COARSE_SIDE
+    rows, cols = (int(side / spacing / 2) + 3 for side in target.size_mm)
+    y, x = np.arange(-rows, rows + 1) * spacing, np.arange(-cols, cols + 1) * spacing
+    sharp = target.sample(y, x, 0.4 / spacing).astype(np.float32)
+    flat = np.asarray(cv2.GaussianBlur(sharp, (0, 0), BLUR_PX), dtype=np.float32)
+    made: list[tuple[Singles, Floats]] = []
+    for quarter in range(4):
+        turned = [_turned(flat, target.size_mm, spacing, 90.0 * quarter + tilt) for tilt in TILTS_DEG]
+        upright = turned[len(turned) // 2][0]
+        known = (one[0] for one in made[len(TILTS_DEG) // 2 :: len(TILTS_DEG)])
+        if not any(one.shape == upright.shape and np.abs(one - upright).max() < 0.01 for one in known):
+            made += turned
+    return made
+
+
+def _turned(flat: Singles, size_mm: tuple[float, float], spacing: float, degrees: float) -> tuple[Singles, Floats]:
+    """The part of the turned target that an upright rectangle holds, and the target's corners in its pixels."""
+    height, width = size_mm
+    turn = np.deg2rad(degrees)
+    cos, sin = np.cos(turn), np.sin(turn)
+    # the largest upright rectangle of the target's (turned) proportions that fits inside
+    tilt = np.deg2rad((degrees + 45.0) % 90.0 - 45.0)
+    upright = (height, width) if round(degrees / 90.0) % 2 == 0 else (width, height)
+    shrink = 1.0 / (np.cos(tilt) + abs(np.sin(tilt)) * max(upright) / min(upright))
+    rows, cols = (max(8, int(side * shrink / spacing)) for side in upright)
+    y = (np.arange(rows)[:, None] - (rows - 1) / 2) * spacing
+    x = (np.arange(cols)[None, :] - (cols - 1) / 2) * spacing
+    # the point (y, x) of the picture shows the target's point turned back
+    back_row = (cos * y - sin * x) / spacing + (flat.shape[0] - 1) / 2
+    back_col = (sin * y + cos * x) / spacing + (flat.shape[1] - 1) / 2
+    template = cv2.remap(flat, back_col.astype(np.float32), back_row.astype(np.float32), cv2.INTER_LINEAR)
+    own = np.array([[-height, -width], [-height, width], [height, width], [height, -width]]) / (2 * spacing)
+    turned = np.column_stack((cos * own[:, 0] + sin * own[:, 1], -sin * own[:, 0] + cos * own[:, 1]))
+    return np.asarray(template, dtype=np.float32), turned + np.array([(rows - 1) / 2, (cols - 1) / 2])

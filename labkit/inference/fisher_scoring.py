@@ -1,0 +1,209 @@
+"""Damped Fisher scoring: from a start to the nearest maximum of the likelihood (Levenberg-Marquardt on thesis 3.15)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+
+from labkit.arrays import positive, real_array
+from labkit.imaging.model import Evaluation, ForwardModel
+from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.inference.identifiability import inverse
+from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
+from labkit.types import Floats
+
+PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
+NOISE = 2  # log gain, log read variance
+STRAY = 0.5  # of the target's size: corners are known to about a pixel before a climb
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """What flats and darks say about the noise: independent measurements that join the likelihood.
+
+    gain: counts per electron; read_variance: counts^2; the stds are relative. All are positive, ValueError otherwise.
+    """
+
+    gain: float
+    gain_std: float
+    read_variance: float
+    read_variance_std: float
+
+    def __post_init__(self) -> None:
+        positive("gain", self.gain, "counts per electron")
+        positive("read_variance", self.read_variance, "counts^2")
+        positive("gain_std", self.gain_std, "relative")
+        positive("read_variance_std", self.read_variance_std, "relative")
+
+    @property
+    def centre(self) -> Floats:
+        return np.log([self.gain, self.read_variance])
+
+    @property
+    def precision(self) -> Floats:
+        return 1 / np.array([self.gain_std, self.read_variance_std]) ** 2
+
+
+@dataclass(frozen=True)
+class State:
+    """A point of the parameter space: waves RMS (modes,); for each frame its pose, scale and ambient light; for all
+    frames log gain and log read variance, and the illumination's unevenness (k,) where no flats told it."""
+
+    waves: Floats
+    poses: tuple[Pose, ...]
+    scales: Floats
+    ambients: Floats
+    log_noise: Floats
+    unevenness: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        frames = len(self.poses)
+        real_array("waves", self.waves, (None,), "waves RMS, one for each mode")
+        real_array("scales", self.scales, (frames,), "counts, one for each pose")
+        real_array("ambients", self.ambients, (frames,), "counts, one for each pose")
+        real_array("log_noise", self.log_noise, (NOISE,), "logarithms of counts per electron and of counts^2")
+        real_array("unevenness", self.unevenness, (None,), "relative")
+
+    @property
+    def gain(self) -> float:
+        return float(np.exp(self.log_noise[0]))
+
+    @property
+    def read_noise(self) -> float:
+        return float(np.exp(self.log_noise[1] / 2))
+
+    def detectors(self) -> list[Detector]:
+        gain, read_variance = np.exp(self.log_noise)
+        return [
+            Detector(s, a, float(gain), float(read_variance), self.unevenness)
+            for s, a in zip(self.scales, self.ambients, strict=True)
+        ]
+
+    def moved(self, step: Floats) -> "State":
+        """The state after a step in all parameters: modes; frame by frame pose, scale, ambient; unevenness; noise."""
+        modes, common = self.waves.size, self.unevenness.size + NOISE
+        frames = step[modes:-common].reshape(len(self.poses), PER_FRAME)
+        return State(
+            self.waves + step[:modes],
+            tuple(p.moved(f[:POSE_SIZE]) for p, f in zip(self.poses, frames, strict=True)),
+            self.scales + frames[:, POSE_SIZE],
+            self.ambients + frames[:, POSE_SIZE + 1],
+            self.log_noise + np.clip(step[-NOISE:], -1.0, 1.0),
+            self.unevenness + step[-common:-NOISE],
+        )
+
+    def first(self) -> "State":
+        """The same for the first frame only."""
+        return replace(self, poses=self.poses[:1], scales=self.scales[:1], ambients=self.ambients[:1])
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Frames of one wavefront, a model of them, and what is known of the noise."""
+
+    model: ForwardModel
+    frames: tuple[FrameData, ...]
+    noise: NoisePrior
+
+    def relative(self, state: State) -> list[Floats]:
+        """Relative images (pixels,) of the frames."""
+        return self.model.means(state.waves, list(state.poses), [f.used for f in self.frames])
+
+    def objective(self, state: State, relative: Sequence[Floats]) -> float:
+        """Log-likelihood of everything measured, that of the noise's calibration included."""
+        total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
+        return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
+
+    def scores(self, state: State, *, by_waves: bool) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
+        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and the frames' own."""
+        evaluations = self.model.evaluate(
+            state.waves, list(state.poses), [f.used for f in self.frames], by_waves=by_waves
+        )
+        return *self.assembled(state, evaluations), evaluations
+
+    def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
+        """The same from evaluations at a state, which may be by more than its modes."""
+        told = len(evaluations[0].by_waves)
+        modes, common = max(told, state.waves.size), state.unevenness.size + NOISE
+        size = modes + PER_FRAME * len(self.frames) + common
+        gradient, information = np.zeros(size), np.zeros((size, size))
+        scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
+        for k, one in enumerate(scores):
+            own = np.arange(PER_FRAME) + modes + k * PER_FRAME
+            index = np.concatenate([np.arange(told), own, np.arange(size - common, size)])
+            gradient[index] += one.gradient
+            information[np.ix_(index, index)] += one.information
+        gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
+        information[-NOISE:, -NOISE:] += np.diag(self.noise.precision)
+        return gradient, information, scores
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a climb ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
+
+    state: State
+    objective: float
+    information: Floats
+    chi2_per_pixel: float
+    steps: int
+    converged: bool
+
+    def covariance(self) -> Floats:
+        """Cramér-Rao covariance over all parameters; huge, never infinite, where the data do not determine them."""
+        return inverse(self.information)
+
+
+def climb(
+    problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.05
+) -> Solution:
+    """Climb to the maximum near a start.
+
+    tolerance: stop when the next step is shorter than this many standard errors, all parameters together.
+    """
+    state = start
+    gradient, information, scores, evaluations = problem.scores(state, by_waves=free_waves)
+    best = problem.objective(state, [e.mean for e in evaluations])
+    damping, steps, converged = 1e-3, 1, False
+    while steps < max_steps and not converged and damping < 1e8:
+        step = _damped_step(gradient, information, damping)
+        trial = state.moved(step)
+        value = problem.objective(trial, problem.relative(trial)) if _sane(trial, start) else -np.inf
+        if not value > best:
+            converged = _length(step, information) < tolerance
+            damping = max(damping, 1e-4) * 8
+            continue
+        converged = _length(step, information) < tolerance and damping <= 1e-2
+        state, best, damping = trial, value, damping / 8
+        gradient, information, scores, _ = problem.scores(state, by_waves=free_waves)
+        steps += 1
+    chi2 = sum(s.chi2 for s in scores) / sum(s.pixels for s in scores)
+    return Solution(state, best, information, chi2, steps, converged)
+
+
+def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
+    """Marquardt's step; parameters without information stay."""
+    free = np.diag(information) > 0
+    scale = np.zeros_like(gradient)
+    scale[free] = 1 / np.sqrt(np.diag(information)[free])
+    scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
+    solved = scipy.linalg.solve(scaled, gradient * scale, assume_a="pos")
+    return np.asarray(solved * scale)
+
+
+def _length(step: Floats, information: Floats) -> float:
+    """Of a step, in standard errors."""
+    return float(np.sqrt(step @ information @ step))
+
+
+def _sane(state: State, start: State) -> bool:
+    """Whether a trial is worth drawing: light on the target, every corner before the lens and not far from its start.
+
+    Without it a pose ran away where defocus was far off, to a target magnified beyond all memory.
+    """
+    for pose, first in zip(state.poses, start.poses, strict=True):
+        reach = STRAY * np.ptp(first.corners_px(), axis=0).max()
+        if not (np.abs(pose.v[6:]).sum() < 1 and np.abs(pose.corners_px() - first.corners_px()).max() < reach):
+            return False
+    return bool(np.all(state.scales > 0))

@@ -1,0 +1,89 @@
+"""Whether the end of a climb is believed to be the global optimum: what is left of the data must be noise.
+
+A wrong optimum leaves structure behind, of two kinds that are asked for separately: more variance than the noise
+measured beforehand, and likeness between nearby pixels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from labkit.inference.fisher_scoring import Problem, State
+from labkit.inference.identifiability import worse_than
+from labkit.inference.likelihood import predict
+from labkit.optics.zernike import mode_name
+from labkit.types import Floats
+
+SIGNIFICANCE = 1e-3
+LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # rows and columns, in pixels
+LEAST_TOLD = 0.25  # waves RMS: a combination of modes with a larger standard error was not measured
+UNCALIBRATED = 0.3  # relative standard error of the noise's variance beyond which it cannot serve as a measure
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """p_value: chance of residuals this odd at the truth. excess: of variance, standard normal at the truth. likeness: sum
+    of squares over the lags of LAGS that exist, each standard normal there; name: of the test; undetermined: combinations
+    of modes that the data do not tell, in words."""
+
+    p_value: float
+    accepted: bool
+    excess: float
+    likeness: float
+    name: str = "residuals"
+    undetermined: tuple[str, ...] = ()
+
+    def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
+        """The same, rejected if a covariance (modes, modes), waves RMS squared, says that the data do not tell every mode."""
+        open_ = worse_than(LEAST_TOLD, covariance, [mode_name(j) for j in noll])
+        return replace(self, accepted=self.accepted and not open_, undetermined=open_)
+
+
+def judge(problem: Problem, state: State, relative: list[Floats], model_error: float = 0.01) -> Verdict:
+    """Judge an optimum by its residuals.
+
+    excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a
+    relative model_error in the residual variance included. likeness: correlation over several lags, a portmanteau as of
+    Box and Pierce. Two one-sided tests, Bonferroni; where the noise was not calibrated, excess tells nothing.
+    Raises ValueError for relative images of other frames.
+    """
+    if len(relative) != len(problem.frames):
+        raise ValueError(
+            f"relative: {len(relative)} images (of the target's radiance) for {len(problem.frames)} frames"
+        )
+    gain, read_variance = np.exp(problem.noise.centre)
+    total, pixels, photons = 0.0, 0, 0.0
+    across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))
+    calibrated = bool(np.all(problem.noise.precision > UNCALIBRATED**-2))
+    for frame, own, u in zip(problem.frames, state.detectors(), relative, strict=True):
+        mean, variance = predict(u, frame, replace(own, gain=float(gain), read_variance=float(read_variance)))
+        residual = frame.counts[frame.used] - mean
+        total += float(np.sum(residual**2 / variance))
+        pixels += mean.size
+        photons += float(np.sum(gain * np.maximum(mean, 0) / variance))
+        image = np.zeros(frame.used.shape)
+        image[frame.used] = residual / np.sqrt(variance) if calibrated else residual
+        for k, lag in enumerate(LAGS):
+            product = _product(image, lag)
+            across[k] += product.sum()
+            scatter[k] += np.sum(product**2)
+    excess = 0.0
+    if calibrated:
+        shares = np.array([photons / pixels, 1 - photons / pixels])
+        allowed = 2 / pixels + float(np.sum(shares**2 / problem.noise.precision)) + model_error**2
+        excess = float((total / pixels - 1) / np.sqrt(allowed))
+    # products of independent residuals scatter about zero by their own squares, whatever the pixels' variances
+    lags = scatter > 0  # a Bayer plane has no neighbours at odd distances
+    likeness = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
+    p_value = min(1.0, 2 * float(min(norm.sf(excess), chi2.sf(likeness, np.count_nonzero(lags)))))
+    return Verdict(p_value, p_value >= SIGNIFICANCE, excess, likeness)
+
+
+def _product(image: Floats, lag: tuple[int, int]) -> Floats:
+    """Each pixel times the one a lag (rows >= 0, columns) away."""
+    down, right = lag
+    rows, columns = image.shape
+    here = image[: rows - down, max(0, -right) : columns - max(0, right)]
+    return here * image[down:, max(0, right) : columns - max(0, -right)]

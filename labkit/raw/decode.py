@@ -1,0 +1,114 @@
+"""Photographs read from files. Nothing is demosaiced.
+
+Raw files go through LibRaw and say everything of themselves. TIFF, PNG and PGM files hold bare numbers: the plan says
+their filter pattern, black and white level. The type is told from the content, not from the name.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rawpy
+
+from labkit.errors import RawError
+from labkit.plan import Sensor
+from labkit.raw.captured_stderr import captured_stderr
+from labkit.raw.formats import Container, read_numbers, recognise
+from labkit.raw.mosaic import MONO, Mosaic
+
+DAMAGE = ("data corrupted", "Unexpected end of file")
+
+
+def read_raw(path: Path, sensor: Sensor) -> Mosaic:
+    """The mosaic in a file.
+
+    sensor says what the file does not. Raises RawError, naming file and cause, for a file that is missing, truncated,
+    no photograph, already in colours, or says otherwise than `sensor`.
+    """
+    try:
+        container = recognise(path)
+        mosaic = _read_libraw(path, container) if container.kind == "raw" else _read_numbers(path, container, sensor)
+        _refuse_contradiction(mosaic, sensor)
+    except RawError as error:
+        raise RawError(f"{path}: {error}") from error.__cause__
+    return mosaic
+
+
+def _read_libraw(path: Path, container: Container) -> Mosaic:
+    with captured_stderr() as chatter:
+        try:
+            with rawpy.imread(str(path)) as raw:
+                mosaic = _mosaic_of(raw, container)
+        except rawpy.LibRawError as error:
+            said = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+            cause = "is truncated or damaged" if isinstance(error, rawpy.LibRawIOError) else "is no raw photograph"
+            raise RawError(f"{cause} ({said})") from error
+    if any(words in line for words in DAMAGE for line in chatter):
+        raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
+    return mosaic
+
+
+def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
+    if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible is None or raw.raw_image_visible.ndim != 2:
+        raise RawError("holds colours already mixed (demosaiced or layered); labkit needs the mosaic itself")
+    counts = np.array(raw.raw_image_visible)
+    if counts.dtype != np.uint16:
+        raise RawError(f"holds {counts.dtype} numbers; labkit needs 8 to 16 bit integers")
+    levels = np.asarray(raw.black_level_per_channel, dtype=np.float64)
+    pattern: tuple[str, ...]
+    if raw.num_colors == 1:
+        pattern, black = MONO, np.full((2, 2), levels[0])
+    elif raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2):
+        colours = raw.color_desc.decode()
+        pattern = tuple("".join(colours[index] for index in row) for row in raw.raw_pattern)
+        black = levels[raw.raw_pattern]
+    else:
+        raise RawError("has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet")
+    return Mosaic(
+        counts=counts,
+        black=black,
+        white=float(raw.white_level),
+        pattern=pattern,
+        camera=container.camera,
+        exposure_s=raw.other.shutter_speed or container.exposure_s,
+        iso=int(raw.other.iso_speed) or container.iso,
+    )
+
+
+def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
+    counts = read_numbers(path, container)
+    needed = {
+        "cfa_pattern": '"RGGB" or "mono"',
+        "black_level": "the count of no light",
+        "white_level": "the count of saturation",
+    }
+    if missing := [f"{key} ({words})" for key, words in needed.items() if getattr(sensor, key) is None]:
+        raise RawError(f"a {container.kind.upper()} file does not say these; add to [sensor]: {', '.join(missing)}")
+    assert sensor.cfa_pattern is not None
+    assert sensor.black_level is not None
+    assert sensor.white_level is not None
+    full_scale = np.iinfo(counts.dtype).max
+    if sensor.white_level > full_scale:
+        raise RawError(f"holds numbers up to {full_scale}, but sensor.white_level = {sensor.white_level:g} in the plan")
+    return Mosaic(
+        counts=counts.astype(np.uint16),
+        black=np.full((2, 2), sensor.black_level),
+        white=sensor.white_level,
+        pattern=MONO if sensor.cfa_pattern == "mono" else (sensor.cfa_pattern[:2], sensor.cfa_pattern[2:]),
+        camera=container.camera,
+        exposure_s=container.exposure_s,
+        iso=container.iso,
+    )
+
+
+def _refuse_contradiction(mosaic: Mosaic, sensor: Sensor) -> None:
+    """Raise RawError where the file and the plan both say something, and not the same."""
+    file = {"cfa_pattern": {mosaic.cfa}, "black_level": {*mosaic.black.ravel()}, "white_level": {mosaic.white}}
+    wrong = [
+        f"sensor.{key} = {getattr(sensor, key)} but the file says {', '.join(str(value) for value in sorted(values))}"
+        for key, values in file.items()
+        if getattr(sensor, key) is not None and values != {getattr(sensor, key)}
+    ]
+    if wrong:
+        raise RawError(f"contradicts the plan: {'; '.join(wrong)}; leave out of [sensor] what the files say themselves")

@@ -1,0 +1,84 @@
+"""Whether a photograph belongs to a session and can be used at all: same sensor, neither overexposed nor black."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from labkit.raw.mosaic import Mosaic
+from labkit.types import Counts, FrameKind
+
+SATURATED_SHARE = 0.2
+"""Of a colour's bright pixels (above half scale), this many saturated mean that its white is cut off. Whites that stay
+below saturation leave none but the odd reflection; a clipped white leaves nearly all."""
+
+SATURATED_LEAST = 5e-3
+"""Of all of a colour's pixels: fewer saturated than this are a reflection, for a target fills more of the frame."""
+
+SIGNAL_SIGMAS = 5.0
+"""Light must stand out of the pixel noise by this much somewhere. Of 9-pixel medians, whose noise is 0.41 of a
+pixel's, the largest in 10 million stays below 2.2 sigma."""
+
+SIGNAL_SHARE = 2e-3
+"""Nor is this little of the way from black to white light: black levels are off by as much when a sensor is warm."""
+
+DARK_SHARE = 0.1
+"""A dark or bias frame whose middle value lies this far from black to white has seen light."""
+
+TILES, TILE_PX = 16, 16
+"""Noise is looked for in up to 16 x 16 tiles, none smaller than this: a target need not fill all of them."""
+
+
+def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
+    """How a photograph's sensor differs from that of the first one of its session; None if it does not."""
+    size, first_size = ("×".join(map(str, m.counts.shape)) for m in (mosaic, first))
+    for what, this, that in (
+        ("camera", mosaic.camera or "unknown", first.camera or "unknown"),
+        ("size", size, first_size),
+        ("filter array", mosaic.cfa, first.cfa),
+        ("white level", f"{mosaic.white:g}", f"{first.white:g}"),
+    ):
+        if this != that:
+            return f"is of another {what} than the first photograph: {this}, not {that}"
+    return None
+
+
+def exposure_problem(mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]) -> str | None:
+    """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
+    for name in channels:
+        places = mosaic.places(name)
+        for row, col in places if mosaic.cfa != "mono" else places[:1]:
+            problem = _plane_problem(mosaic, kind, row, col)
+            if problem:
+                return problem if mosaic.cfa == "mono" else f"{problem}, in channel {name}"
+    return None
+
+
+def _plane_problem(mosaic: Mosaic, kind: FrameKind, row: int, col: int) -> str | None:
+    step = 1 if mosaic.cfa == "mono" else 2
+    plane = np.ascontiguousarray(mosaic.counts[row % step :: step, col % step :: step])
+    black, white = float(mosaic.black[row, col]), mosaic.white
+    if kind in ("dark", "bias"):
+        lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
+        return f"has seen light: it is no {kind} frame" if lit else None
+    smooth = cv2.medianBlur(plane, 3)  # hot pixels stand alone
+    saturated = np.count_nonzero(smooth >= white)
+    bright = np.count_nonzero(smooth > (black + white) / 2)
+    if saturated > max(SATURATED_LEAST * plane.size, SATURATED_SHARE * bright):
+        percent = 100 * saturated / plane.size
+        return f"is overexposed: {percent:.2g} % of its pixels, and most of its bright ones, are full ({white:g})"
+    signal, noise = float(smooth.max()) - black, pixel_noise(plane)
+    if signal < max(SIGNAL_SIGMAS * noise, SIGNAL_SHARE * (white - black)):
+        return f"is black: {signal:.3g} counts of light at most, where the noise of a pixel is {noise:.2g}"
+    return None
+
+
+def pixel_noise(plane: Counts) -> float:
+    """Standard deviation of one pixel's noise where the picture is smoothest; never below that of rounding."""
+    differences = np.abs(np.diff(plane.astype(np.float64), axis=1))
+    rows, cols = (max(1, min(TILES, size // TILE_PX)) for size in differences.shape)
+    tiles = [part for band in np.array_split(differences, rows) for part in np.array_split(band, cols, axis=1)]
+    smoothest = np.quantile([np.median(tile) for tile in tiles], 0.1)
+    return float(max(smoothest / 0.6745 / np.sqrt(2), 1 / np.sqrt(12)))

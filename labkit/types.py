@@ -1,0 +1,29 @@
+"""Names for the types that many modules share: arrays by what they hold, kinds of photographs, progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Complexes = NDArray[np.complex128]
+Integers = NDArray[np.signedinteger]
+Bools = NDArray[np.bool_]
+Counts = NDArray[np.uint16]
+"""Numbers as a raw file holds them."""
+
+FrameKind = Literal["target", "flat", "dark", "bias"]
+"""What a photograph of a session is for."""
+
+FRAME_KINDS: tuple[FrameKind, ...] = ("target", "flat", "dark", "bias")
+
+Progress = Callable[[int, int, str], None]
+"""Called with (steps done, steps in all, the step that begins) as work goes on."""
+
+
+def no_progress(done: int, total: int, step: str) -> None:
+    """A `Progress` for work that nobody watches."""

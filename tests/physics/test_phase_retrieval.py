@@ -1,0 +1,112 @@
+"""Wavefronts retrieved at a pose that is held, from pictures that labkit's model did not form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
+from labkit.imaging.model import ForwardModel
+from labkit.inference import phase_retrieval
+from labkit.inference.fisher_scoring import State
+from labkit.inference.likelihood import low_orders, predict
+from labkit.inference.phase_retrieval import Retrieval
+from labkit.optics.psf import Pupil
+
+OFF_PX = np.array([0.15, -0.2])  # rows, columns
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    return draw_trial(np.random.default_rng(7), snr=50.0)
+
+
+def prepared(trial: Trial, state: State) -> Retrieval:
+    return Retrieval.prepare(optics(NOLL), carpet(), trial.frame, trial.noise, state)
+
+
+def knowing_nothing(trial: Trial) -> State:
+    """A little defocus, the pose a fraction of a pixel off."""
+    state = trial.state(np.append(0.2, np.zeros(len(NOLL) - 1)))
+    return replace(state, poses=(trial.pose.shifted(*OFF_PX),))
+
+
+def test_components_make_up_the_psfs_of_wavefronts_they_were_not_drawn_from() -> None:
+    pupil = Pupil(0.55, 0.55, 8.0, 2.2, 64, (2, 3, *NOLL))
+    components, perfect = phase_retrieval._components(pupil)
+    np.testing.assert_allclose(components @ components.T, np.eye(len(components)), atol=1e-4)
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        waves = np.concatenate([rng.normal(scale=0.1, size=2), random_waves(rng, len(NOLL), 0.25)])
+        departure = (pupil.psf(waves) - perfect).ravel()
+        left = departure - components.T @ (components @ departure)
+        assert np.linalg.norm(left) < 0.02 * np.linalg.norm(departure)
+
+
+def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
+    """Misfits of two wavefronts differ as the sums of squares do that the forward model leaves at the same pose."""
+    state, rng = trial.state(trial.waves), np.random.default_rng(2)
+    small = prepared(trial, state)
+    model = ForwardModel.build(optics(NOLL), carpet(), trial.frame.counts.shape)
+    counts, detector = trial.frame.counts[trial.frame.used], state.detectors()[0]
+    (there,) = model.means(trial.waves, [trial.pose], [trial.frame.used])
+    variance = predict(there, trial.frame, detector)[1]
+
+    def squares(waves: np.ndarray) -> tuple[float, float]:
+        components, perfect = phase_retrieval._components(small.pupil)
+        departure = components @ (small.pupil.psf(np.append([0, 0], waves)) - perfect).ravel()
+        light = np.append(state.scales, state.ambients)
+        mine = np.sum((small.factor @ np.append(state.scales * departure, light) - small.data) ** 2)
+        (relative,) = model.means(waves, [trial.pose], [trial.frame.used])
+        mean = predict(relative, trial.frame, detector)[0]
+        return float(mine), float(np.sum((counts - mean) ** 2 / variance))
+
+    best, whole_best = squares(trial.waves)
+    for _ in range(5):
+        mine, whole = squares(random_waves(rng, len(NOLL), 0.25))
+        assert mine - best == pytest.approx(whole - whole_best, rel=0.05)
+
+
+def searched(small: Retrieval, seed: int) -> State:
+    """The best of all candidates."""
+    list(small.candidates([], np.random.default_rng(seed)))
+    return small.optima[0].state
+
+
+def test_from_random_starts_the_truth_stands_out_and_the_pose_is_mended(trial: Trial) -> None:
+    small = prepared(trial, knowing_nothing(trial))
+    found = searched(small, 3)
+    assert np.linalg.norm(trial.error(found.waves)) < 0.03
+    off = found.poses[0].corners_px() - trial.pose.corners_px()
+    assert np.abs(off.mean(axis=0)).max() < 0.3 * np.abs(OFF_PX).max()
+    assert small.optima[1].misfit > 2 * small.optima[0].misfit
+
+
+def test_starts_that_are_given_come_first_and_the_search_ends(trial: Trial) -> None:
+    small = prepared(trial, knowing_nothing(trial))
+    given = [trial.waves + 0.01, -trial.waves]
+    offered = list(small.candidates(given, np.random.default_rng(4)))
+    assert np.linalg.norm(trial.error(offered[0].waves)) < 0.03
+    assert small.starts <= phase_retrieval.MOST
+    assert small.optima[0].met >= phase_retrieval.ENOUGH or small.starts == phase_retrieval.MOST
+    misfits = [o.misfit for o in small.optima]
+    assert misfits == sorted(misfits)
+    assert len(offered) == sum(o.offered for o in small.optima)
+
+
+def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
+    uneven = low_orders(*trial.frame.counts.shape)
+    light = 1 + np.tensordot([0.05, -0.03, 0.02, 0.01, -0.04], uneven, 1)
+    frame = replace(trial.frame, counts=trial.frame.counts * light, departures=uneven)
+    state = replace(knowing_nothing(trial), unevenness=np.zeros(len(uneven)))
+    small = Retrieval.prepare(optics(NOLL), carpet(), frame, trial.noise, state)
+    found = searched(small, 3)
+    assert np.linalg.norm(trial.error(found.waves)) < 0.03
+
+
+def test_one_mode_alone_is_retrieved_too() -> None:
+    rng = np.random.default_rng(8)
+    trial = draw_trial(rng, noll=(4,))
+    small = Retrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
+    found = next(small.candidates([], rng))
+    assert abs(abs(found.waves[0]) - abs(trial.waves[0])) < 0.01

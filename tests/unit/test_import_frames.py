@@ -1,0 +1,269 @@
+"""Sessions of photographs taken elsewhere, and every way in which they can be refused: nothing is made then."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from labkit.errors import InputError, SessionError, TargetError
+from labkit.raw.decode import read_raw
+from labkit.session.import_frames import import_frames
+from labkit.session.session import Session, verify
+
+WriteDng = Callable[..., Path]
+
+PLAN = """
+[lens]
+focal_length_mm = 70.0
+f_number = 2.8
+[sensor]
+pixel_pitch_um = 4.78
+[[channel]]
+name = "R"
+wavelength_nm = 650.0
+[[channel]]
+name = "G"
+wavelength_nm = 550.0
+[target]
+kind = "sierpinski"
+order = 3
+size_mm = 46.8
+"""
+BLACK, WHITE, NOISE = 600, 16383, 3.0
+SIZE = (126, 158)
+
+
+def picture(kind: str, seed: int = 0, white: float = 9000.0) -> NDArray[np.uint16]:
+    """A dark frame, an even flat, or a white square on black that fills a tenth of the frame."""
+    light = np.zeros(SIZE)
+    if kind == "flat":
+        light[:] = white
+    if kind == "target":
+        light[40:80, 50:100] = white
+    noise = np.random.default_rng(seed).normal(0, NOISE, SIZE)
+    return np.clip(np.rint(BLACK + light + noise), 0, WHITE).astype(np.uint16)
+
+
+class Folder:
+    """Photographs, a CSV and a plan, ready to import; tests then spoil one thing."""
+
+    def __init__(self, path: Path, write_dng: WriteDng) -> None:
+        self.path, self.write_dng = path, write_dng
+        self.rows: list[str] = []
+        self.plan = PLAN
+        self.session = path / "sessions" / "mine"
+        self.add("dark.dng", "dark", None)
+        self.add("flat.dng", "flat", 3000.0)
+        self.add("target.dng", "target", 3000.0)
+
+    def add(
+        self, file: str, kind: str, range_mm: object, counts: NDArray[np.uint16] | None = None, **dng: object
+    ) -> Path:
+        self.rows.append(f"{file},{kind},{'' if range_mm is None else range_mm}")
+        counts = picture(kind, len(self.rows)) if counts is None else counts
+        return self.write_dng(self.path / file, counts, black=BLACK, white=WHITE, **dng)
+
+    def run(self) -> Session:
+        (self.path / "plan.toml").write_text(self.plan)
+        (self.path / "frames.csv").write_text("file,kind,range_mm\n" + "\n".join(self.rows) + "\n")
+        return import_frames(self.path / "frames.csv", self.path / "plan.toml", self.session)
+
+    def refusal(self, kind: type[InputError] = InputError) -> str:
+        """The one-line message; nothing has been made, not even the folder above the session."""
+        with pytest.raises(kind) as caught:
+            self.run()
+        assert not self.session.parent.exists()
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, write_dng: WriteDng) -> Folder:
+    return Folder(tmp_path, write_dng)
+
+
+def test_photographs_become_a_session(folder: Folder) -> None:
+    session = folder.run()
+    assert [(frame.file, frame.kind, frame.range_mm) for frame in session.frames] == [
+        ("dark.dng", "dark", None),
+        ("flat.dng", "flat", 3000.0),
+        ("target.dng", "target", 3000.0),
+    ]
+    assert session.frames[2].exposure_s == pytest.approx(1 / 50, rel=1e-6)
+    assert session.frames[2].path.read_bytes() == (folder.path / "target.dng").read_bytes()
+    assert verify(session) == []
+    assert [path.name for path in folder.session.parent.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize(("black", "white"), [(0, 4095), (1024, 65535)])
+def test_a_camera_never_met_is_imported_with_its_own_phase_depth_levels_and_orientation(
+    tmp_path: Path, write_dng: WriteDng, cfa: str, black: int, white: int
+) -> None:
+    folder = Folder(tmp_path, write_dng)
+    for name, kind in (("dark.dng", "dark"), ("flat.dng", "flat"), ("target.dng", "target")):
+        light = (picture(kind).astype(float) - BLACK) / (WHITE - BLACK)
+        counts = np.clip(np.rint(black + light * (white - black)), 0, white).astype(np.uint16)
+        write_dng(tmp_path / name, counts, cfa=cfa, black=black, white=white, orientation=6)
+    session = folder.run()
+    mosaic = read_raw(session.frames[2].path, session.plan.sensor)
+    assert (mosaic.cfa, mosaic.white, mosaic.black[1, 1], mosaic.counts.shape) == (cfa, white, black, SIZE)
+
+
+def test_further_columns_are_kept(folder: Folder) -> None:
+    (folder.path / "plan.toml").write_text(PLAN)
+    text = "﻿kind,file,lens,range_mm\n target , target.dng ,Nikkor 70,3000\n"
+    (folder.path / "frames.csv").write_text(text, encoding="utf-8")
+    session = import_frames(folder.path / "frames.csv", folder.path / "plan.toml", folder.session)
+    assert session.frames[0].meta["columns"] == {"lens": "Nikkor 70"}
+
+
+def test_names_are_made_safe_and_different(folder: Folder) -> None:
+    (folder.path / "a").mkdir()
+    (folder.path / "b").mkdir()
+    folder.add("a/mein Bild.dng", "target", 3100)
+    folder.add("b/mein Bild.dng", "target", 3200)
+    session = folder.run()
+    assert [frame.file for frame in session.frames[3:]] == ["mein_Bild.dng", "6_mein_Bild.dng"]
+    assert [frame.meta["origin"] for frame in session.frames[3:]] == ["a/mein Bild.dng", "b/mein Bild.dng"]
+
+
+def test_ranges_may_be_left_out(folder: Folder) -> None:
+    folder.rows[2] = "target.dng,target,"
+    assert folder.run().frames[2].range_mm is None
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("../secret.dng,target,3000", "outside the CSV's folder"),
+        ("/etc/passwd,target,3000", "outside the CSV's folder"),
+        ("link/secret.dng,target,3000", "outside the CSV's folder"),
+        (",target,3000", "file is empty"),
+        ("target.dng,potato,3000", "kind 'potato': allowed is target, flat, dark, bias"),
+        ("target.dng,target,far", "range_mm 'far'"),
+        ("target.dng,target,nan", "range_mm 'nan'"),
+        ("target.dng,target,69.9", "above the focal length, 70 mm"),
+        ("flat.dng,target,3000", "flat.dng stands in line 3 already"),
+    ],
+)
+def test_a_wrong_row_is_named_with_its_line(folder: Folder, row: str, words: str) -> None:
+    (folder.path / "link").symlink_to(folder.path.parent)
+    folder.rows.append(row)
+    message = folder.refusal()
+    assert "line 5: " in message
+    assert words in message
+
+
+def test_all_wrong_rows_are_told_at_once(folder: Folder) -> None:
+    folder.rows += ["../x.dng,target,3000", "target.dng,target,1"]
+    message = folder.refusal()
+    assert "line 5" in message
+    assert "line 6" in message
+
+
+def test_a_csv_without_the_header_says_what_it_must_hold(folder: Folder) -> None:
+    (folder.path / "plan.toml").write_text(PLAN)
+    (folder.path / "frames.csv").write_text("target.dng,target,3000\n")
+    with pytest.raises(InputError, match="must hold file,kind,range_mm"):
+        import_frames(folder.path / "frames.csv", folder.path / "plan.toml", folder.session)
+
+
+def test_a_csv_without_a_target_is_refused(folder: Folder) -> None:
+    del folder.rows[2]
+    assert "at least one is needed" in folder.refusal()
+
+
+def test_a_missing_and_a_truncated_photograph_are_both_told(folder: Folder) -> None:
+    (folder.path / "flat.dng").unlink()
+    target = folder.path / "target.dng"
+    target.write_bytes(target.read_bytes()[:9000])
+    message = folder.refusal()
+    assert "flat.dng: No such file" in message
+    assert "target.dng: is truncated" in message
+
+
+@pytest.mark.parametrize(
+    ("dng", "shape", "words"),
+    [
+        ({"model": "D2"}, SIZE, "another camera than the first photograph: Acme D2, not Acme Acme D1"),
+        ({}, (124, 158), "another size than the first photograph: 124×158, not 126×158"),
+        ({"cfa": "BGGR"}, SIZE, "another filter array than the first photograph: BGGR, not RGGB"),
+    ],
+)
+def test_a_raw_of_another_camera_is_refused(
+    folder: Folder, dng: dict[str, str], shape: tuple[int, int], words: str
+) -> None:
+    folder.add("other.dng", "target", 3100, picture("target")[: shape[0]], **dng)
+    assert f"other.dng is of {words}" in folder.refusal()
+
+
+@pytest.mark.parametrize("kind", ["target", "flat"])
+def test_an_overexposed_frame_is_refused(folder: Folder, kind: str) -> None:
+    folder.add("bright.dng", kind, 3000, picture(kind, white=20000))
+    assert "bright.dng is overexposed" in folder.refusal()
+
+
+@pytest.mark.parametrize("kind", ["target", "flat"])
+def test_a_frame_just_below_saturation_is_taken(folder: Folder, kind: str) -> None:
+    # four sigma below saturation, and the noise makes some pixels saturated all the same
+    folder.add("bright.dng", kind, 3000, picture(kind, white=WHITE - BLACK - 4 * NOISE))
+    assert len(folder.run().frames) == 4
+
+
+def test_hot_pixels_and_a_reflection_do_not_make_a_frame_overexposed(folder: Folder) -> None:
+    counts = picture("target")
+    counts[::20, ::20] = WHITE
+    counts[:10, :30] = WHITE
+    folder.add("hot.dng", "target", 3000, counts)
+    assert len(folder.run().frames) == 4
+
+
+@pytest.mark.parametrize("kind", ["target", "flat"])
+def test_a_black_frame_is_refused_hot_pixels_or_not(folder: Folder, kind: str) -> None:
+    counts = picture("dark", 9)
+    counts[::20, ::20] = WHITE
+    folder.add("black.dng", kind, 3000, counts)
+    assert "black.dng is black" in folder.refusal()
+
+
+def test_a_dim_target_is_taken(folder: Folder) -> None:
+    folder.add("dim.dng", "target", 3000, picture("target", white=200))
+    assert len(folder.run().frames) == 4
+
+
+def test_a_dark_frame_that_has_seen_light_is_refused(folder: Folder) -> None:
+    folder.add("lit.dng", "dark", None, picture("flat"))
+    assert "lit.dng has seen light: it is no dark frame" in folder.refusal()
+
+
+def test_a_channel_that_the_camera_lacks_is_refused(folder: Folder) -> None:
+    folder.plan = PLAN.replace('"R"', '"E"')
+    assert "has no channel E: its filter array is RGGB" in folder.refusal()
+
+
+def test_a_target_that_cannot_be_made_is_refused(folder: Folder) -> None:
+    folder.plan = PLAN.replace("sierpinski", "sierpinsky")
+    assert "sierpinsky" in folder.refusal(TargetError)
+
+
+def test_an_existing_session_is_not_touched(folder: Folder) -> None:
+    folder.run()
+    before = (folder.session / "journal.jsonl").read_bytes()
+    with pytest.raises(SessionError, match="is there already"):
+        folder.run()
+    assert (folder.session / "journal.jsonl").read_bytes() == before
+
+
+def test_a_large_frame_is_judged_quickly(tmp_path: Path, write_dng: WriteDng) -> None:
+    path = write_dng(tmp_path / "large.dng", np.tile(picture("target"), (16, 16)))
+    (tmp_path / "frames.csv").write_text("file,kind,range_mm\nlarge.dng,target,\n")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    start = time.perf_counter()
+    import_frames(tmp_path / "frames.csv", tmp_path / "plan.toml", tmp_path / "session")
+    # 5 megapixels; a raw of 45 may take ten times this
+    assert path.stat().st_size > 10e6
+    assert time.perf_counter() - start < 5

@@ -1,0 +1,137 @@
+"""What is plugged in, as USB and serial ports tell it."""
+
+import os
+import subprocess
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import usb.core
+from serial.tools import list_ports
+
+from labkit.devices import inventory
+from labkit.devices.inventory import Connected, SerialPort, UsbDevice, holders, look_around, udev_rules
+
+
+class FakeUsbDevice(list[list[SimpleNamespace]]):
+    """A device as pyusb gives it: iterates over configurations, those over interfaces."""
+
+    bus, address, idVendor, idProduct = 1, 4, 0x04B0, 0x0430  # noqa: N815
+    manufacturer = "Nikon"
+
+    def __init__(self, interface_class: int, readable: bool = True) -> None:
+        super().__init__([[SimpleNamespace(bInterfaceClass=interface_class)]])
+        self._readable = readable
+
+    @property
+    def product(self) -> str:
+        if not self._readable:
+            raise ValueError(
+                "The device has no langid (permission issue, no string descriptors supported or device error)"
+            )
+        return "DSC D7000"
+
+
+def test_a_camera_is_told_by_its_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [FakeUsbDevice(6), FakeUsbDevice(9, readable=False)]
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter(found))
+    assert look_around().usb == (
+        UsbDevice("001,004", "04b0:0430", "Nikon DSC D7000", is_camera=True),
+        UsbDevice("001,004", "04b0:0430", "", is_camera=False),
+    )
+
+
+def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_backend(find_all: bool) -> None:
+        raise usb.core.NoBackendError("No backend available")
+
+    monkeypatch.setattr(usb.core, "find", no_backend)
+    found = look_around()
+    assert found.usb == ()
+    assert "apt-get install libusb" in found.notes[0]
+
+
+def test_serial_ports_are_listed_by_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
+    ports = [fake_port(f"/dev/ttyUSB{i}") for i in (91, 90)]
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    assert look_around().serial == (
+        SerialPort("/dev/ttyUSB90", "CH340", "1a86:7523"),
+        SerialPort("/dev/ttyUSB91", "CH340", "1a86:7523"),
+    )
+
+
+def fake_port(path: str, name: str = "CH340") -> SimpleNamespace:
+    return SimpleNamespace(device=path, description=name, vid=0x1A86, pid=0x7523)
+
+
+def test_a_program_that_holds_a_port_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = os.openpty()
+    path = os.ttyname(far)
+    with subprocess.Popen(["sleep", "60"], stdin=far) as program:
+        try:
+            assert f"sleep ({program.pid})" in holders([path])[path]
+            monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
+            monkeypatch.setattr(list_ports, "comports", lambda: [fake_port(path)])
+            assert f"{path}: in use by sleep ({program.pid})" in " ".join(look_around().notes)
+        finally:
+            program.kill()
+    assert holders([path])[path] == ()
+    os.close(near)
+    os.close(far)
+
+
+def test_this_very_process_is_not_told_as_a_holder() -> None:
+    near, far = os.openpty()
+    assert holders([os.ttyname(far)]) == {os.ttyname(far): ()}
+    os.close(near)
+    os.close(far)
+
+
+def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
+    monkeypatch.setattr(list_ports, "comports", lambda: [])
+    held = {"/dev/bus/usb/001/004": ("gvfsd-gphoto2 (812)",)}
+    monkeypatch.setattr(inventory, "holders", lambda paths: {path: held.get(path, ()) for path in paths})
+    assert look_around().notes == ("usb:001,004: in use by gvfsd-gphoto2 (812); let it go with: gio mount -s gphoto2",)
+
+
+def test_a_missing_permission_points_to_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
+    monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert [note for note in look_around().notes if "/dev/null: no permission" in note and "--udev" in note]
+
+
+def connection(**changes: Any) -> Connected:
+    empty = Connected((), (), {}, ())
+    return replace(empty, **changes)
+
+
+def test_rules_match_what_is_plugged_in_and_nothing_else() -> None:
+    camera = UsbDevice("001,004", "04b0:0430", "Nikon DSC D7000", is_camera=True)
+    hub = UsbDevice("001,001", "1d6b:0002", "hub", is_camera=False)
+    rail = SerialPort("/dev/ttyUSB0", "CH340", "1a86:7523")
+    rules = udev_rules(connection(usb=(hub, camera), serial=(SerialPort("/dev/ttyS0", "n/a"), rail, rail)))
+    assert [line for line in rules.splitlines() if not line.startswith("#")] == [
+        'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="04b0", ATTR{idProduct}=="0430", '
+        'MODE="0660", GROUP="plugdev", TAG+="uaccess"',
+        'SUBSYSTEM=="tty", ATTRS{idVendor}=="1a86", ATTRS{idProduct}=="7523", '
+        'MODE="0660", GROUP="dialout", TAG+="uaccess", ENV{ID_MM_DEVICE_IGNORE}="1"',
+    ]
+
+
+def test_without_devices_the_rules_say_what_to_do() -> None:
+    assert "plug them in and run this again" in udev_rules(connection())
+
+
+def test_a_devices_name_cannot_add_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    evil = 'x\nSUBSYSTEM=="usb", RUN+="/bin/sh"'
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
+    monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/ttyUSB90", evil)])
+    found = look_around()
+    assert "\n" not in found.serial[0].name
+    direct = UsbDevice("001,004", "04b0:0430", evil, is_camera=True)
+    for rules in (udev_rules(found), udev_rules(connection(usb=(direct,)))):
+        assert not [line for line in rules.splitlines() if "RUN" in line and not line.startswith("# ")]

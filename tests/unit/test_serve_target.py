@@ -1,0 +1,113 @@
+"""Serving a target: what is picked is shown, the latest pick before any older one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from labkit.devices import serve_target as serving
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import PanelInfo, Picture, Shown
+from labkit.devices.serve_target import serve_target
+from labkit.errors import DisplayError
+from labkit.plan import TargetSpec
+from labkit.target import open_target
+
+
+class Slow:
+    """A display that fails as often as it is told to; each show waits for leave."""
+
+    def __init__(self, fails: int) -> None:
+        self.panel = PanelInfo((40, 40), 0.5)
+        self._fails = fails
+        self.leave = threading.Semaphore(0)
+        self.begun = threading.Semaphore(0)
+        self.shown: list[float] = []
+
+    def show(self, picture: Picture) -> Shown:
+        assert not isinstance(picture, str)
+        self.begun.release()
+        assert self.leave.acquire(timeout=10)
+        if self._fails:
+            self._fails -= 1
+            raise DisplayError("its page is turned")
+        self.shown.append(float(np.mean(picture)))
+        return Shown((40, 40))
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+    def __enter__(self) -> Slow:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing to let go."""
+
+
+def serve(display: Slow, context: DeviceContext, act: Callable[[], None]) -> None:
+    target = open_target(TargetSpec(kind="sierpinski", order=1, size_mm=9.0))
+    ended = threading.Event()
+    work = threading.Thread(target=serve_target, args=(target, [display], context, lambda: not ended.is_set()))
+    work.start()
+    try:
+        act()
+    finally:
+        ended.set()
+        work.join(10)
+    assert not work.is_alive()
+
+
+def test_a_later_pick_is_not_undone_by_one_that_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "RETRY_S", 0.0)
+    told: list[str] = []
+    display, context = Slow(fails=1), DeviceContext(tell=told.append)
+
+    def act() -> None:
+        assert display.begun.acquire(timeout=10)  # the target, which will fail
+        context.wishes.put("white")
+        while not context.wishes.empty():
+            time.sleep(0.01)
+        time.sleep(0.3)  # for the wish to reach the display's queue
+        display.leave.release()
+        assert display.begun.acquire(timeout=10)
+        display.leave.release()
+        assert not display.begun.acquire(timeout=0.5)  # and nothing after it
+
+    serve(display, context, act)
+    assert display.shown == [255]
+    assert told == ["its page is turned"]
+
+
+def test_a_picture_is_tried_until_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "RETRY_S", 0.0)
+    display, context = Slow(fails=3), DeviceContext()
+
+    def act() -> None:
+        for _ in range(4):
+            assert display.begun.acquire(timeout=10)
+            display.leave.release()
+        assert not display.begun.acquire(timeout=0.5)
+
+    serve(display, context, act)
+    assert len(display.shown) == 1
+
+
+def test_a_wish_that_is_no_picture_changes_nothing() -> None:
+    display, context = Slow(fails=0), DeviceContext()
+
+    def act() -> None:
+        assert display.begun.acquire(timeout=10)  # the target
+        for wish in ("no such picture", "black"):
+            context.wishes.put(wish)
+        display.leave.release()
+        assert display.begun.acquire(timeout=10)
+        display.leave.release()
+        assert not display.begun.acquire(timeout=0.5)
+
+    serve(display, context, act)
+    assert len(display.shown) == 2
+    assert display.shown[-1] == 0
