@@ -1,0 +1,47 @@
+"""The command line's groups, its global options, and the arguments that several commands take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labkit import __version__
+
+# What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
+
+app = typer.Typer(
+    help="Measure a camera's optics from photographs of a known target.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+target_app = typer.Typer(help="Targets to print or to show.", no_args_is_help=True)
+app.add_typer(target_app, name="target")
+camera_app = typer.Typer(help="The camera by itself.", no_args_is_help=True)
+app.add_typer(camera_app, name="camera")
+rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
+app.add_typer(rail_app, name="rail")
+
+CameraPlace = Annotated[str, typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="a plan, or such as gphoto2:")]
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what to do and with what")]
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="the session's folder")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"labkit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    ctx: typer.Context,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """Options of every command; they may stand after it too."""
+    ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json

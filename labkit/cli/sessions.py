@@ -1,0 +1,155 @@
+"""Commands for sessions and plans: demo, import, verify, fit, report, advise, study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from labkit.cli.app import PlanPath, SessionPath, app
+from labkit.console import Console
+from labkit.errors import DataError, LabkitError
+
+# What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
+
+
+@app.command()
+def demo(
+    ctx: typer.Context,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; by default a new labkit-demo.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Which lens, sensor, rail and noise.")] = 1,
+) -> None:
+    """A whole session on simulated devices, to the report; prints the truth beside the estimate."""
+    from labkit.demo import new_folder, run_demo
+
+    console: Console = ctx.obj
+    folder = out or new_folder(Path("labkit-demo"))
+    comparison = run_demo(folder, seed, console.progress)
+    console.table([["quantity", "truth", "estimate", "std. error", "error/std."], *comparison.rows()])
+    heading = ["waves RMS", "truth", "error", "expected", "worst mode's error/std."]
+    console.table([heading, *comparison.wavefront_rows()])
+    console.say(f"report: {comparison.report}")
+    console.answer(comparison.as_json())
+
+
+@app.command("import")
+def import_(
+    ctx: typer.Context,
+    frames: Annotated[Path, typer.Argument(metavar="FRAMES.csv", help="file,kind,range_mm of each photograph")],
+    plan: PlanPath,
+    session: SessionPath,
+) -> None:
+    """Make a session of photographs taken elsewhere."""
+    from labkit.session.import_frames import import_frames
+
+    console: Console = ctx.obj
+    with console.progress("importing") as report:
+        made = import_frames(frames, plan, session, report)
+    kinds = {kind: sum(frame.kind == kind for frame in made.frames) for kind in ("target", "flat", "dark", "bias")}
+    console.say(f"{session}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count))
+    console.answer({"session": str(session), "frames": len(made.frames), "kinds": kinds})
+
+
+@app.command()
+def verify(ctx: typer.Context, session: SessionPath) -> None:
+    """Check every frame against its checksum, and the journal against the folder."""
+    from labkit.session.session import Session
+    from labkit.session.session import verify as find_problems
+
+    console: Console = ctx.obj
+    opened = Session.open(session)
+    problems = find_problems(opened)
+    for warning in opened.warnings:
+        console.warn(warning)
+    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems})
+    if problems:
+        raise LabkitError(f"{session}: {'; '.join(problems)}")
+    console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
+
+
+@app.command()
+def fit(
+    ctx: typer.Context,
+    session: SessionPath,
+    range_mm: Annotated[float | None, typer.Option("--range", metavar="MM", help="Only this range.")] = None,
+    channel: Annotated[str | None, typer.Option(metavar="NAME", help="Only this channel.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+) -> None:
+    """Flat field, wavefronts, best focus."""
+    from labkit.analysis.wavefronts import fit_session
+    from labkit.session.session import Session
+    from labkit.summary import focus_rows, read_results, wavefront_rows
+
+    console: Console = ctx.obj
+    opened = Session.open(session)
+    for warning in opened.warnings:
+        console.warn(warning)
+    with console.progress("fitting") as report:
+        made = fit_session(opened, range_mm=range_mm, channel=channel, workers=workers, progress=report)
+    results: dict[str, Any] = read_results(opened.results_folder())
+    for warning in results["warnings"]:
+        if warning not in (*opened.warnings, made.unanswered):
+            console.warn(warning)
+    console.table(wavefront_rows(results))
+    console.table(focus_rows(results))
+    console.say(f"results: {opened.results_folder() / 'results.json'}")
+    console.answer(results)
+    if made.unanswered:
+        raise DataError(made.unanswered)
+
+
+@app.command()
+def report(ctx: typer.Context, session: SessionPath) -> None:
+    """The measurement as one HTML page with figures."""
+    from labkit.report.html import write_report
+    from labkit.session.session import Session
+
+    console: Console = ctx.obj
+    made = write_report(Session.open(session).results_folder())
+    console.say(f"report: {made}")
+    console.answer({"report": str(made)})
+
+
+@app.command()
+def advise(
+    ctx: typer.Context,
+    plan: PlanPath,
+    ranges_mm: Annotated[
+        list[float] | None, typer.Option("--range", metavar="MM", help="Instead of the plan's; once for each.")
+    ] = None,
+    electrons: Annotated[float, typer.Option(metavar="N", help="At white, in one photograph.")] = 20_000,
+    want: Annotated[float | None, typer.Option(metavar="WAVES", help="A wavefront error to be reached.")] = None,
+) -> None:
+    """Before capture: what the target, the light and the ranges of a plan will tell."""
+    from labkit.analysis.advise import advise as advise_on
+    from labkit.plan import load_plan
+    from labkit.summary import advice_rows
+
+    console: Console = ctx.obj
+    advice = advise_on(load_plan(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
+    told, focus = advice_rows(advice)
+    console.table(told)
+    console.table(focus)
+    for note in advice.notes:
+        console.say(note)
+    console.answer(advice.as_json())
+
+
+@app.command()
+def study(
+    ctx: typer.Context,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="which; a wrong one lists them")],
+    quick: Annotated[bool, typer.Option("--quick", help="A few trials: to see that it works.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write its figure, CSV and JSON here.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+) -> None:
+    """An experiment of the thesis; prints its claims beside ours as JSON."""
+    from labkit.execute import default_workers
+    from labkit.experiments.runner import Setting, run_study
+
+    console: Console = ctx.obj
+    with console.progress(name) as report:
+        summary = run_study(name, Setting(quick, workers or default_workers(), report), out)
+    console.json = True  # its contract: one JSON object, asked for or not
+    console.answer(summary)
