@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from labkit.analysis.wavefronts import fit_session
+from labkit.analysis.fit import fit
 from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.plan import parse_plan
+from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 
 
@@ -64,31 +65,37 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         Session.create(folder, text, Path()) as session,
     ):
         capture(session, devices)
-    results = fit_session(Session.open(folder))
+    results = fit(folder)
     (bench,) = context.shared.values()
-    truth = bench.truth
-    visits = {visit.range_mm: visit for visit in truth.visits}
-    rows: list[dict[str, Any]] = []
-    for w in results.wavefronts:
-        modes = truth.modes_waves[w.channel]
-        true = np.array([modes.get(j, 0.0) for j in w.fit.noll])
-        true[0] = visits[w.range_mm].defocus_waves[w.channel]
-        error = w.fit.waves - true
-        rows.append(
-            {
-                "defocus": abs(error[0]),
-                "rms": float(np.linalg.norm(error)),
-                "z": error / w.fit.std,
-                "chi2": w.fit.chi2_per_pixel,
-                "accepted": w.fit.verdict.accepted,
-                "seconds": w.fit.seconds,
-            }
-        )
+    rows = [_row(w, bench.truth) for w in results]
+    _print(case, rows, results, bench.truth)
+    return rows
+
+
+def _row(w: Wavefront, truth: Any) -> dict[str, Any]:
+    """A wavefront beside its truth."""
+    modes, visits = truth.modes_waves[w.channel], {visit.range_mm: visit for visit in truth.visits}
+    true = np.array([modes.get(j, 0.0) for j in w.noll])
+    true[0] = visits[w.range_mm].defocus_waves[w.channel]
+    error = w.waves - true
+    return {
+        "defocus": abs(error[0]),
+        "rms": float(np.linalg.norm(error)),
+        "z": error / w.std,
+        "chi2": w.chi2_per_pixel,
+        "accepted": w.accepted,
+        "seconds": w.seconds,
+    }
+
+
+def _print(case: Case, rows: list[dict[str, Any]], results: Results, truth: Any) -> None:
+    """One session's errors, in words."""
     focus = results.focus
     assert focus is not None
-    off = [b - truth.best_focus_mm[c] for c, b in zip(focus.channels, focus.best_focus_mm, strict=True)]
-    magnification = focus.pupil_magnification - truth.pupil_magnification
-    z_focus = np.append(off, magnification) / focus.std
+    off = [best.value - truth.best_focus_mm[c] for c, best in focus.best_focus_mm.items()]
+    magnification = focus.pupil_magnification.value - truth.pupil_magnification
+    std = [*(best.std for best in focus.best_focus_mm.values()), focus.pupil_magnification.std]
+    z_focus = np.append(off, magnification) / std
     chi2 = [row["chi2"] for row in rows]
     print(
         f"{case}:",
@@ -97,13 +104,12 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         f"chi2 per pixel {min(chi2):.3f} to {max(chi2):.3f}",
         f"accepted {sum(row['accepted'] for row in rows)} of {len(rows)}",
         f"best focus error <= {np.abs(off).max():.4f} mm",
-        f"mp error {magnification:+.4f} +- {focus.std[-1]:.4f}",
+        f"mp error {magnification:+.4f} +- {focus.pupil_magnification.std:.4f}",
         f"errors of focus over standard errors {np.round(z_focus, 1).tolist()}",
         f"{sum(row['seconds'] for row in rows):.0f} s of fitting",
         sep="\n  ",
         flush=True,
     )
-    return rows
 
 
 def main() -> None:

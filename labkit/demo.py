@@ -9,14 +9,14 @@ from math import dist, hypot
 from pathlib import Path
 from typing import Any
 
-from labkit.analysis.wavefronts import fit_session
+from labkit.analysis.fit import fit
 from labkit.capture.capture import capture
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.plan import parse_plan
 from labkit.report.html import write_report
+from labkit.results import Results
 from labkit.session.session import Session, refuse_existing
-from labkit.summary import read_results
 
 PLAN = """\
 # A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.
@@ -170,44 +170,39 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         progress("capturing") as report,
     ):
         capture(session, devices, progress=report)
-    session = Session.open(folder)
     with progress("fitting") as report:
-        fit_session(session, progress=report)
-    results_folder = session.results_folder()
+        results = fit(folder, progress=report)
     # the bench is a driver's: all that is known of it here is that it can tell the truth
     (bench,) = context.shared.values()
-    results = read_results(results_folder)
     compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
-    return Comparison(tuple(compared), tuple(wavefronts), write_report(results_folder))
+    return Comparison(tuple(compared), tuple(wavefronts), write_report(results))
 
 
-def compare(results: dict[str, Any], truth: Any) -> Iterator[Compared]:
-    """Each estimate of results.json beside its truth: best focus, defocus, magnification, gain, read noise."""
-    focus = results["focus"]
-    for channel, best in (focus or {"best_focus_mm": {}})["best_focus_mm"].items():
-        yield Compared(f"best focus {channel}", "mm", truth.best_focus_mm[channel], best["value"], best["std"])
+def compare(results: Results, truth: Any) -> Iterator[Compared]:
+    """Each estimate beside its truth: best focus, pupil magnification, defocus."""
+    focus = results.focus
+    for channel, best in (focus.best_focus_mm if focus else {}).items():
+        yield Compared(f"best focus {channel}", "mm", truth.best_focus_mm[channel], best.value, best.std)
     if focus:
-        mp = focus["pupil_magnification"]
-        yield Compared("pupil magnification", "", truth.pupil_magnification, mp["value"], mp["std"])
+        mp = focus.pupil_magnification
+        yield Compared("pupil magnification", "", truth.pupil_magnification, mp.value, mp.std)
     visits = {visit.range_mm: visit for visit in truth.visits}
-    for fit in results["wavefronts"]:
-        if 4 in fit["noll"] and fit["range_mm"] in visits:
-            at = fit["noll"].index(4)
-            true = visits[fit["range_mm"]].defocus_waves[fit["channel"]]
-            name = f"defocus {fit['channel']} at {fit['range_mm']:g} mm"
-            yield Compared(name, "waves RMS", true, fit["waves_rms"][at], fit["std"][at])
+    for w in results:
+        if w.defocus and w.range_mm in visits:
+            true = visits[w.range_mm].defocus_waves[w.channel]
+            name = f"defocus {w.channel} at {w.range_mm:g} mm"
+            yield Compared(name, "waves RMS", true, w.defocus.value, w.defocus.std)
 
 
-def compare_wavefronts(results: dict[str, Any], truth: Any) -> Iterator[ComparedWavefront]:
-    """Each wavefront of results.json beside its truth, mode by mode."""
+def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefront]:
+    """Each wavefront beside its truth, mode by mode."""
     visits = {visit.range_mm: visit for visit in truth.visits}
-    for fit in results["wavefronts"]:
-        if fit["range_mm"] in visits:
-            channel = fit["channel"]
-            modes = {**truth.modes_waves[channel], 4: visits[fit["range_mm"]].defocus_waves[channel]}
-            true = tuple(modes.get(j, 0.0) for j in fit["noll"])
-            estimate, std = tuple(fit["waves_rms"]), tuple(fit["std"])
-            yield ComparedWavefront(channel, fit["range_mm"], tuple(fit["noll"]), true, estimate, std)
+    for w in results:
+        if w.range_mm in visits:
+            modes = {**truth.modes_waves[w.channel], 4: visits[w.range_mm].defocus_waves[w.channel]}
+            true = tuple(modes.get(j, 0.0) for j in w.noll)
+            estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))
+            yield ComparedWavefront(w.channel, w.range_mm, w.noll, true, estimate, std)
 
 
 def new_folder(base: Path) -> Path:

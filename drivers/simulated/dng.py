@@ -16,8 +16,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from labkit import __version__
 from labkit.files import write_atomically
+from labkit.version import __version__
 
 COLOURS = {"R": 0, "G": 1, "B": 2}
 CFA_PHOTOMETRIC = 32803

@@ -1,24 +1,23 @@
-"""A session to its results: flat field, target found, wavefronts fitted, signs chosen, focus fitted, all written."""
+"""Observations to local fits: each range and channel by itself, doubtful ones again from their neighbours, twins chosen."""
 
-import hashlib
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.focus import LEAST, MOST, DefocusPoint, FocusFit, choose_signs, fit_focus
-from labkit.analysis.observe import Observation, observe
-from labkit.analysis.results import Plane, Results, Wavefront
-from labkit.errors import DataError, SessionError
-from labkit.execute import default_workers, run_all
+from labkit.analysis.focus import choose_signs
+from labkit.analysis.observe import Observation
+from labkit.execute import run_all
 from labkit.imaging.model import Optics
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
 from labkit.optics.lens import ThinLens
 from labkit.optics.zernike import is_even
 from labkit.plan import Plan
-from labkit.session.session import Session, altered
-from labkit.target import Target, open_target
+from labkit.results import OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
+from labkit.target import Target
 from labkit.types import Floats, Progress
 
 NEAR_FOCUS_WAVES = 0.2  # RMS
@@ -41,215 +40,170 @@ class Task:
         return f"{self.observation.channel}{where}"
 
 
-def fit_session(
-    session: Session,
-    *,
-    range_mm: float | None = None,
-    channel: str | None = None,
-    workers: int | None = None,
-    progress: Progress = lambda done, total, step: None,
-    name: str = "latest",
-) -> Results:
-    """Fit every wavefront of a session and the focus over them, and write SESSION/results/NAME.
+@dataclass(frozen=True)
+class LocalFit:
+    """An observation and the fit to it."""
 
-    range_mm, channel: only these. workers: processes, by default one a processor. Raises SessionError for photographs
-    that are missing or were altered, DataError for frames that cannot be fitted, TargetError for a target that is not in
-    a frame. Too few ranges for a focus are no error here: `Results.unanswered` says so.
-    """
-    plan = session.plan
-    if damage := altered(session):
-        raise SessionError("; ".join(damage))
-    target = open_target(plan.target)
-    folder = session.results_folder(name)  # before the work, in case it cannot be written to
-    observations, warnings = observe(session, target, range_mm=range_mm, channel=channel, progress=progress)
-    tasks = [Task(_optics(plan, o.channel), target, o) for o in observations]
-    wavefronts = _fit_all(tasks, workers or default_workers(), progress)
-    wavefronts = _signed(wavefronts, plan)
-    focus, words = _focus(wavefronts, plan)
-    wanted = range_mm is None and any(w.range_mm is not None and 4 in w.fit.noll for w in wavefronts)
-    results = Results(
-        hashlib.sha256((session.folder / "plan.toml").read_bytes()).hexdigest(),
-        plan.reference_wavelength_nm,
-        plan.fit.convention,
-        tuple(wavefronts),
-        focus,
-        (*session.warnings, *warnings, *words, *_doubts(wavefronts)),
-        "; ".join(words) if wanted and focus is None else None,
-    )
-    results.write(folder)
-    return results
+    task: Task
+    fit: WavefrontFit
+
+    @property
+    def range_mm(self) -> float | None:
+        """Where the rail was read to stand; what the plan says where it was not read."""
+        return self.task.observation.measured_range_mm
+
+    @property
+    def channel(self) -> str:
+        return self.task.observation.channel
+
+    @property
+    def defocus(self) -> float:
+        """Waves RMS; infinite where it was not fitted."""
+        return float(self.fit.waves[0]) if self.fit.noll[0] == 4 else np.inf
 
 
 def fit_task(task: Task) -> WavefrontFit:
     """Do one fit."""
-    seen = task.observation
+    observation = task.observation
     return fit_wavefront(
         task.optics,
         task.target,
-        seen.frames,
-        seen.poses,
-        seen.noise,
+        observation.frames,
+        observation.poses,
+        observation.noise,
         rng=np.random.default_rng(SEED),
         starts=task.starts,
     )
 
 
-def _optics(plan: Plan, channel: str) -> Optics:
+def optics_of(plan: Plan, channel: str) -> Optics:
+    """Lens, light and sensor of a plan's channel."""
     wavelength_nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
     return Optics(
-        wavelength_nm * 1e-3,
-        plan.reference_wavelength_nm * 1e-3,
-        plan.lens.f_number,
-        plan.sensor.pixel_pitch_um,
-        plan.sensor.active_um,
-        tuple(range(first, last + 1)),
+        wavelength_um=wavelength_nm * 1e-3,
+        reference_um=plan.reference_wavelength_nm * 1e-3,
+        f_number=plan.lens.f_number,
+        pitch_um=plan.sensor.pixel_pitch_um,
+        active_um=plan.sensor.active_um,
+        noll=tuple(range(first, last + 1)),
     )
 
 
-def _fit_all(tasks: Sequence[Task], workers: int, progress: Progress) -> list[Wavefront]:
+def fit_all(tasks: Sequence[Task], workers: int, progress: Progress) -> list[LocalFit]:
     """All fits; doubtful ones are made again with their neighbours' wavefronts to start from, the likelier is kept.
 
     Near best focus wrong optima lie close by and leave little behind, while a defocused neighbour of the same lens, whose
-    other modes are the same, is told without doubt.
+    other modes are the same, is estimated without doubt.
     """
-    fits: dict[int, WavefrontFit] = {}
+    fits: dict[int, LocalFit] = {}
     progress(0, len(tasks), "fitting")
     for index, fit in run_all(fit_task, tasks, workers):
-        fits[index] = fit
+        fits[index] = LocalFit(tasks[index], fit)
         progress(len(fits), len(tasks), tasks[index].label)
-    doubtful = [i for i, f in sorted(fits.items()) if not f.verdict.accepted or abs(_defocus(f)) < NEAR_FOCUS_WAVES]
-    again = {i: replace(tasks[i], starts=tuple(_neighbours(i, tasks, fits))) for i in doubtful}
+    doubtful = [i for i, f in sorted(fits.items()) if not f.fit.verdict.accepted or abs(f.defocus) < NEAR_FOCUS_WAVES]
+    again = {i: replace(tasks[i], starts=tuple(_neighbours(fits[i], fits.values()))) for i in doubtful}
     again = {i: task for i, task in again.items() if task.starts}
     for place, fit in run_all(fit_task, list(again.values()), workers):
         index = list(again)[place]
         progress(len(fits), len(tasks), f"{tasks[index].label} again")
-        if fit.objective > fits[index].objective:
-            fits[index] = fit
-    return [_wavefront(task, fits[i]) for i, task in enumerate(tasks)]
+        if fit.objective > fits[index].fit.objective:
+            fits[index] = LocalFit(tasks[index], fit)
+    return [fits[i] for i in range(len(tasks))]
 
 
-def _defocus(fit: WavefrontFit) -> float:
-    return float(fit.waves[0]) if fit.noll[0] == 4 else np.inf
-
-
-def _neighbours(index: int, tasks: Sequence[Task], fits: dict[int, WavefrontFit]) -> Iterable[Floats]:
-    """The wavefront of the same channel that is told best, at several values of defocus around none and this fit's own."""
-    channel = tasks[index].observation.channel
-    told = [
-        fit
-        for other, fit in fits.items()
-        if tasks[other].observation.channel == channel
-        and fit.verdict.accepted
-        and abs(_defocus(fit)) >= NEAR_FOCUS_WAVES
+def _neighbours(doubtful: LocalFit, fits: Iterable[LocalFit]) -> Iterable[Floats]:
+    """The best-determined wavefront of the same channel, at several values of defocus around none and the fit's own."""
+    settled = [
+        local
+        for local in fits
+        if local.channel == doubtful.channel and local.fit.verdict.accepted and abs(local.defocus) >= NEAR_FOCUS_WAVES
     ]
-    if not told or _defocus(told[0]) == np.inf:
+    if not settled or settled[0].defocus == np.inf:
         return
-    best = min(told, key=lambda fit: float(np.linalg.norm(fit.std)))
-    own = abs(float(fits[index].waves[0]))
-    for defocus in (own, *NEAR_STARTS_WAVES):
+    best = min(settled, key=lambda local: float(np.linalg.norm(local.fit.std)))
+    for defocus in (abs(doubtful.defocus), *NEAR_STARTS_WAVES):
         for sign in (1.0, -1.0):
-            waves = best.waves.copy()
+            waves = best.fit.waves.copy()
             waves[0] = sign * defocus
             yield waves
 
 
-def _wavefront(task: Task, fit: WavefrontFit) -> Wavefront:
-    seen = task.observation
-    planes = []
-    for frame, (mean, std) in zip(seen.frames, residuals(fit, seen.frames), strict=True):
-        data, model, sigma = (np.full(frame.counts.shape, np.nan) for _ in range(3))
-        data[frame.used], model[frame.used], sigma[frame.used] = frame.counts[frame.used], mean, std
-        every = seen.period
-        planes.append(
-            tuple(Plane(*(image[r::every, c::every] for image in (data, model, sigma))) for r, c in seen.places)
-        )
-    return Wavefront(seen.range_mm, seen.measured_range_mm, seen.channel, task.optics, fit, seen.names, tuple(planes))
-
-
-def _signed(wavefronts: Sequence[Wavefront], plan: Plan) -> list[Wavefront]:
+def choose_twins(local_fits: Sequence[LocalFit], plan: Plan) -> list[LocalFit]:
     """Of each twin the right one: by the range series of its channel where there is one, else by the stated rule."""
     series = defaultdict(list)
-    for index, w in enumerate(wavefronts):
-        series[w.channel].append(index)
-    result = [replace(w, fit=canonical(w.fit)) for w in wavefronts]
-    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    for index, local in enumerate(local_fits):
+        if local.range_mm is not None and 4 in local.fit.noll:
+            series[local.channel].append(index)
+    chosen = [replace(local, fit=canonical(local.fit)) for local in local_fits]
     for indices in series.values():
-        members = [(i, result[i]) for i in indices if result[i].range_mm is not None and 4 in result[i].fit.noll]
-        if len({w.range_mm for _, w in members}) < 2:
+        members = [chosen[i] for i in indices]
+        if len({local.range_mm for local in members}) < 2:
             continue
-        fits = [w.fit for _, w in members]
-        signs = choose_signs(
-            [w.range_mm for _, w in members if w.range_mm is not None],
-            [f.waves[0] for f in fits],
-            [f.std[0] for f in fits],
-            {j: [f.waves[k] for f in fits] for k, j in enumerate(fits[0].noll) if is_even(j) and j != 4},
-            lens,
-            plan.reference_wavelength_nm,
-        )
-        for (i, w), sign in zip(members, signs, strict=True):
-            result[i] = w if sign > 0 else replace(w, fit=w.fit.twin())
-    return result
+        for i, sign in zip(indices, _signs(members, plan), strict=True):
+            if sign < 0:
+                chosen[i] = replace(chosen[i], fit=chosen[i].fit.twin())
+    return chosen
 
 
-def _focus(wavefronts: Sequence[Wavefront], plan: Plan) -> tuple[FocusFit | None, list[str]]:
-    points = [
-        DefocusPoint(w.measured_range_mm, w.channel, float(w.fit.waves[0]), float(w.fit.std[0]))
-        for w in wavefronts
-        if w.measured_range_mm is not None and 4 in w.fit.noll
-    ]
-    if not points:
-        return None, [
-            "no best focus: the frames carry no ranges"
-            if 4 in wavefronts[0].fit.noll
-            else "no best focus: defocus was not fitted"
-        ]
-    lens, settings = plan.lens, plan.fit
-    try:
-        focus = fit_focus(
-            points,
-            lens.focal_length_mm,
-            lens.f_number,
-            plan.reference_wavelength_nm,
-            settings.convention,
-            settings.range_std_mm,
-        )
-    except DataError as error:
-        return None, [f"no best focus: {error}"]
-    words = []
-    if focus.at_limit:
-        words.append(
-            f"no pupil magnification from {LEAST:g} to {MOST:g} fits: defocus does not follow a lens's curve; check the "
-            "ranges, the focal length, and the optima that were rejected"
-        )
-    elif not focus.identifiable:
-        words.append(
-            f"the pupil magnification cannot be told at these ranges: its standard error is {focus.std[-1]:.3f}; "
-            "ranges near the closest focus would tell it"
-        )
-    if focus.chi2_per_freedom is not None and focus.chi2_per_freedom > 4:
-        words.append(
-            f"defocus departs from the lens's curve by {np.sqrt(focus.chi2_per_freedom):.1f} times its standard "
-            "errors; "
-            "those of best focus and pupil magnification were widened by as much"
-        )
-    return focus, words
+def _signs(members: Sequence[LocalFit], plan: Plan) -> list[int]:
+    """+1 for the fits of one channel that are the right twin, -1 for those that are not."""
+    fits = [local.fit for local in members]
+    return choose_signs(
+        [local.range_mm for local in members if local.range_mm is not None],
+        [fit.waves[0] for fit in fits],
+        [fit.std[0] for fit in fits],
+        {j: [fit.waves[k] for fit in fits] for k, j in enumerate(fits[0].noll) if is_even(j) and j != 4},
+        ThinLens(plan.lens.focal_length_mm, plan.lens.f_number),
+        plan.reference_wavelength_nm,
+        plan.fit.convention,
+    )
 
 
-def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
-    doubts = []
-    for w in wavefronts:
-        where = f"{w.channel}" if w.range_mm is None else f"{w.channel} at {w.range_mm:g} mm"
-        if w.fit.verdict.undetermined:
-            doubts.append(
-                f"{where}: the frames do not determine {', '.join(w.fit.verdict.undetermined)}; "
-                "is the target lit, sharp and large enough?"
-            )
-        elif not w.fit.verdict.accepted:
-            doubts.append(
-                f"{where}: what is left of the data is not noise alone (p = {w.fit.verdict.p_value:.1g}); "
-                "the optimum may be a wrong one, or the model lacks something"
-            )
-        if not 0.9 <= w.fit.chi2_per_pixel <= 1.5:
-            doubts.append(f"{where}: chi2 per pixel is {w.fit.chi2_per_pixel:.2f}, expected is 0.9 to 1.5")
-    return doubts
+def as_wavefront(local: LocalFit) -> Wavefront:
+    """A local fit as results keep it."""
+    optics, observation, fit = local.task.optics, local.task.observation, local.fit
+    poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in fit.state.poses]
+    verdict = fit.verdict
+    return Wavefront(
+        range_mm=observation.range_mm,
+        measured_range_mm=observation.measured_range_mm,
+        channel=observation.channel,
+        wavelength_nm=round(optics.wavelength_um * 1e3, 6),
+        reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
+        f_number=optics.f_number,
+        noll=fit.noll,
+        waves=fit.waves,
+        covariance=fit.covariance,
+        poses=np.array([pose.v for pose in fit.state.poses]),
+        gain=float(fit.state.gain),
+        read_noise=float(fit.state.read_noise),
+        chi2_per_pixel=float(fit.chi2_per_pixel),
+        test=OptimumTest(
+            verdict.name,
+            bool(verdict.accepted),
+            float(verdict.p_value),
+            fit.starts,
+            tuple(verdict.undetermined),
+            tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
+        ),
+        seconds=fit.seconds,
+        frames=observation.names,
+        placement=Placement(
+            observation.origin_px, observation.shape_px, np.array([pose.corners_px() for pose in poses])
+        ),
+        residuals=_residuals(local),
+    )
+
+
+def _residuals(local: LocalFit) -> Residuals:
+    """Counts, model and noise of each Bayer plane of each frame; nan where a pixel was not used."""
+    observation = local.task.observation
+    planes = []
+    for frame, (mean, std) in zip(observation.frames, residuals(local.fit, observation.frames), strict=True):
+        images = np.full((3, *frame.counts.shape), np.nan)
+        images[:, frame.used] = frame.counts[frame.used], mean, std
+        every = observation.period
+        planes.append([images[:, row::every, column::every] for row, column in observation.places])
+    data, model, sigma = np.moveaxis(np.array(planes), 2, 0)
+    return Residuals(data, model, sigma)

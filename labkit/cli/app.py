@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labkit import __version__
+from labkit.version import __version__
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -72,41 +73,69 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
 def fit(
     ctx: typer.Context,
     session: SessionPath,
-    range_mm: Annotated[float | None, typer.Option("--range", metavar="MM", help="Only this range.")] = None,
-    channel: Annotated[str | None, typer.Option(metavar="NAME", help="Only this channel.")] = None,
+    range_mm: Annotated[
+        list[float] | None, typer.Option("--range", metavar="MM", help="Only this range; again.")
+    ] = None,
+    channel: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this channel; again.")] = None,
+    plan: Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Instead of the session's own.")] = None,
+    noll: Annotated[str | None, typer.Option(metavar="FIRST:LAST", help="Modes, such as 4:22.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="Of the results; by default latest.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
 ) -> None:
     """Flat field, wavefronts, best focus."""
-    from labkit.analysis.wavefronts import fit_session
+    from labkit.analysis.fit import fit as fit_session
+    from labkit.results.storage import as_json
+    from labkit.results.tables import focus_rows, wavefront_rows
     from labkit.session.session import Session
-    from labkit.summary import focus_rows, read_results, wavefront_rows
 
     console: Console = ctx.obj
     opened = Session.open(session)
     for warning in opened.warnings:
         console.warn(warning)
     with console.progress("fitting") as report:
-        made = fit_session(opened, range_mm=range_mm, channel=channel, workers=workers, progress=report)
-    results: dict[str, Any] = read_results(opened.results_folder())
-    for warning in results["warnings"]:
-        if warning not in (*opened.warnings, made.unanswered):
+        results = fit_session(
+            opened,
+            plan=plan,
+            ranges_mm=range_mm,
+            channels=channel,
+            noll=_modes(noll),
+            workers=workers,
+            name=name,
+            progress=report,
+        )
+    for warning in results.warnings:
+        if warning not in (*opened.warnings, results.unanswered):
             console.warn(warning)
     console.table(wavefront_rows(results))
     console.table(focus_rows(results))
-    console.say(f"results: {opened.results_folder() / 'results.json'}")
-    console.answer(results)
-    if made.unanswered:
-        raise DataError(made.unanswered)
+    console.say(f"results: {results.folder}/results.json")
+    console.answer(as_json(results))
+    if results.unanswered:
+        raise DataError(results.unanswered)
+
+
+def _modes(noll: str | None) -> tuple[int, int] | None:
+    """First and last mode in "4:22". Raises DataError."""
+    if noll is None:
+        return None
+    if not re.fullmatch(r"\d{1,4}:\d{1,4}", noll):
+        raise DataError(f"--noll {noll}: give first and last mode, such as 4:22")
+    first, last = noll.split(":")
+    return int(first), int(last)
 
 
 @app.command()
-def report(ctx: typer.Context, session: SessionPath) -> None:
+def report(
+    ctx: typer.Context,
+    session: SessionPath,
+    name: Annotated[str, typer.Option(metavar="NAME", help="Of the results.")] = "latest",
+) -> None:
     """The measurement as one HTML page with figures."""
     from labkit.report.html import write_report
-    from labkit.session.session import Session
+    from labkit.results import Results
 
     console: Console = ctx.obj
-    made = write_report(Session.open(session).results_folder())
+    made = write_report(Results.load(session, name))
     console.say(f"report: {made}")
     console.answer({"report": str(made)})
 

@@ -10,10 +10,9 @@ from scipy import special
 
 from labkit.optics.psf import diffraction_mtf
 from labkit.optics.zernike import mode_name
-from labkit.plan import Plan
 from labkit.report.quantities import millimetres, plus_minus
-from labkit.report.reading import Focus, Measurement, Residuals, Wavefront
 from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels
+from labkit.results import Focus, Residuals, Results, Wavefront
 from labkit.types import Floats
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
@@ -21,7 +20,7 @@ SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
 
 
-def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
+def focus_chart(measurement: Results, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
     """Defocus against range with the fitted curves and best focus; below it what they leave, in thousandths of a wave.
 
     curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
@@ -35,14 +34,14 @@ def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, sho
     bounds = _range_bounds(measurement, focus, shortest_mm)
     above.axhline(0, color=SOFT, lw=0.7)
     for k, channel in enumerate(measurement.channels):
-        fits = [w for w in measurement.of_channel(channel) if w.defocus]
-        x = np.array([w.range_mm for w in fits])
+        fits = [w for w in measurement.of_channel(channel) if w.defocus and w.measured_range_mm is not None]
+        x = np.array([w.measured_range_mm for w in fits], float)
         y = np.array([w.defocus.value for w in fits if w.defocus])
         error = np.nan_to_num(np.array([w.defocus.std for w in fits if w.defocus]))
         ink = inks[channel]
         label = channel
-        if focus and channel in focus.best_mm:
-            best = focus.best_mm[channel]
+        if focus and channel in focus.best_focus_mm:
+            best = focus.best_focus_mm[channel]
             label += f"   best focus {plus_minus(best.value, best.std)} mm"
             grid = np.linspace(*bounds, 300)
             above.plot(grid, curve(channel, grid), color=ink.colour, lw=1.2)
@@ -63,9 +62,9 @@ def focus_chart(measurement: Measurement, focus: Focus | None, curve: Curve, sho
     return figure
 
 
-def _range_bounds(measurement: Measurement, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
-    seen = [r for r in measurement.ranges_mm if r is not None]
-    seen += [best.value for best in focus.best_mm.values() if np.isfinite(best.value)] if focus else []
+def _range_bounds(measurement: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
+    seen = [w.measured_range_mm for w in measurement if w.measured_range_mm is not None]
+    seen += [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)] if focus else []
     low, high = min(seen), max(seen)
     margin = 0.06 * (high - low) or 0.01 * high
     return max(low - margin, shortest_mm), high + margin
@@ -84,7 +83,7 @@ def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
 
 
 def zernike_chart(
-    measurement: Measurement, range_mm: float | None, defocus: tuple[float, float], limit: float
+    measurement: Results, range_mm: float | None, defocus: tuple[float, float], limit: float
 ) -> Figure | None:
     """Bars of the modes of one range, one for each channel, with standard errors; defocus on its own scale.
 
@@ -138,49 +137,28 @@ def _mode_label(j: int) -> str:
     return f"{j}\n" + mode_name(j).replace("astigmatism", "astig.").replace(" ", "\n")
 
 
-def mtf(psf: Floats, spacing_um: float) -> tuple[Floats, Floats, Floats]:
-    """Modulation transfer along x (columns) and along y (rows).
-
-    psf: (n, n), spacing_um apart. Returns frequencies in cycles/mm, and the two curves, each 1 at frequency 0.
-    """
-    length = max(1024, *psf.shape)
-    frequency = np.fft.rfftfreq(length, spacing_um * 1e-3)
-    along_x = np.abs(np.fft.rfft(psf.sum(axis=0), length))
-    along_y = np.abs(np.fft.rfft(psf.sum(axis=1), length))
-    return np.asarray(frequency, float), along_x / along_x[0], along_y / along_y[0]
-
-
-def half_contrast(frequency: Floats, curve: Floats) -> float:
-    """The lowest frequency where an MTF falls to one half; nan where it does not."""
-    below = np.flatnonzero(curve < 0.5)
-    if not below.size or below[0] == 0:
-        return float("nan")
-    k = below[0]
-    return float(np.interp(0.5, [curve[k], curve[k - 1]], [frequency[k], frequency[k - 1]]))
-
-
 def cutoff_per_mm(wavelength_nm: float, f_number: float) -> float:
     """Where a perfect lens stops: 1 / (lambda N)."""
     return 1.0 / (wavelength_nm * 1e-6 * f_number)
 
 
-def mtf_chart(measurement: Measurement, ranges_mm: Sequence[float | None], plan: Plan) -> Figure:
+def mtf_chart(measurement: Results, ranges_mm: Sequence[float | None]) -> Figure:
     """MTF of each range's channels, along x and y, with the diffraction limit and the sensor's Nyquist frequency."""
     inks = channel_inks(measurement.channels)
-    nyquist = 500.0 / plan.sensor.pixel_pitch_um
-    cutoffs = [cutoff_per_mm(w.wavelength_nm, plan.lens.f_number) for w in measurement.wavefronts]
+    nyquist = 500.0 / measurement.plan.sensor.pixel_pitch_um
+    cutoffs = [cutoff_per_mm(w.wavelength_nm, w.f_number) for w in measurement]
     last = min(3 * nyquist, max(cutoffs))
     figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.7, sharey=True)
     for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
         axes.set_title(millimetres(range_mm))
         for fit in measurement.at_range(range_mm):
             colour = inks[fit.channel].colour
-            if fit.psf is not None:
-                frequency, along_x, along_y = mtf(fit.psf, measurement.psf_spacing_um)
-                axes.plot(frequency, along_x, color=colour, ls=SOLID)
-                axes.plot(frequency, along_y, color=colour, ls=DASHED)
             grid = np.linspace(0, last, 200)
-            perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, plan.lens.f_number))
+            for azimuth, style in ((0.0, SOLID), (90.0, DASHED)):
+                curve = fit.mtf(grid, azimuth)
+                axes.plot(grid, curve.value, color=colour, ls=style)
+                axes.fill_between(grid, curve.value - curve.std, curve.value + curve.std, color=colour, alpha=0.2, lw=0)
+            perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, fit.f_number))
             axes.plot(grid, perfect, color=colour, lw=0.8, ls=DOTTED)
         if nyquist <= last:
             axes.axvline(nyquist, color=SOFT, lw=0.7)
@@ -197,7 +175,7 @@ def _mtf_key(channels: Sequence[str], inks: dict[str, Ink]) -> list[Line2D]:
     return colours + [Line2D([], [], color=SOFT, ls=style, label=label) for label, style in styles.items()]
 
 
-def quantile_chart(measurement: Measurement, ranges_mm: Sequence[float | None]) -> Figure:
+def quantile_chart(measurement: Results, ranges_mm: Sequence[float | None]) -> Figure:
     """Quantiles of the normalised residuals against the normal law's, and the band that 99 % of points keep to."""
     inks = channel_inks(measurement.channels)
     figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.9, sharex=True, sharey=True)

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from labkit.optics.metrics import mtf50
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
-from labkit.report.charts import half_contrast, mtf
-from labkit.report.quantities import MINUS, UNKNOWN, decimals, fixed, millimetres, plus_minus
-from labkit.report.reading import Estimate, Focus, Measurement, Verdict, Wavefront
+from labkit.report.quantities import MINUS, UNKNOWN, fixed, millimetres, plus_minus
 from labkit.report.style import channel_inks
+from labkit.results import Focus, OptimumTest, Results, Wavefront
+from labkit.uncertain import Uncertain, decimals
 
 SECTIONS = {
     "focus": "Focus",
@@ -24,9 +25,9 @@ SECTIONS = {
 ALWAYS = {"wavefronts", "tables", "provenance"}
 
 
-def contents(measurement: Measurement, plan: Plan, drawn: set[str]) -> dict[str, Any]:
+def contents(measurement: Results, drawn: set[str]) -> dict[str, Any]:
     """What the template asks for; drawn: the sections that have figures."""
-    m, focus = measurement, measurement.focus
+    m, plan, focus = measurement, measurement.plan, measurement.focus
     sections = [(name, label) for name, label in SECTIONS.items() if name in drawn | ALWAYS]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
@@ -51,7 +52,9 @@ def contents(measurement: Measurement, plan: Plan, drawn: set[str]) -> dict[str,
     }
 
 
-def _title(m: Measurement) -> str:
+def _title(m: Results) -> str:
+    if m.folder is None:
+        return "Lens measurement"
     session = m.folder.resolve()
     if session.parent.name != "results":
         return session.name
@@ -59,7 +62,7 @@ def _title(m: Measurement) -> str:
     return name if session.name == "latest" else f"{name}, {session.name}"
 
 
-def _lede(m: Measurement, plan: Plan) -> str:
+def _lede(m: Results, plan: Plan) -> str:
     ranges = [r for r in m.ranges_mm if r is not None]
     if len(ranges) > 6:
         where = f"{len(ranges)} ranges from {ranges[0]:g} to {ranges[-1]:g} mm"
@@ -72,17 +75,17 @@ def _lede(m: Measurement, plan: Plan) -> str:
     return f"{lens} · {where} · {count} wavefront{'' if count == 1 else 's'} · {m.created}"
 
 
-def _split(estimate: Estimate, places: int | None = None) -> dict[str, str]:
+def _split(estimate: Uncertain, places: int | None = None) -> dict[str, str]:
     value, _, error = plus_minus(estimate.value, estimate.std, places).partition(" ")
     return {"value": value, "error": error}
 
 
-def _best_focus(m: Measurement, focus: Focus) -> list[dict[str, str]]:
+def _best_focus(m: Results, focus: Focus) -> list[dict[str, str]]:
     wavelengths = {w.channel: f"{w.wavelength_nm:g} nm" for w in m.wavefronts}
-    return [{"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e) for c, e in focus.best_mm.items()]
+    return [{"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e) for c, e in focus.best_focus_mm.items()]
 
 
-def _wavefront_rms(m: Measurement) -> list[dict[str, str]]:
+def _wavefront_rms(m: Results) -> list[dict[str, str]]:
     """For each channel, its fit of least defocus."""
     rows = []
     for channel in m.channels:
@@ -95,11 +98,11 @@ def _wavefront_rms(m: Measurement) -> list[dict[str, str]]:
     return [{("beyond" if k == "value" else k): v for k, v in row.items()} for row in rows]
 
 
-def _checks(m: Measurement) -> list[dict[str, Any]]:
+def _checks(m: Results) -> list[dict[str, Any]]:
     """Whether the numbers above can be trusted, a line each."""
     checks = []
-    tested = [w for w in m.wavefronts if w.verdict]
-    rejected = [w for w in tested if w.verdict and not w.verdict.accepted]
+    tested = [w for w in m.wavefronts if w.test]
+    rejected = [w for w in tested if w.test and not w.test.accepted]
     if rejected:
         names = ", ".join(f"{millimetres(w.range_mm)} {w.channel}" for w in rejected)
         text = f"{len(rejected)} of {len(tested)} optima rejected as local minima: {names}"
@@ -129,28 +132,21 @@ def _all(count: int) -> str:
 CHI2_USUAL = (0.9, 1.5)
 
 
-def _fit_rows(m: Measurement) -> list[dict[str, Any]]:
-    return [
-        {"first": k == 0} | _fit_row(fit, m.psf_spacing_um)
-        for range_mm in m.ranges_mm
-        for k, fit in enumerate(m.at_range(range_mm))
-    ]
+def _fit_rows(m: Results) -> list[dict[str, Any]]:
+    return [{"first": k == 0} | _fit_row(fit) for range_mm in m.ranges_mm for k, fit in enumerate(m.at_range(range_mm))]
 
 
-def _fit_row(fit: Wavefront, spacing_um: float) -> dict[str, Any]:
-    along_x, along_y = float("nan"), float("nan")
-    if fit.psf is not None:
-        frequency, *curves = mtf(fit.psf, spacing_um)
-        along_x, along_y = (half_contrast(frequency, curve) for curve in curves)
-    verdict = fit.verdict
+def _fit_row(fit: Wavefront) -> dict[str, Any]:
+    along_x, along_y = (mtf50(fit.fitted, azimuth) for azimuth in (0.0, 90.0))
+    verdict = fit.test
     return {
         "range": UNKNOWN if fit.range_mm is None else f"{fit.range_mm:g}",
         "channel": fit.channel,
         "total": _waves(fit.rms()),
         "defocus": _waves(fit.defocus),
         "beyond": _waves(fit.rms(without=(4,))),
-        "mtf50_x": fixed(along_x, 0),
-        "mtf50_y": fixed(along_y, 0),
+        "mtf50_x": fixed(along_x.value, 0),
+        "mtf50_y": fixed(along_y.value, 0),
         "chi2": fixed(fit.chi2_per_pixel, 3),
         "verdict": "not tested" if verdict is None else "accepted" if verdict.accepted else "rejected",
         "rejected": verdict is not None and not verdict.accepted,
@@ -163,13 +159,13 @@ def _fit_row(fit: Wavefront, spacing_um: float) -> dict[str, Any]:
     }
 
 
-def _waves(estimate: Estimate | None) -> str:
+def _waves(estimate: Uncertain | None) -> str:
     if estimate is None:
         return UNKNOWN
     return plus_minus(estimate.value, estimate.std, max(4, decimals(estimate.std, 5)))
 
 
-def _test(verdict: Verdict | None) -> str:
+def _test(verdict: OptimumTest | None) -> str:
     if verdict is None:
         return "none"
     words = [verdict.name or "unnamed"]
@@ -181,11 +177,10 @@ def _test(verdict: Verdict | None) -> str:
 
 
 def _poses(fit: Wavefront) -> list[list[str]]:
-    poses = np.atleast_2d(fit.pose) if fit.pose.size else np.empty((0, 0))
-    return [[f"{v:.4g}".replace("-", MINUS) for v in pose] for pose in poses]
+    return [[f"{v:.4g}".replace("-", MINUS) for v in pose] for pose in fit.poses]
 
 
-def _mode_table(m: Measurement, range_mm: float | None) -> dict[str, Any]:
+def _mode_table(m: Results, range_mm: float | None) -> dict[str, Any]:
     fits = m.at_range(range_mm)
     errors = np.concatenate([w.std for w in fits])
     usual = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else float("nan")
@@ -204,18 +199,18 @@ def _mode_cell(fit: Wavefront, j: int, places: int, reference_nm: float) -> dict
     return {"waves": plus_minus(value, std, places), "nm": fixed(value * reference_nm, 1)}
 
 
-def _focus_rows(m: Measurement, focus: Focus) -> list[dict[str, str]]:
+def _focus_rows(m: Results, focus: Focus) -> list[dict[str, str]]:
     return [
         {
             "channel": channel,
             "best": plus_minus(best.value, best.std),
             "residuals": ", ".join(fixed(1e3 * r, 2) for r in focus.residual_waves.get(channel, ())) or UNKNOWN,
         }
-        for channel, best in focus.best_mm.items()
+        for channel, best in focus.best_focus_mm.items()
     ]
 
 
-def _provenance(m: Measurement, plan: Plan) -> list[tuple[str, str]]:
+def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
     sensor, target = plan.sensor, plan.target
     conventions = {
         "corrected": "corrected: the sagitta is taken about the exit pupil",
@@ -224,15 +219,15 @@ def _provenance(m: Measurement, plan: Plan) -> list[tuple[str, str]]:
     order = "" if target.order is None else f" of order {target.order}"
     frames = sorted({f for w in m.wavefronts for f in w.frames})
     return [
-        ("labkit", m.version),
+        ("labkit", m.labkit_version),
         ("Results made", m.created),
-        ("Results folder", str(m.folder.resolve())),
+        ("Results folder", UNKNOWN if m.folder is None else str(m.folder.resolve())),
         ("Plan, SHA-256", m.plan_sha256),
         ("Lens", f"focal length {plan.lens.focal_length_mm:g} mm, f/{plan.lens.f_number:g}"),
         ("Sensor", f"{sensor.pixel_pitch_um:g} µm pitch, fill factor {sensor.fill_factor:g}"),
         ("Target", f"{target.kind}{order}, {target.size_mm:g} mm, {target.surround} around it"),
         ("Reference wavelength", f"{m.reference_wavelength_nm:g} nm"),
-        ("Focus convention", conventions.get(m.convention, m.convention)),
+        ("Focus convention", conventions.get(plan.fit.convention, plan.fit.convention)),
         (
             "Zernike modes",
             "Noll's order, unit RMS over the pupil; piston, tip and tilt belong to the pose",

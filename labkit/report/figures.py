@@ -3,18 +3,15 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from re import sub
-from typing import cast, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from labkit.errors import DataError
-from labkit.optics.lens import Convention, ThinLens, defocus_waves
-from labkit.plan import Plan
+from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.quantities import millimetres, plus_minus
-from labkit.report.reading import Measurement, Residuals, Wavefront
 from labkit.report.style import in_groups, png, styled, svg
+from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 
 PER_FIGURE = 6  # ranges in one figure
@@ -32,14 +29,14 @@ class Drawn:
     caption: str
 
 
-def draw_figures(measurement: Measurement, plan: Plan) -> dict[str, list[Drawn]]:
+def draw_figures(measurement: Results) -> dict[str, list[Drawn]]:
     """All figures, by the section of the report they belong to; a section without any is left out."""
     with styled():
         sections = {
-            "focus": list(_focus(measurement, plan)),
+            "focus": list(_focus(measurement)),
             "fits": list(_fits(measurement)),
-            "psf": list(_psfs(measurement, plan)),
-            "mtf": list(_mtfs(measurement, plan)),
+            "psf": list(_psfs(measurement)),
+            "mtf": list(_mtfs(measurement)),
             "zernike": list(_zernikes(measurement)),
             "residuals": list(_quantiles(measurement)),
         }
@@ -58,26 +55,25 @@ def _file_name(*parts: object) -> str:
     return sub(r"[^A-Za-z0-9.+_-]", "-", "_".join(map(str, parts)))
 
 
-def _focus(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
+def _focus(measurement: Results) -> Iterator[Drawn]:
     if len({w.range_mm for w in measurement.wavefronts if w.range_mm is not None and w.defocus}) < 2:
         return
-    focus = measurement.focus
-    if measurement.convention not in get_args(Convention):
-        raise DataError(f"results.json: convention {measurement.convention!r}; it is one of {get_args(Convention)}")
-    convention = cast(Convention, measurement.convention)
+    focus, plan = measurement.focus, measurement.plan
 
     def curve(channel: str, ranges_mm: Floats) -> Floats:
         assert focus is not None
         magnification = focus.pupil_magnification.value
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number, magnification if magnification > 0 else 1.0)
-        best = focus.best_mm[channel].value
-        return defocus_waves(lens, np.asarray(ranges_mm, float), best, measurement.reference_wavelength_nm, convention)
+        best = focus.best_focus_mm[channel].value
+        return defocus_waves(
+            lens, np.asarray(ranges_mm, float), best, measurement.reference_wavelength_nm, plan.fit.convention
+        )
 
     figure = charts.focus_chart(measurement, focus, curve, 1.02 * plan.lens.focal_length_mm)
     if focus is None:
         yield _chart("focus", figure, "Defocus against range.", "Defocus of each fit. No focus fit was made.")
         return
-    best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_mm.items())
+    best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_focus_mm.items())
     caption = (
         "Measured defocus (points), the fitted law of a lens with this focal length, f-number and pupil magnification "
         "(curves), and best focus (dashed, with one standard error shaded). Positive: the target lies beyond best "
@@ -86,7 +82,7 @@ def _focus(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
     yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
 
 
-def _fits(measurement: Measurement) -> Iterator[Drawn]:
+def _fits(measurement: Results) -> Iterator[Drawn]:
     for fit in measurement.wavefronts:
         if fit.residuals is None:
             continue
@@ -116,26 +112,22 @@ def _rms(z: Floats) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def _psfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
-    if not any(w.psf is not None for w in measurement.wavefronts):
-        return
-    half_width = pictures.psf_half_width_um(measurement, plan.lens.f_number)
+def _psfs(measurement: Results) -> Iterator[Drawn]:
+    half_width = pictures.psf_half_width_um(measurement)
     caption = (
         f"Optics alone, without the pixel's aperture. Every panel is {2 * half_width:.3g} µm wide on the sensor, rows "
         "down and columns right as there, and runs from zero (white) to its own peak on a square-root stretch. Dashed: "
-        "the Airy radius, 1.22 λN. Number: the peak, as a fraction of a perfect lens's."
+        "the Airy radius, 1.22 λN. Number: the Strehl ratio, defocus included."
     )
     groups = in_groups(measurement.ranges_mm, PER_FIGURE)
     for k, ranges in enumerate(groups):
-        figure = pictures.psf_picture(measurement, ranges, plan.lens.f_number, half_width)
+        figure = pictures.psf_picture(measurement, ranges, half_width)
         alt = f"Point-spread functions at {_listed(ranges)}, channels {', '.join(measurement.channels)}."
         yield _picture(_numbered("psf", k, len(groups)), figure, alt, caption)
 
 
-def _mtfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
-    if not any(w.psf is not None for w in measurement.wavefronts):
-        return
-    pitch = plan.sensor.pixel_pitch_um
+def _mtfs(measurement: Results) -> Iterator[Drawn]:
+    pitch = measurement.plan.sensor.pixel_pitch_um
     caption = (
         "Optics alone, without the pixel's aperture. Solid: along x, right on the sensor; dashed: along y, down; "
         "dotted: a perfect lens of this f-number. "
@@ -144,10 +136,10 @@ def _mtfs(measurement: Measurement, plan: Plan) -> Iterator[Drawn]:
     groups = in_groups(measurement.ranges_mm, PER_FIGURE)
     for k, ranges in enumerate(groups):
         alt = f"Modulation transfer functions at {_listed(ranges)}."
-        yield _chart(_numbered("mtf", k, len(groups)), charts.mtf_chart(measurement, ranges, plan), alt, caption)
+        yield _chart(_numbered("mtf", k, len(groups)), charts.mtf_chart(measurement, ranges), alt, caption)
 
 
-def _zernikes(measurement: Measurement) -> Iterator[Drawn]:
+def _zernikes(measurement: Results) -> Iterator[Drawn]:
     reach = [
         abs(v) + (s if np.isfinite(s) else 0.0)
         for w in measurement.wavefronts
@@ -168,7 +160,7 @@ def _zernikes(measurement: Measurement) -> Iterator[Drawn]:
         yield _chart(_file_name("zernike", "none" if range_mm is None else f"{range_mm:g}"), figure, alt, caption)
 
 
-def _quantiles(measurement: Measurement) -> Iterator[Drawn]:
+def _quantiles(measurement: Results) -> Iterator[Drawn]:
     ranges_with = [r for r in measurement.ranges_mm if any(w.residuals for w in measurement.at_range(r))]
     caption = (
         "Normalised residuals of all pixels against the normal law, thinned in the middle and complete in the tails. "

@@ -8,25 +8,26 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import InputError
 from labkit.files import write_atomically
-from labkit.plan import Plan, load_plan
 from labkit.report.contents import contents
 from labkit.report.figures import Drawn, draw_figures
-from labkit.report.reading import read_measurement
 from labkit.report.style import WIDTH_IN
+from labkit.results import Results
 
 
-def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
-    """Write report.html and figures/ into a results folder; returns the report's path.
+def write_report(results: Results | Path | str) -> Path:
+    """Write report.html and figures/ beside results; returns the report's path.
 
-    plan: what was measured; by default the plan of the session that the results folder lies in.
-    Raises DataError where the folder holds no results, PlanError where the plan cannot be read, and InputError where
-    the folder cannot be written to.
+    results: of a fit or loaded, or the folder of a session or of results. Raises DataError where there are none, and
+    InputError where their folder cannot be written to.
+
+    >>> labkit.write_report("night-3")
     """
-    measurement = read_measurement(results_folder)
-    if plan is None:
-        plan = load_plan(results_folder.resolve().parents[1] / "plan.toml")
-    drawn = draw_figures(measurement, plan)
-    figures = results_folder / "figures"
+    if not isinstance(results, Results):
+        results = Results.load(results)
+    if results.folder is None:
+        raise ValueError("these results lie in no folder: Results.write them first, and load them from there")
+    drawn = draw_figures(results)
+    figures = results.folder / "figures"
     try:
         figures.mkdir(exist_ok=True)
     except OSError as error:
@@ -38,8 +39,8 @@ def write_report(results_folder: Path, plan: Plan | None = None) -> Path:
     for old in figures.glob("*.[ps][nv]g"):
         if old.name not in files:  # of an earlier fit, with other ranges or channels
             old.unlink()
-    html = _render(contents(measurement, plan, set(drawn)), drawn)
-    path = results_folder / "report.html"
+    html = _render(contents(results, set(drawn)), drawn)
+    path = results.folder / "report.html"
     write_atomically(path, html.encode())
     return path
 

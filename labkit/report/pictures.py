@@ -10,12 +10,15 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 
+from labkit.optics.metrics import radius_of_energy
 from labkit.report.quantities import millimetres
-from labkit.report.reading import Measurement, Residuals, Wavefront
 from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
+from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
+SAMPLES_PER_AIRY = 6.0  # of lambda N: three times Nyquist, so that pixels do not show
+MOST_HALF_WIDTH_AIRY = 32.0  # lambda N: 0.6 % of the light lies beyond
 LABEL = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.5}
 MASKED = "#8fceaa"  # a pixel left out: neither a grey nor a colour of the residual's scale
 
@@ -50,52 +53,27 @@ def _chip(axes: Axes, image: Floats, title: str, colours: str, low: float, high:
     return axes.imshow(image, cmap=colours, vmin=low, vmax=high, interpolation="auto" if finer else "nearest")
 
 
-def psf_half_width_um(measurement: Measurement, f_number: float) -> float:
+def psf_half_width_um(results: Results) -> float:
     """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with context around it."""
-    spacing = measurement.psf_spacing_um
-    widths = [
-        max(1.3 * _encircled_um(w.psf, spacing, 0.9), 4 * airy_radius_um(w, f_number))
-        for w in measurement.wavefronts
-        if w.psf is not None
-    ]
-    window = min(w.psf.shape[0] // 2 for w in measurement.wavefronts if w.psf is not None) * spacing
-    return float(min(max(widths), window))
+    widths = [max(1.3 * radius_of_energy(w.fitted, 0.9).value, 4 * airy_radius_um(w)) for w in results]
+    return float(min(max(widths), MOST_HALF_WIDTH_AIRY * max(w.wavelength_nm * 1e-3 * w.f_number for w in results)))
 
 
-def airy_radius_um(wavefront: Wavefront, f_number: float) -> float:
+def airy_radius_um(wavefront: Wavefront) -> float:
     """Radius of the first dark ring of a perfect lens; the first zero of J1 over pi, times wavelength and f-number."""
-    return 1.2197 * wavefront.wavelength_nm * 1e-3 * f_number
+    return 1.2197 * wavefront.wavelength_nm * 1e-3 * wavefront.f_number
 
 
-def peak_ratio(wavefront: Wavefront, f_number: float, spacing_um: float) -> float:
-    """Peak of the PSF over that of a perfect lens, pi / (4 lambda^2 N^2): Strehl's ratio, within the PSF's window."""
-    if wavefront.psf is None:
-        return float("nan")
-    perfect = np.pi / (2 * wavefront.wavelength_nm * 1e-3 * f_number) ** 2
-    return float(wavefront.psf.max() / spacing_um**2 / perfect)
-
-
-def _encircled_um(psf: Floats, spacing_um: float, share: float) -> float:
-    rows, cols = psf.shape
-    y, x = np.arange(rows) - rows // 2, np.arange(cols) - cols // 2
-    radius = np.hypot(y[:, None], x[None, :]).ravel()
-    order = np.argsort(radius)
-    energy = np.cumsum(psf.ravel()[order])
-    return float(radius[order][np.searchsorted(energy, share * energy[-1])] * spacing_um)
-
-
-def psf_picture(
-    measurement: Measurement, ranges_mm: Sequence[float | None], f_number: float, half_width_um: float
-) -> Figure:
+def psf_picture(measurement: Results, ranges_mm: Sequence[float | None], half_width_um: float) -> Figure:
     """PSFs on one grid, rows channels and columns ranges, all of one extent; each stretched to its own peak."""
     channels, inks = measurement.channels, channel_inks(measurement.channels)
     side = min(WIDTH_IN / max(len(ranges_mm), 4), 2.2)
     figure = Figure(figsize=(side * len(ranges_mm) + 0.3, side * len(channels) + 0.3), layout="constrained")
     grid = figure.subplots(len(channels), len(ranges_mm), squeeze=False)
-    found = {(w.channel, w.range_mm): w for w in measurement.wavefronts}
+    by_place = {(w.channel, w.range_mm): w for w in measurement}
     for i, channel in enumerate(channels):
         for k, range_mm in enumerate(ranges_mm):
-            axes, wavefront = grid[i, k], found.get((channel, range_mm))
+            axes, wavefront = grid[i, k], by_place.get((channel, range_mm))
             axes.set(xticks=[], yticks=[])
             axes.grid(False)
             for spine in axes.spines.values():
@@ -104,32 +82,35 @@ def psf_picture(
                 axes.set_title(millimetres(range_mm))
             if k == 0:
                 axes.set_ylabel(channel, rotation=0, ha="right", va="center", fontweight="bold", fontsize=10)
-            if wavefront is None or wavefront.psf is None:
+            if wavefront is None:
                 axes.text(0.5, 0.5, "not fitted", color=SOFT, ha="center", va="center", transform=axes.transAxes)
                 continue
-            _psf(axes, wavefront, measurement.psf_spacing_um, half_width_um, inks[channel].ramp)
-            axes.add_patch(
-                Circle((0, 0), airy_radius_um(wavefront, f_number), fill=False, ec=INK, lw=0.5, ls=(0, (3, 2)))
-            )
-            share = peak_ratio(wavefront, f_number, measurement.psf_spacing_um)
+            _psf(axes, wavefront, half_width_um, inks[channel].ramp)
+            axes.add_patch(Circle((0, 0), airy_radius_um(wavefront), fill=False, ec=INK, lw=0.5, ls=(0, (3, 2))))
             axes.text(
-                0.97, 0.03, f"{share:.2g}", ha="right", va="bottom", fontsize=8, transform=axes.transAxes, bbox=LABEL
+                0.97,
+                0.03,
+                f"{wavefront.strehl.value:.2g}",
+                ha="right",
+                va="bottom",
+                fontsize=8,
+                transform=axes.transAxes,
+                bbox=LABEL,
             )
     _scale_bar(grid[0, 0], half_width_um)
     return figure
 
 
-def _psf(axes: Axes, wavefront: Wavefront, spacing_um: float, half_width_um: float, colours: Colormap) -> None:
-    psf = np.asarray(wavefront.psf)
-    centre, reach = psf.shape[0] // 2, int(np.ceil(half_width_um / spacing_um))
-    low, high = max(centre - reach, 0), min(centre + reach + 1, psf.shape[0])
-    edges = (low - 0.5 - centre) * spacing_um, (high - 0.5 - centre) * spacing_um
+def _psf(axes: Axes, wavefront: Wavefront, half_width_um: float, colours: Colormap) -> None:
+    spacing_um = wavefront.wavelength_nm * 1e-3 * wavefront.f_number / SAMPLES_PER_AIRY
+    psf = wavefront.psf(spacing_um, half_width_um)
+    edge = psf.shape[0] / 2 * spacing_um
     axes.imshow(
-        psf[low:high, low:high],
+        psf,
         cmap=colours,
         norm=PowerNorm(0.5, 0, psf.max(), clip=True),
         interpolation="nearest",
-        extent=(edges[0], edges[1], edges[1], edges[0]),
+        extent=(-edge, edge, edge, -edge),
     )
     axes.set(xlim=(-half_width_um, half_width_um), ylim=(half_width_um, -half_width_um))
 

@@ -20,12 +20,12 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self, cast
 
-from labkit import __version__
 from labkit.errors import PlanError, SessionError
 from labkit.files import check_name, copy_durably, sha256_of, sync_folder, write_atomically, writing
 from labkit.plan import Plan, load_plan, parse_plan
 from labkit.session.journal import Event, JournalWriter, read_journal
 from labkit.types import FRAME_KINDS, FrameKind
+from labkit.version import __version__
 
 JOURNAL, PLAN, FRAMES, RESULTS, INCOMING = "journal.jsonl", "plan.toml", "frames", "results", ".incoming"
 OWN_EVENTS = ("created", "replanned", "adding", "frame", "discarded", "dropped")

@@ -19,7 +19,7 @@ import pytest
 from numpy.typing import NDArray
 
 import labkit.drivers.simulated.bench
-from labkit.analysis.wavefronts import fit_session
+from labkit.analysis.fit import fit
 from labkit.capture.capture import capture
 from labkit.demo import compare
 from labkit.devices.context import DeviceContext, Devices
@@ -33,7 +33,6 @@ from labkit.errors import DeviceError
 from labkit.plan import load_plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin, verify
-from labkit.summary import read_results
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 from .conftest import ContextMaker
@@ -113,9 +112,8 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     assert {frame.meta["camera_settings"]["shutterspeed"] for frame in session.frames} == {"0.0200s"}
     assert any(event["event"] == "camera" and event["model"] == "Nikon DSC D750" for event in session.events)
     assert _counts(session) == _counts_of_the_simulated_camera(plan_file, tmp_path / "simulated", bench)
-    fit_session(session, workers=1)
-    results = read_results(session.results_folder())
-    assert all(0.9 < fit["chi2_per_pixel"] < 1.1 for fit in results["wavefronts"])
+    results = fit(session, workers=1)
+    assert all(0.9 < w.chi2_per_pixel < 1.1 for w in results)
     for one in compare(results, bench.truth):
         if one.quantity.startswith("defocus"):
             assert one.estimate == pytest.approx(one.truth, abs=0.0012)  # the README's figure for simulated worlds

@@ -1,101 +1,19 @@
 """The report as a file: whole in itself, truthful, safe, and written in one go."""
 
-import json
 import os
 import re
 from base64 import b64decode
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from labkit.errors import DataError, InputError
-from labkit.plan import parse_plan
+from labkit.errors import InputError
+from labkit.report.charts import focus_chart
 from labkit.report.html import write_report
-
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "R"
-wavelength_nm = 650.0
-[[channel]]
-name = "B"
-wavelength_nm = 450.0
-[target]
-kind = "sierpinski"
-order = 5
-size_mm = 46.8
-"""
-
-
-def wavefront(range_mm: float | None, channel: str, defocus: float) -> dict[str, Any]:
-    return {
-        "range_mm": range_mm,
-        "channel": channel,
-        "wavelength_nm": 650.0 if channel == "R" else 450.0,
-        "noll": [4, 5, 8],
-        "waves_rms": [defocus, 0.03, -0.04],
-        "std": [0.0011, 0.0012, 0.0013],
-        "covariance": np.diag([0.0011**2, 0.0012**2, 0.0013**2]).tolist(),
-        "pose": [0.01, 0, 0, 0, 0, 0, 0, 0],
-        "gain": 0.4567,
-        "read_noise": 1.23,
-        "chi2_per_pixel": 1.018,
-        "global_test": {"name": "embedding", "p_value": 0.37, "accepted": True, "starts": 3},
-        "seconds": 4.2,
-        "frames": [f"target_{range_mm}_{channel}.dng"],
-    }
-
-
-def results() -> dict[str, Any]:
-    """Defocus at 3000 mm of a lens focused at 2986.8 mm, and at 3200 mm; not exact: nothing here is fitted."""
-    return {
-        "schema": 1,
-        "labkit_version": "0.1.0",
-        "created": "2026-11-21T12:00:00Z",
-        "plan_sha256": "ab" * 32,
-        "convention": "corrected",
-        "reference_wavelength_nm": 450.0,
-        "wavefronts": [wavefront(r, c, d) for r, d in ((3000.0, 0.0751), (3200.0, 1.1432)) for c in ("R", "B")],
-        "focus": {
-            "best_focus_mm": {"R": {"value": 2986.84, "std": 0.42}, "B": {"value": 2987.31, "std": 0.37}},
-            "pupil_magnification": {"value": 0.981, "std": 0.038, "identifiable": False},
-            "residual_waves": {"R": [0.0011, -0.0022], "B": [0.0013, -0.0024]},
-            "covariance": [[1.0]],
-        },
-        "warnings": ["no dark frames: the black level of the raw files was used"],
-    }
-
-
-def write_results(folder: Path, content: dict[str, Any], residuals: bool = True) -> Path:
-    """A session with results of round Gaussian PSFs and residuals of pure noise."""
-    results_folder = folder / "session" / "results" / "latest"
-    results_folder.mkdir(parents=True, exist_ok=True)
-    (folder / "session" / "plan.toml").write_text(PLAN)
-    (results_folder / "results.json").write_text(json.dumps(content))
-    rng = np.random.default_rng(1)
-    axis = np.arange(-40, 41) * 0.6
-    psf = np.exp(-(axis[:, None] ** 2 + axis[None, :] ** 2) / (2 * 3.0**2))
-    psfs: dict[str, Any] = {"spacing_um": np.array(0.6)}
-    arrays: dict[str, Any] = {}
-    for entry in content["wavefronts"]:
-        key = f"{'none' if entry['range_mm'] is None else format(entry['range_mm'], 'g')}_{entry['channel']}"
-        psfs[f"psf_{key}"] = psf / psf.sum()
-        arrays[f"model_{key}"] = np.full((2, 1, 24, 30), 1000.0, np.float32)
-        arrays[f"sigma_{key}"] = np.full((2, 1, 24, 30), 20.0, np.float32)
-        data = rng.normal(1000.0, 20.0, (2, 1, 24, 30)).astype(np.float32)
-        data[0, 0, 3, 4] = np.nan
-        arrays[f"data_{key}"] = data
-    np.savez(results_folder / "psf.npz", **psfs)
-    if residuals:
-        np.savez(results_folder / "residuals.npz", **arrays)
-    return results_folder
+from tests.results_samples import ACCEPTED, PLAN, a_wavefront, some_results, written
 
 
 class Page(HTMLParser):
@@ -119,7 +37,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_report(write_results(tmp_path_factory.mktemp("report"), results()))
+    return write_report(written(tmp_path_factory.mktemp("report")))
 
 
 def test_the_report_needs_no_other_file(report: Path) -> None:
@@ -199,22 +117,24 @@ def test_figures_are_files_too(report: Path) -> None:
 
 
 def test_figures_of_an_earlier_fit_do_not_stay(tmp_path: Path) -> None:
-    folder = write_results(tmp_path, results())
+    write_report(written(tmp_path))
+    folder = written(tmp_path, wavefronts=(a_wavefront(),), focus=None)
     write_report(folder)
-    one = results() | {"wavefronts": results()["wavefronts"][:1], "focus": None}
-    write_report(write_results(tmp_path, one))
     names = {p.name for p in (folder / "figures").iterdir()}
     assert "focus.png" not in names
     assert [n for n in names if n.startswith("fit_")] == ["fit_3000_R.png"]
 
 
 def test_hostile_strings_are_shown_and_not_obeyed(tmp_path: Path) -> None:
-    content, hostile = results(), "<script>alert(1)</script>"
-    content["wavefronts"] = [wavefront(3000.0, "$x_</th>", 0.1)]
-    content["wavefronts"][0]["frames"] = [hostile]
-    content["warnings"] = [hostile, '"><img src=http://example.com/x.png>']
-    content["focus"], content["labkit_version"] = None, hostile
-    html = write_report(write_results(tmp_path, content, residuals=False)).read_text()
+    hostile = "<script>alert(1)</script>"
+    folder = written(
+        tmp_path,
+        wavefronts=(a_wavefront(channel="$x_</th>", frames=(hostile,), residuals=None),),
+        focus=None,
+        warnings=(hostile, '"><img src=http://example.com/x.png>'),
+        labkit_version=hostile,
+    )
+    html = write_report(folder).read_text()
     assert hostile not in html
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in html
     assert "src=http" not in html.replace("&gt;&lt;img src=http", "")
@@ -222,38 +142,45 @@ def test_hostile_strings_are_shown_and_not_obeyed(tmp_path: Path) -> None:
 
 
 def test_without_a_focus_fit_it_says_so(tmp_path: Path) -> None:
-    content = results() | {"focus": None}
-    words = Page(write_report(write_results(tmp_path, content)).read_text()).words()
+    words = Page(write_report(written(tmp_path, focus=None)).read_text()).words()
     assert "Best focus not fitted" in words
     assert "2986" not in words
 
 
 def test_one_fit_without_range_residuals_or_noise_figures_is_reported(tmp_path: Path) -> None:
-    content = results() | {"focus": None, "warnings": [], "wavefronts": [wavefront(None, "M", 0.1)]}
-    content["wavefronts"][0] |= {"gain": None, "read_noise": None, "global_test": None, "std": [None, None, None]}
-    del content["wavefronts"][0]["covariance"]
-    words = Page(write_report(write_results(tmp_path, content, residuals=False)).read_text()).words()
+    unknown = float("nan")
+    one = a_wavefront(
+        None, "M", gain=unknown, read_noise=unknown, test=None, covariance=np.full((3, 3), unknown), residuals=None
+    )
+    words = Page(write_report(written(tmp_path, wavefronts=(one,), focus=None, warnings=())).read_text()).words()
     assert "range not known" in words
     assert "1 optimum untested" in words
     assert not re.search(r"\bnan\b", words, re.IGNORECASE)
 
 
-def test_a_rejected_optimum_is_told_at_the_top(tmp_path: Path) -> None:
-    content = results()
-    content["wavefronts"][2]["global_test"]["accepted"] = False
-    html = write_report(write_results(tmp_path, content, residuals=False)).read_text()
-    assert html.index("1 of 4 optima rejected as local minima: 3200 mm R") < html.index("<figure>")
+def test_a_rejected_optimum_stands_at_the_top(tmp_path: Path) -> None:
+    rejected = a_wavefront(3200.0, test=replace(ACCEPTED, accepted=False))
+    html = write_report(written(tmp_path, wavefronts=(a_wavefront(), rejected))).read_text()
+    assert html.index("1 of 2 optima rejected as local minima: 3200 mm R") < html.index("<figure>")
 
 
-def test_a_plan_may_be_handed_in(tmp_path: Path) -> None:
-    folder = write_results(tmp_path, results(), residuals=False)
-    (tmp_path / "session" / "plan.toml").unlink()
-    plan = parse_plan(PLAN.replace("70.0", "71.5"), tmp_path)
-    assert "71.5 mm f/2.8" in write_report(folder, plan).read_text()
+def test_focus_is_drawn_where_the_rail_was_read_to_stand() -> None:
+    wavefronts = [a_wavefront(r, measured_range_mm=r + 0.7) for r in (3000.0, 3200.0)]
+    results = some_results(wavefronts=tuple(wavefronts))
+    figure = focus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+    drawn = [
+        line.get_xdata() for line in figure.axes[0].lines if line.get_label() and "best focus" in str(line.get_label())
+    ]
+    np.testing.assert_allclose(drawn, [[3000.7, 3200.7]])
+
+
+def test_the_report_says_which_lens_it_was_made_with(tmp_path: Path) -> None:
+    other = PLAN.model_copy(update={"lens": PLAN.lens.model_copy(update={"focal_length_mm": 71.5})})
+    assert "71.5 mm f/2.8" in write_report(written(tmp_path, plan=other)).read_text()
 
 
 def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_results(tmp_path, results(), residuals=False)
+    folder = written(tmp_path)
     (folder / "report.html").write_text("old")
 
     def fail(*_: object) -> None:
@@ -264,20 +191,3 @@ def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pyt
         write_report(folder)
     assert (folder / "report.html").read_text() == "old"
     assert not [p for p in folder.rglob("*") if p.name.startswith(".")]
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        (None, "no .*results.json"),
-        ("{", "cannot read"),
-        ('{"schema": 2}', "schema 2"),
-        ('{"schema": 1}', "labkit_version"),
-    ],
-)
-def test_results_that_cannot_be_read_give_one_line(tmp_path: Path, text: str | None, complaint: str) -> None:
-    if text is not None:
-        (tmp_path / "results.json").write_text(text)
-    with pytest.raises(DataError, match=complaint) as caught:
-        write_report(tmp_path)
-    assert "\n" not in str(caught.value)

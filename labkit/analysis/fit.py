@@ -1,0 +1,134 @@
+"""A session to its results: calibrated, the target located, wavefronts and focus estimated, all written."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from labkit.analysis.focus import summarise_focus
+from labkit.analysis.observe import observe
+from labkit.analysis.wavefronts import Task, as_wavefront, choose_twins, fit_all, optics_of
+from labkit.errors import DataError, SessionError
+from labkit.execute import default_workers
+from labkit.plan import Plan
+from labkit.results import Results, Wavefront
+from labkit.results.model import array_key, same_range
+from labkit.results.storage import kept_keys
+from labkit.session.session import Session, altered
+from labkit.target import open_target
+from labkit.types import Progress, no_progress
+
+USUAL_CHI2 = (0.9, 1.5)
+"""Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
+
+Ranges = float | Sequence[float] | None
+Channels = str | Sequence[str] | None
+
+
+def fit(
+    session: Session | Path | str,
+    *,
+    plan: Plan | Path | str | None = None,
+    ranges_mm: Ranges = None,
+    channels: Channels = None,
+    noll: tuple[int, int] | None = None,
+    workers: int | None = None,
+    name: str | None = None,
+    progress: Progress = no_progress,
+) -> Results:
+    """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
+
+    plan: instead of the session's own, such as one with another lens or other modes; noll: first and last mode, instead of
+    the plan's. ranges_mm, channels: only these. workers: processes, by default one a processor. name: "latest" by default;
+    of a fit of only some ranges or channels, their names.
+
+    Raises SessionError for photographs or a plan that are missing or were altered, DataError for frames that cannot be
+    fitted and for results that hold more wavefronts than this fit would put in their place, TargetError for a target that
+    is not in a frame. Too few ranges for a focus are no error: `Results.unanswered` says so.
+
+    >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
+    """
+    session = session if isinstance(session, Session) else Session.open(session)
+    plan = _plan(session, plan, noll)
+    if damage := altered(session):
+        raise SessionError("; ".join(damage))
+    every, keys = _wanted_keys(session, plan, None, None), _wanted_keys(session, plan, ranges_mm, channels)
+    name = name or ("latest" if keys == every else _partial_name(ranges_mm, channels))
+    folder = session.results_folder(name)  # before the work, in case it cannot be written to
+    if lost := sorted(kept_keys(folder) - keys):
+        raise DataError(
+            f"{folder} holds {', '.join(lost)} too, which this fit would not replace: give it another name (--name)"
+        )
+    target = open_target(plan.target)
+    observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
+    tasks = [Task(optics_of(plan, o.channel), target, o) for o in observations]
+    local_fits = choose_twins(fit_all(tasks, workers or default_workers(), progress), plan)
+    wavefronts = tuple(as_wavefront(local) for local in local_fits)
+    focus, warnings = summarise_focus(wavefronts, plan)
+    wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
+    results = Results(
+        plan=plan,
+        plan_sha256=hashlib.sha256(_plan_text(session, plan).encode()).hexdigest(),
+        wavefronts=wavefronts,
+        focus=focus,
+        warnings=(*session.warnings, *assumed, *warnings, *_doubts(wavefronts)),
+        unanswered="; ".join(warnings) if wanted and focus is None else None,
+        folder=folder,
+    )
+    results.write(folder)
+    return results
+
+
+def _plan(session: Session, plan: Plan | Path | str | None, noll: tuple[int, int] | None) -> Plan:
+    chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
+    return chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
+
+
+def _plan_text(session: Session, plan: Plan) -> str:
+    """The TOML whose checksum results carry: the session's own file, or that of the plan that took its place."""
+    return (session.folder / "plan.toml").read_text(encoding="utf-8") if plan == session.plan else plan.to_toml()
+
+
+def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[str]:
+    """Keys of the wavefronts that a fit of these ranges and channels makes."""
+    ranges = {frame.range_mm for frame in session.frames if frame.kind == "target"}
+    wanted = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm
+    names = [channels] if isinstance(channels, str) else channels
+    return {
+        array_key(range_mm, channel.name)
+        for range_mm in ranges
+        if wanted is None or any(same_range(range_mm, one) for one in wanted)
+        for channel in plan.channel
+        if names is None or channel.name in names
+    }
+
+
+def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
+    """A name for results of some ranges and channels: 3300mm-R."""
+    ranges = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm or ()
+    names = [channels] if isinstance(channels, str) else channels or ()
+    return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
+
+
+def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
+    """What to beware of in each wavefront, a line each."""
+    doubts, (low, high) = list[str](), USUAL_CHI2
+    for w in wavefronts:
+        where = f"{w.channel}" if w.range_mm is None else f"{w.channel} at {w.range_mm:g} mm"
+        assert w.test is not None
+        if w.test.undetermined:
+            doubts.append(
+                f"{where}: the frames do not determine {', '.join(w.test.undetermined)}; "
+                "is the target lit, sharp and large enough?"
+            )
+        elif not w.test.accepted:
+            doubts.append(
+                f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); "
+                "the optimum may be a wrong one, or the model lacks something"
+            )
+        if not low <= w.chi2_per_pixel <= high:
+            doubts.append(
+                f"{where}: χ² per pixel is {w.chi2_per_pixel:.2f}, expected is {USUAL_CHI2[0]:g} to {USUAL_CHI2[1]:g}"
+            )
+    return doubts

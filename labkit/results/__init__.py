@@ -1,0 +1,13 @@
+"""Results: what a session's photographs amount to, kept in SESSION/results/NAME."""
+
+from labkit.results.model import (
+    Focus,
+    OptimumTest,
+    OtherOptimum,
+    Placement,
+    Residuals,
+    Results,
+    Wavefront,
+)
+
+__all__ = ["Focus", "OptimumTest", "OtherOptimum", "Placement", "Residuals", "Results", "Wavefront"]

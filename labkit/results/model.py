@@ -1,0 +1,301 @@
+"""What a session's photographs amount to: a wavefront for each range and channel, best focus, and what to beware of.
+
+The same objects are made by a fit and read back from its folder, so that whatever uses results sees one model of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import inf, nan
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labkit.optics import metrics
+from labkit.optics.metrics import Curve, FittedWavefront
+from labkit.plan import Plan
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+from labkit.version import __version__
+
+if TYPE_CHECKING:
+    import pandas
+
+SAME_RANGE_MM = 1e-6
+"""Ranges closer than this are one: they are written with ten digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class OtherOptimum:
+    """Another optimum that the search met. waves: (modes,) RMS; log_likelihood_below: how much less likely it is."""
+
+    waves: Floats
+    log_likelihood_below: float
+
+
+@dataclass(frozen=True, slots=True)
+class OptimumTest:
+    """The test of whether a fit ended at the global optimum. undetermined: what the frames leave open, in words."""
+
+    name: str
+    accepted: bool
+    p_value: float
+    starts: int | None = None
+    undetermined: tuple[str, ...] = ()
+    others: tuple[OtherOptimum, ...] = ()
+
+    @property
+    def next_below(self) -> float:
+        """By how much the log-likelihood of the next optimum is lower; nan where no other was met."""
+        return self.others[0].log_likelihood_below if self.others else nan
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """(frames, planes, rows, columns) counts of the fitted pixels, their model and its noise; nan where not used."""
+
+    data: Floats
+    model: Floats
+    sigma: Floats
+
+    @property
+    def normalised(self) -> Floats:
+        """Data less model, in standard deviations of the noise."""
+        return np.asarray((self.data - self.model) / self.sigma)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the fitted pixels stood in the photographs, in pixels of the raw file, pixel centres at integers.
+
+    origin_px, shape_px: (row, column) of the first pixel of the cut, and its (rows, columns). corners_px: (frames, 4, 2)
+    [row, column] of the target's corners (0, 0), (0, w), (h, w), (h, 0) in each photograph, as fitted.
+    """
+
+    origin_px: tuple[int, int]
+    shape_px: tuple[int, int]
+    corners_px: Floats
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """The wavefront of one channel at one range, estimated from one or more photographs.
+
+    range_mm: as the plan states it, None where it is unknown; measured_range_mm: where the rail was read to stand. noll: the
+    modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number: of the cone.
+    poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts.
+
+    ``w[4]`` is a coefficient with its standard error; ``w.strehl``, ``w.mtf(frequency_per_mm)`` and the rest follow from them.
+    """
+
+    range_mm: float | None
+    measured_range_mm: float | None
+    channel: str
+    wavelength_nm: float
+    reference_wavelength_nm: float
+    f_number: float
+    noll: tuple[int, ...]
+    waves: Floats
+    covariance: Floats
+    poses: Floats
+    gain: float
+    read_noise: float
+    chi2_per_pixel: float
+    test: OptimumTest | None = None
+    seconds: float = nan
+    frames: tuple[str, ...] = ()
+    placement: Placement | None = None
+    residuals: Residuals | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        modes = len(self.noll)
+        if self.waves.shape != (modes,) or self.covariance.shape != (modes, modes):
+            raise ValueError(
+                f"{modes} modes, {self.waves.size} coefficients and a covariance of shape {self.covariance.shape}"
+            )
+
+    def __getitem__(self, mode: int) -> Uncertain:
+        """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode that was not estimated."""
+        if mode not in self.noll:
+            raise KeyError(f"Noll mode {mode}: estimated are {self.noll[0]} to {self.noll[-1]}")
+        index = self.noll.index(mode)
+        return Uncertain(float(self.waves[index]), float(self.std[index]), "waves")
+
+    @property
+    def key(self) -> str:
+        """Range and channel, as arrays in files are named: ``3200_G``."""
+        return array_key(self.range_mm, self.channel)
+
+    @property
+    def std(self) -> Floats:
+        """(modes,) standard errors, waves RMS."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def defocus(self) -> Uncertain | None:
+        """Noll mode 4, waves RMS, where it was estimated."""
+        return self[4] if 4 in self.noll else None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the optimum was tested and not rejected."""
+        return self.test is not None and self.test.accepted
+
+    @property
+    def fitted(self) -> FittedWavefront:
+        """The same as `labkit.optics.metrics` takes it."""
+        wavelength_um, reference_um = self.wavelength_nm * 1e-3, self.reference_wavelength_nm * 1e-3
+        return FittedWavefront(self.noll, self.waves, self.covariance, wavelength_um, reference_um, self.f_number)
+
+    @property
+    def strehl(self) -> Uncertain:
+        """Strehl ratio, defocus included; ``w.at_focus().strehl`` leaves it out."""
+        return metrics.strehl(self.fitted)
+
+    def at_focus(self) -> FittedWavefront:
+        """The wavefront without its defocus: what the lens does at best focus."""
+        return metrics.at_focus(self.fitted)
+
+    def rms(self, without: tuple[int, ...] = ()) -> Uncertain:
+        """Root of the sum of squares over the modes, but for some; waves RMS."""
+        return metrics.rms(self.fitted, without)
+
+    def opd(self, samples: int) -> Floats:
+        """(samples, samples) optical path difference over the pupil, waves at the reference; nan outside."""
+        return metrics.opd_map(self.fitted, samples)
+
+    def psf(self, spacing_um: float, half_width_um: float | None = None) -> Floats:
+        """(n, n) point-spread function of the optics alone: unit sum, n odd, rows down and columns right as on the sensor."""
+        return metrics.psf(self.fitted, spacing_um, half_width_um)
+
+    def mtf(self, frequency_per_mm: Floats, azimuth_deg: float = 0.0) -> Curve:
+        """MTF of the optics alone with standard errors, along a direction: 0 is along the rows, 90 down the columns."""
+        return metrics.mtf(self.fitted, frequency_per_mm, azimuth_deg)
+
+
+@dataclass(frozen=True)
+class Focus:
+    """Best focus of each channel and one pupil magnification for all.
+
+    ``focus["G"]`` is a range in mm. covariance: of the channels' best focus in order, then of the pupil magnification.
+    residual_waves: measured less fitted defocus of each channel's ranges. chi2_per_freedom: None where there are as many
+    unknowns as measurements. identifiable: whether these ranges determine the pupil magnification.
+    """
+
+    best_focus_mm: dict[str, Uncertain]
+    pupil_magnification: Uncertain
+    identifiable: bool
+    residual_waves: dict[str, tuple[float, ...]]
+    covariance: Floats | None = None
+    chi2_per_freedom: float | None = None
+
+    def __getitem__(self, channel: str) -> Uncertain:
+        """Best focus of a channel, mm. Raises KeyError for a channel that was not fitted."""
+        if channel not in self.best_focus_mm:
+            raise KeyError(f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}")
+        return self.best_focus_mm[channel]
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that was estimated from a session.
+
+    ``Results.load("night-3")[3200, "G"]`` is a `Wavefront`. plan: what it was estimated with, plan_sha256 its checksum.
+    unanswered: what was asked for and these frames cannot determine; one of the warnings too. folder: where it is kept.
+    """
+
+    plan: Plan
+    plan_sha256: str
+    wavefronts: tuple[Wavefront, ...]
+    focus: Focus | None
+    warnings: tuple[str, ...] = ()
+    unanswered: str | None = None
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    labkit_version: str = __version__
+    folder: Path | None = None
+
+    def __getitem__(self, place: tuple[float | None, str]) -> Wavefront:
+        """The wavefront at a range (mm, or None where the frames have none) and channel. Raises KeyError for another."""
+        range_mm, channel = place
+        for wavefront in self.wavefronts:
+            if same_range(wavefront.range_mm, range_mm) and wavefront.channel == channel:
+                return wavefront
+        known = ", ".join(w.key.replace("_", " mm ") for w in self.wavefronts)
+        raise KeyError(f"no wavefront at {range_mm} mm, channel {channel!r}: there are {known}")
+
+    def __iter__(self) -> Iterator[Wavefront]:
+        return iter(self.wavefronts)
+
+    def __len__(self) -> int:
+        return len(self.wavefronts)
+
+    @property
+    def reference_wavelength_nm(self) -> float:
+        """What waves are counted in."""
+        return self.plan.reference_wavelength_nm
+
+    @property
+    def ranges_mm(self) -> tuple[float | None, ...]:
+        """Each range once, ascending; wavefronts without one come first."""
+        ranges = {w.range_mm for w in self.wavefronts}
+        return tuple(sorted(ranges, key=lambda r: -inf if r is None else r))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Each channel once, in the order of the wavefronts."""
+        return tuple(dict.fromkeys(w.channel for w in self.wavefronts))
+
+    def at_range(self, range_mm: float | None) -> tuple[Wavefront, ...]:
+        """The wavefronts of one range."""
+        return tuple(w for w in self.wavefronts if same_range(w.range_mm, range_mm))
+
+    def of_channel(self, channel: str) -> tuple[Wavefront, ...]:
+        """The wavefronts of one channel."""
+        return tuple(w for w in self.wavefronts if w.channel == channel)
+
+    @classmethod
+    def load(cls, folder: Path | str, name: str = "latest") -> Results:
+        """The results of that name in a session's folder, or those in a results folder itself.
+
+        Raises DataError where there are none, or they cannot be read.
+        """
+        from labkit.results.storage import load
+
+        return load(Path(folder), name)
+
+    def write(self, folder: Path) -> Path:
+        """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""
+        from labkit.results.storage import write
+
+        return write(self, folder)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""
+        import pandas
+
+        rows = [
+            (w.range_mm, w.channel, mode, float(waves), float(std))
+            for w in self.wavefronts
+            for mode, waves, std in zip(w.noll, w.waves, w.std, strict=True)
+        ]
+        return pandas.DataFrame(rows, columns=["range_mm", "channel", "mode", "waves", "std"])
+
+    def _repr_html_(self) -> str:
+        from labkit.results.tables import as_html
+
+        return as_html(self)
+
+
+def same_range(one_mm: float | None, other_mm: float | None) -> bool:
+    """Whether two ranges are the same: both unknown, or within SAME_RANGE_MM."""
+    if one_mm is None or other_mm is None:
+        return one_mm is other_mm
+    return abs(one_mm - other_mm) <= SAME_RANGE_MM
+
+
+def array_key(range_mm: float | None, channel: str) -> str:
+    """Range and channel, as the arrays of a wavefront are named in files."""
+    return f"{'none' if range_mm is None else format(range_mm, '.10g')}_{channel}"

@@ -1,0 +1,302 @@
+"""results.json, psf.npz and residuals.npz: nothing else in labkit knows what stands in them."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Mapping
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from labkit.errors import DataError, PlanError
+from labkit.files import write_atomically
+from labkit.plan import Plan, load_plan
+from labkit.results.model import Focus, OptimumTest, OtherOptimum, Placement, Residuals, Results, Wavefront, array_key
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
+SCHEMA = 1
+MOST_OTHERS = 5  # other optima that are kept, the likeliest
+PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
+PSF_HALF_WIDTH_AIRY = 32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
+REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
+
+Json = dict[str, Any]
+
+
+def write(results: Results, folder: Path) -> Path:
+    """Write all files into a folder, each whole or not at all, results.json last; the report of earlier results goes.
+
+    Returns the path of results.json. Raises InputError where the folder cannot be written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {  # made before the first is written: files of two fits never lie side by side for long
+        PSFS: _packed(psfs(results)),
+        RESIDUALS: _packed(_residuals(results)),
+        RESULTS: json.dumps(as_json(results, folder), indent=1, allow_nan=False).encode() + b"\n",
+    }
+    (folder / REPORT[0]).unlink(missing_ok=True)
+    shutil.rmtree(folder / REPORT[1], ignore_errors=True)
+    for name, content in files.items():
+        write_atomically(folder / name, content)
+    return folder / RESULTS
+
+
+def load(folder: Path, name: str = "latest") -> Results:
+    """Results of a session's folder by name, or of a results folder itself. Raises DataError."""
+    session = folder / "results"
+    place = session / name if session.is_dir() or not (folder / RESULTS).exists() else folder
+    path = place / RESULTS
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise DataError(f"no {path}: run labkit fit first{_others(session)}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+    schema = entry.get("schema") if isinstance(entry, dict) else None
+    if schema != SCHEMA:
+        raise DataError(f"{path} has schema {schema!r}; this version reads schema {SCHEMA}: fit the session again")
+    residuals = _arrays(place / RESIDUALS)
+    try:
+        return _results(entry, residuals, place)
+    except PlanError as error:
+        raise DataError(f"{path}: {error}; fit the session again") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        detail = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(f"{path} is not as schema {SCHEMA} has it: {detail}; fit the session again") from None
+
+
+def kept_keys(folder: Path) -> set[str]:
+    """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
+    try:
+        entries = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["wavefronts"]
+        return {array_key(entry["range_mm"], entry["channel"]) for entry in entries}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
+def as_json(results: Results, folder: Path | None = None) -> Json:
+    """The content of results.json. folder: where it will lie; a target's picture in its session is named from there."""
+    return {
+        "schema": SCHEMA,
+        "labkit_version": results.labkit_version,
+        "created": results.created,
+        "plan_sha256": results.plan_sha256,
+        "plan": results.plan.model_dump(mode="json", exclude_none=True),
+        "convention": results.plan.fit.convention,
+        "reference_wavelength_nm": results.reference_wavelength_nm,
+        "wavefronts": [_wavefront_json(w) for w in results.wavefronts],
+        "focus": None if results.focus is None else _focus_json(results.focus),
+        "warnings": list(results.warnings),
+        "unanswered": results.unanswered,
+    }
+
+
+def psfs(results: Results) -> dict[str, npt.NDArray[Any]]:
+    """PSFs of the optics alone on one grid for all: unit sum, centred, odd; and their spacing_um."""
+    airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in results.wavefronts]
+    spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
+    half_width_um = PSF_HALF_WIDTH_AIRY * max(airy_um)
+    arrays: dict[str, npt.NDArray[Any]] = {"spacing_um": np.array(spacing_um)}
+    for w in results.wavefronts:
+        arrays[f"psf_{w.key}"] = w.psf(spacing_um, half_width_um).astype(np.float32)
+    return arrays
+
+
+def _residuals(results: Results) -> dict[str, npt.NDArray[Any]]:
+    """data_, model_ and sigma_ of each wavefront, (frames, planes, rows, columns)."""
+    return {
+        f"{part}_{w.key}": getattr(w.residuals, part).astype(np.float32)
+        for w in results.wavefronts
+        if w.residuals is not None
+        for part in ("data", "model", "sigma")
+    }
+
+
+def _packed(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _wavefront_json(w: Wavefront) -> Json:
+    entry = {
+        "range_mm": w.range_mm,
+        "measured_range_mm": w.measured_range_mm,
+        "channel": w.channel,
+        "wavelength_nm": w.wavelength_nm,
+        "f_number": w.f_number,
+        "noll": list(w.noll),
+        "waves_rms": _listed(w.waves),
+        "std": _listed(w.std),
+        "covariance": _listed(w.covariance),
+        "pose": _listed(w.poses[0]),
+        "poses": _listed(w.poses),
+        "gain": _number(w.gain),
+        "read_noise": _number(w.read_noise),
+        "chi2_per_pixel": _number(w.chi2_per_pixel),
+        "global_test": None if w.test is None else _test_json(w.test),
+        "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
+        "frames": list(w.frames),
+    }
+    if w.placement is not None:
+        entry["origin_px"], entry["shape_px"] = list(w.placement.origin_px), list(w.placement.shape_px)
+        entry["corners_px"] = _listed(w.placement.corners_px)
+    return entry
+
+
+def _test_json(test: OptimumTest) -> Json:
+    return {
+        "name": test.name,
+        "p_value": _number(test.p_value),
+        "accepted": test.accepted,
+        "undetermined": list(test.undetermined),
+        "starts": test.starts,
+        "others": [
+            {"waves_rms": _listed(other.waves), "log_likelihood_below": round(other.log_likelihood_below, 1)}
+            for other in test.others[:MOST_OTHERS]
+        ],
+    }
+
+
+def _focus_json(focus: Focus) -> Json:
+    return {
+        "best_focus_mm": {channel: best.as_json() for channel, best in focus.best_focus_mm.items()},
+        "pupil_magnification": {**focus.pupil_magnification.as_json(), "identifiable": focus.identifiable},
+        "residual_waves": {channel: list(rest) for channel, rest in focus.residual_waves.items()},
+        "covariance": None if focus.covariance is None else _listed(focus.covariance),
+        "chi2_per_freedom": focus.chi2_per_freedom,
+    }
+
+
+def _listed(values: Floats) -> Any:
+    """Nested lists of numbers, None for those that are not finite."""
+    values = np.asarray(values, float)
+    return [_listed(row) for row in values] if values.ndim > 1 else [_number(x) for x in values]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if isfinite(value) else None
+
+
+def _others(session: Path) -> str:
+    names = sorted(path.parent.name for path in session.glob(f"*/{RESULTS}"))
+    return f"; results there are: {', '.join(names)} (--name)" if names else ""
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return dict(archive)
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+
+
+def _results(entry: Json, residuals: dict[str, Any], folder: Path) -> Results:
+    plan = _plan(entry, folder)
+    return Results(
+        plan=plan,
+        plan_sha256=str(entry["plan_sha256"]),
+        wavefronts=tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
+        focus=None if entry["focus"] is None else _focus(entry["focus"]),
+        warnings=tuple(str(words) for words in entry["warnings"]),
+        unanswered=entry.get("unanswered"),
+        created=str(entry["created"]),
+        labkit_version=str(entry["labkit_version"]),
+        folder=folder,
+    )
+
+
+def _plan(entry: Json, folder: Path) -> Plan:
+    """The plan that the results were made with; of results that do not hold it, the session's."""
+    if "plan" not in entry:
+        return load_plan(folder.resolve().parents[1] / "plan.toml")
+    try:
+        return Plan.model_validate(entry["plan"], context={"files": "unchecked"})
+    except ValueError as error:
+        raise PlanError(f"{folder / RESULTS}: the plan in it cannot be read: {error}") from error
+
+
+def _optional(value: Any) -> float:
+    return nan if value is None else float(value)
+
+
+def _numbers(values: Any) -> Floats:
+    return np.array(values, dtype=float)  # None becomes nan
+
+
+def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
+    key = array_key(entry["range_mm"], entry["channel"])
+    parts = [residuals[name] for part in ("data", "model", "sigma") if (name := f"{part}_{key}") in residuals]
+    range_mm = None if entry["range_mm"] is None else float(entry["range_mm"])
+    measured_mm = entry.get("measured_range_mm", range_mm)
+    return Wavefront(
+        range_mm=range_mm,
+        measured_range_mm=None if measured_mm is None else float(measured_mm),
+        channel=str(entry["channel"]),
+        wavelength_nm=float(entry["wavelength_nm"]),
+        reference_wavelength_nm=plan.reference_wavelength_nm,
+        f_number=float(entry.get("f_number", plan.lens.f_number)),
+        noll=tuple(int(j) for j in entry["noll"]),
+        waves=_numbers(entry["waves_rms"]),
+        covariance=_covariance(entry),
+        poses=np.atleast_2d(_numbers(entry.get("poses") or [entry["pose"]])),
+        gain=_optional(entry.get("gain")),
+        read_noise=_optional(entry.get("read_noise")),
+        chi2_per_pixel=_optional(entry.get("chi2_per_pixel")),
+        test=_test(entry.get("global_test")),
+        seconds=_optional(entry.get("seconds")),
+        frames=tuple(str(name) for name in entry.get("frames", ())),
+        placement=_placement(entry),
+        residuals=Residuals(*parts) if len(parts) == 3 else None,
+    )
+
+
+def _covariance(entry: Json) -> Floats:
+    """Of results without one, that of independent errors."""
+    covariance = entry.get("covariance")
+    return np.diag(_numbers(entry["std"]) ** 2) if covariance is None else _numbers(covariance)
+
+
+def _placement(entry: Json) -> Placement | None:
+    if "corners_px" not in entry:
+        return None
+    (row, column), (rows, columns) = entry["origin_px"], entry["shape_px"]
+    return Placement((int(row), int(column)), (int(rows), int(columns)), _numbers(entry["corners_px"]))
+
+
+def _test(entry: Json | None) -> OptimumTest | None:
+    if entry is None:
+        return None
+    others = [
+        OtherOptimum(_numbers(o["waves_rms"]), _optional(o["log_likelihood_below"])) for o in entry.get("others", ())
+    ]
+    return OptimumTest(
+        name=str(entry.get("name", "")),
+        accepted=bool(entry["accepted"]),
+        p_value=_optional(entry.get("p_value")),
+        starts=entry.get("starts"),
+        undetermined=tuple(entry.get("undetermined", ())),
+        others=tuple(others),
+    )
+
+
+def _focus(entry: Json) -> Focus:
+    magnification = entry["pupil_magnification"]
+    covariance, chi2 = entry.get("covariance"), entry.get("chi2_per_freedom")
+    return Focus(
+        best_focus_mm={str(c): Uncertain.from_json(best, "mm") for c, best in entry["best_focus_mm"].items()},
+        pupil_magnification=Uncertain.from_json(magnification),
+        identifiable=bool(magnification.get("identifiable", True)),
+        residual_waves={str(c): tuple(map(_optional, rest)) for c, rest in entry.get("residual_waves", {}).items()},
+        covariance=None if covariance is None else _numbers(covariance),
+        chi2_per_freedom=None if chi2 is None else float(chi2),
+    )

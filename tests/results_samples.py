@@ -1,0 +1,81 @@
+"""Results made by hand, for tests: a lens focused near 2987 mm, two ranges, two colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labkit.plan import parse_plan
+from labkit.results import Focus, OptimumTest, Placement, Residuals, Results, Wavefront
+from labkit.uncertain import Uncertain
+from tests.plans import PORTRAIT, plan_text
+
+PLAN = parse_plan(
+    plan_text(PORTRAIT, {"channel": [{"name": "R", "wavelength_nm": 650.0}, {"name": "B", "wavelength_nm": 450.0}]}),
+    Path(),
+)
+STD = np.array([0.0011, 0.0012, 0.0013])
+ACCEPTED = OptimumTest("embedding", accepted=True, p_value=0.37, starts=3)
+FOCUS = Focus(
+    {"R": Uncertain(2986.84, 0.42, "mm"), "B": Uncertain(2987.31, 0.37, "mm")},
+    Uncertain(0.981, 0.038),
+    identifiable=False,
+    residual_waves={"R": (0.0011, -0.0022), "B": (0.0013, -0.0024)},
+    covariance=np.eye(3),
+)
+
+
+def a_wavefront(
+    range_mm: float | None = 3000.0, channel: str = "R", defocus: float = 0.0751, **changed: Any
+) -> Wavefront:
+    """Defocus, oblique astigmatism and horizontal coma, with residuals of pure noise."""
+    fields: dict[str, Any] = {
+        "range_mm": range_mm,
+        "measured_range_mm": range_mm,
+        "channel": channel,
+        "wavelength_nm": 650.0 if channel == "R" else 450.0,
+        "reference_wavelength_nm": 450.0,
+        "f_number": 2.8,
+        "noll": (4, 5, 8),
+        "waves": np.array([defocus, 0.03, -0.04]),
+        "covariance": np.diag(STD**2),
+        "poses": np.array([[0.01, 0, 0, 0, 0, 0, 0, 0], [0.02, 0, 0, 0, 0, 0, 0, 0]]),
+        "gain": 0.4567,
+        "read_noise": 1.23,
+        "chi2_per_pixel": 1.018,
+        "test": ACCEPTED,
+        "seconds": 4.2,
+        "frames": (f"target_{range_mm}_{channel}.dng",),
+        "placement": Placement((10, 20), (24, 30), np.zeros((2, 4, 2))),
+        "residuals": noise(),
+    }
+    return Wavefront(**fields | changed)
+
+
+def noise() -> Residuals:
+    """Two frames of one plane, a pixel of the first left out."""
+    shape = 2, 1, 24, 30
+    data = np.random.default_rng(1).normal(1000.0, 20.0, shape)
+    data[0, 0, 3, 4] = np.nan
+    return Residuals(data, np.full(shape, 1000.0), np.full(shape, 20.0))
+
+
+def some_results(**changed: Any) -> Results:
+    """Two ranges of two channels; not exact: nothing here is fitted."""
+    fields: dict[str, Any] = {
+        "plan": PLAN,
+        "plan_sha256": "ab" * 32,
+        "wavefronts": tuple(a_wavefront(r, c, d) for r, d in ((3000.0, 0.0751), (3200.0, 1.1432)) for c in ("R", "B")),
+        "focus": FOCUS,
+        "warnings": ("no dark frames: the black level of the raw files was used",),
+    }
+    return Results(**fields | changed)
+
+
+def written(folder: Path, **changed: Any) -> Path:
+    """A session's results folder with some results in it."""
+    place = folder / "session" / "results" / "latest"
+    some_results(**changed).write(place)
+    return place

@@ -1,0 +1,38 @@
+"""Results beside the truth of a simulated bench."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labkit.demo import Comparison, compare, compare_wavefronts, new_folder
+from tests.results_samples import a_wavefront, some_results
+
+
+def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> None:
+    visits = [SimpleNamespace(range_mm=r, defocus_waves={"R": w}) for r, w in ((2000.0, 9.0), (3000.0, -0.302))]
+    truth = SimpleNamespace(best_focus_mm={"R": 2986.0, "B": 2987.0}, pupil_magnification=0.985, visits=visits)
+    red, blue, magnification, defocus = compare(some_results(wavefronts=(a_wavefront(defocus=-0.3),)), truth)
+    assert (red.truth, red.estimate, red.std) == (2986.0, 2986.84, 0.42)
+    assert (blue.truth, blue.estimate) == (2987.0, 2987.31)
+    assert (magnification.truth, magnification.estimate) == (0.985, 0.981)
+    assert (defocus.truth, defocus.estimate, defocus.std) == (-0.302, -0.3, 0.0011)
+
+
+def test_a_wavefronts_error_is_over_all_modes_and_its_worst_mode_is_named() -> None:
+    w = a_wavefront(waves=np.array([0.3, 0.1, 0.02]), covariance=1e-6 * np.eye(3))
+    visits = [SimpleNamespace(range_mm=3000.0, defocus_waves={"R": 0.3})]
+    truth = SimpleNamespace(modes_waves={"R": {5: 0.096, 8: 0.023}}, visits=visits)
+    (compared,) = compare_wavefronts(some_results(wavefronts=(w,)), truth)
+    assert compared.error_rms == pytest.approx(0.005)
+    (row,) = Comparison((), (compared,), Path("report.html")).wavefront_rows()
+    # sqrt(0.3^2 + 0.096^2 + 0.023^2); three modes with 0.001 each
+    assert row == ["wavefront R at 3000 mm", "0.3158", "0.0050", "0.0017", "+4.0 (Noll 5)"]
+
+
+def test_a_new_folder_is_never_one_that_is_there(tmp_path: Path) -> None:
+    assert new_folder(tmp_path / "demo") == tmp_path / "demo"
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo-2").mkdir()
+    assert new_folder(tmp_path / "demo") == tmp_path / "demo-3"
