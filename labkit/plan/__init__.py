@@ -1,0 +1,32 @@
+"""What to do and with what: the plan, a TOML file checked before anything happens."""
+
+from labkit.plan.plan import Plan
+from labkit.plan.tables import (
+    CameraSettings,
+    Channel,
+    DisplaySettings,
+    FitSettings,
+    Lens,
+    RailSettings,
+    Sensor,
+    Table,
+    TargetSpec,
+)
+
+load_plan = Plan.load
+parse_plan = Plan.parse
+
+__all__ = [
+    "CameraSettings",
+    "Channel",
+    "DisplaySettings",
+    "FitSettings",
+    "Lens",
+    "Plan",
+    "RailSettings",
+    "Sensor",
+    "Table",
+    "TargetSpec",
+    "load_plan",
+    "parse_plan",
+]

@@ -1,0 +1,66 @@
+"""What a field of the plan may hold: ranges of numbers and patterns of text, as validators and as words for messages."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+from pydantic import AfterValidator, Strict
+from pydantic_core import PydanticCustomError
+
+Value = TypeVar("Value", str, float)
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """A closed range of numbers, as a pydantic validator and as words for messages."""
+
+    low: float
+    high: float
+    whole: bool = False
+
+    def __call__(self, value: float) -> float:
+        if not self.low <= value <= self.high:
+            raise not_allowed(str(self))
+        return value
+
+    def __str__(self) -> str:
+        return f"{'a whole' if self.whole else 'a'} number, {self.low:.10g} to {self.high:.10g}"
+
+
+def matches(pattern: str, words: str) -> AfterValidator:
+    """A validator of printable text that a regular expression describes; `words` say what is allowed."""
+
+    def check(value: str) -> str:
+        if not (value.isprintable() and re.fullmatch(pattern, value)):
+            raise not_allowed(words)
+        return value
+
+    return AfterValidator(check)
+
+
+def not_allowed(words: str) -> PydanticCustomError:
+    """A value that its field does not take; `words` say what is allowed."""
+    return PydanticCustomError("allowed", "{words}", {"words": f"allowed is {words}"})
+
+
+def problem(words: str) -> PydanticCustomError:
+    """A problem of a whole table; `words` name the field."""
+    return PydanticCustomError("problem", "{words}", {"words": words})
+
+
+def repeated(values: Iterable[Value]) -> list[Value]:
+    """The values that stand more than once."""
+    return [value for value, times in Counter(values).items() if times > 1]
+
+
+Number = Annotated[float, Strict()]
+Count = Annotated[int, Strict()]
+Corner = tuple[Number, Number]
+Length = Annotated[Number, AfterValidator(Allowed(1e-3, 1e6))]
+Name = Annotated[str, matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters and digits")]
+Line = Annotated[str, matches(r".+", "printable text")]
+Address = Annotated[str, matches(r"[a-z][a-z0-9]*:\S*", "driver:where, such as simulated: or grbl:/dev/ttyUSB0")]

@@ -1,0 +1,129 @@
+"""What is wrong with tables, as one line: field, value, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, get_args
+
+from pydantic import AfterValidator, BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from labkit.plan.fields import Allowed
+
+Step = int | str
+LONGEST = 60
+"""Characters of a value that a message repeats."""
+
+
+def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
+    """Every problem of `tables` that are no `model`, in one line; keys that are not known come first.
+
+    A key written wrongly is often missing as well: its name is what leads on.
+    """
+    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    return "; ".join(dict.fromkeys(_problem(detail, model, tables) for detail in details))
+
+
+def plain_number(text: str) -> str | None:
+    """The number that is meant by a fraction, an f-number as engraved or a decimal comma; None for other text."""
+    if fraction := re.fullmatch(r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text):
+        over, under = float(fraction[1]), float(fraction[2])
+        return f"{over / under:.6g}" if under else None
+    if engraved := re.fullmatch(r"\s*[fF]\s*[/:]?\s*(\d{1,9}(?:[.,]\d{1,9})?)\s*", text):
+        return engraved[1].replace(",", ".")
+    comma = re.fullmatch(r"\s*([+-]?\d{1,9}),(\d{1,9})\s*", text)
+    return f"{comma[1]}.{comma[2]}" if comma else None
+
+
+def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
+    """One problem as words."""
+    loc, value = _whole_field(detail["loc"], tables)
+    where = _where(loc, tables)
+    match detail["type"]:
+        case "problem":
+            return f"{where}.{detail['msg']}" if where else detail["msg"]
+        case "extra_forbidden":
+            return _unknown_key(loc, where, model)
+        case "missing" if loc == detail["loc"]:
+            needs = _needs(loc, model)
+            return f"{where} is missing" + (f": needs {needs}" if needs else "")
+        case "allowed":
+            reason = detail["msg"]
+        case "model_type":
+            reason = "allowed is a table"
+        case _:
+            expected = detail["msg"].removeprefix("Input should be ")
+            reason = f"allowed is {_needs(loc, model) or expected}"
+    if loc == ("channel",) and isinstance(value, Mapping):
+        return "[channel] is one table: write [[channel]], with double brackets, once for each channel"
+    meant = plain_number(value) if isinstance(value, str) else None
+    return f"{where} = {shown(value)}: {reason}" + (f"; write {meant}" if meant else "")
+
+
+def shown(value: Any) -> str:
+    """A value as a message repeats it, cut short."""
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def _whole_field(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> tuple[tuple[Step, ...], Any]:
+    """A location without the places in a list that a field holds, and the field's value; None where it is missing."""
+    value: Any = tables
+    for depth, step in enumerate(loc):
+        inner = value.get(step) if isinstance(value, Mapping) else None
+        if isinstance(step, int):
+            if loc[depth - 1 : depth] != ("channel",) or not isinstance(value, list):
+                return loc[:depth], value
+            inner = value[step]
+        value = inner
+    return loc, value
+
+
+def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
+    """A location in the plan's words; a channel goes by its name, or by its number where that is what is wrong."""
+    if len(loc) < 2 or not isinstance(loc[1], int):
+        return ".".join(str(step) for step in loc)
+    channel = tables["channel"][loc[1]]
+    name = channel.get("name") if isinstance(channel, Mapping) else None
+    if loc[2:] == ("name",) and name is not None:
+        return "channel.name"
+    which = f'channel "{name}"' if isinstance(name, str) else f"[[channel]] number {loc[1] + 1}"
+    return ".".join([which, *(str(step) for step in loc[2:])])
+
+
+def _model_at(loc: tuple[Step, ...], model: type[BaseModel]) -> type[BaseModel]:
+    """The model of the table that a location lies in."""
+    for step in loc[:-1]:
+        if isinstance(step, str) and step in model.model_fields:
+            model = next(_models(model.model_fields[step].annotation), model)
+    return model
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _unknown_key(loc: tuple[Step, ...], where: str, model: type[BaseModel]) -> str:
+    known = list(_model_at(loc, model).model_fields)
+    near = difflib.get_close_matches(str(loc[-1]), known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+    return f"{where} is no known key; {hint}"
+
+
+def _needs(loc: tuple[Step, ...], model: type[BaseModel]) -> str:
+    """What a field takes, in words; empty where its type says it all."""
+    field = _model_at(loc, model).model_fields.get(str(loc[-1])) if loc else None
+    if field is None:
+        return ""
+    if field.description:
+        return field.description
+    optional = [item for part in get_args(field.annotation) for item in getattr(part, "__metadata__", ())]
+    for item in (*field.metadata, *optional):
+        if isinstance(item, AfterValidator) and isinstance(item.func, Allowed):
+            return str(item.func)
+    return ""

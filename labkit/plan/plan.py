@@ -1,0 +1,117 @@
+"""The plan as a whole: made from a file or in Python, checked at once, written as TOML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError, model_validator
+
+from labkit.errors import PlanError
+from labkit.plan.fields import problem, repeated
+from labkit.plan.messages import message
+from labkit.plan.tables import (
+    CameraSettings,
+    Channel,
+    DisplaySettings,
+    FitSettings,
+    Lens,
+    RailSettings,
+    Sensor,
+    Table,
+    TargetSpec,
+)
+from labkit.plan.text import plain, read_tables, read_text, write_tables
+
+REFERENCE_NM = 450.0
+
+
+class Plan(Table):
+    """Everything about a session that the photographs do not say.
+
+    Made by `load`, `parse` and `from_tables`, changed by `replace`: these raise PlanError, one line that names every
+    field that is wrong. ``labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})``
+    """
+
+    lens: Lens
+    sensor: Sensor
+    channel: Annotated[tuple[Channel, ...], Field(min_length=1, description="one or more [[channel]] tables")]
+    target: TargetSpec
+    fit: FitSettings = FitSettings()
+    camera: CameraSettings | None = None
+    rail: RailSettings | None = None
+    display: DisplaySettings | None = None
+
+    @classmethod
+    def load(cls, path: Path | str) -> Plan:
+        """The plan in a TOML file. Raises PlanError."""
+        path = Path(path)
+        try:
+            return cls.parse(read_text(path), path.parent)
+        except PlanError as error:
+            raise PlanError(f"plan {path}: {error}") from error
+
+    @classmethod
+    def parse(cls, text: str, folder: Path | str = ".") -> Plan:
+        """The plan in TOML; a target's file is relative to `folder`. Raises PlanError."""
+        return cls.from_tables(read_tables(text), folder)
+
+    @classmethod
+    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Plan:
+        """The plan in dicts and lists such as TOML gives; a target's file is relative to `folder`. Raises PlanError."""
+        tables = plain(tables)
+        try:
+            return cls.model_validate(tables, context={"folder": Path(folder)})
+        except ValidationError as error:
+            raise PlanError(message(error, cls, tables)) from None
+
+    def replace(self, **tables: Any) -> Plan:
+        """Another plan, in which some tables are changed; it is checked as a file is.
+
+        A dict goes into its table, key by key; None takes a key, or a whole table, out again. A list of channels takes the
+        place of the list: ``plan.replace(fit={"zernike_noll": (4, 22)}, channel=[{"name": "G", "wavelength_nm": 550}])``.
+        Raises PlanError.
+        """
+        changed = self._tables()
+        for name, given in tables.items():
+            kept = changed.get(name)
+            changed[name] = {**kept, **given} if isinstance(kept, dict) and isinstance(given, Mapping) else given
+        return type(self).from_tables(changed)
+
+    def to_toml(self) -> str:
+        """The plan as TOML that `parse` reads as an equal plan; what was left to its default is left out."""
+        return write_tables(plain(self._tables()))
+
+    def _tables(self) -> dict[str, Any]:
+        return self.model_dump(exclude_unset=True)
+
+    @property
+    def reference_wavelength_nm(self) -> float:
+        """What waves are counted in: as [fit] says; else 450 nm, or of a single channel its own wavelength."""
+        if self.fit.reference_wavelength_nm is not None:
+            return self.fit.reference_wavelength_nm
+        return self.channel[0].wavelength_nm if len(self.channel) == 1 else REFERENCE_NM
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Plan:
+        if problems := [*self._channel_problems(), *self._range_problems()]:
+            raise problem("; ".join(problems))
+        return self
+
+    def _channel_problems(self) -> Iterator[str]:
+        names = [channel.name for channel in self.channel]
+        pattern = self.sensor.cfa_pattern
+        for name in repeated(names):
+            yield f'channel.name = "{name}" stands twice: allowed is each name once'
+        if pattern == "mono" and len(names) > 1:
+            yield f'{len(names)} [[channel]] tables: allowed is exactly one for cfa_pattern = "mono"'
+        for name in names:
+            if pattern not in (None, "mono") and name not in str(pattern):
+                yield f'channel.name = "{name}": allowed is a colour of cfa_pattern = "{pattern}"'
+
+    def _range_problems(self) -> Iterator[str]:
+        focal_mm = self.lens.focal_length_mm
+        for range_mm in self.rail.ranges_mm if self.rail else ():
+            if range_mm <= focal_mm:
+                yield f"rail.ranges_mm has {range_mm:g} mm: allowed is more than the focal length, {focal_mm:g} mm"

@@ -1,0 +1,208 @@
+"""The tables of a plan, as TOML writes them; attribute names are the TOML names."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from labkit.plan.fields import (
+    Address,
+    Allowed,
+    Corner,
+    Count,
+    Length,
+    Line,
+    Name,
+    Number,
+    matches,
+    not_allowed,
+    problem,
+    repeated,
+)
+
+LAST_NOLL = 66
+"""The last Zernike mode that can be asked for: all of the tenth radial order."""
+
+NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
+"""Kind of target -> the field that it cannot do without."""
+
+NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
+CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
+
+
+class Table(BaseModel):
+    """A table of the plan: frozen, and unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Lens(Table):
+    """The lens as engraved: nominal values are enough."""
+
+    focal_length_mm: Annotated[Number, AfterValidator(Allowed(0.1, 10_000))]
+    f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
+
+
+class Sensor(Table):
+    """Sampling of the file, and what the file does not say of itself.
+
+    pixel_pitch_um is between neighbouring samples of the file; fill_factor is active area over pitch squared;
+    cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono".
+    """
+
+    pixel_pitch_um: Annotated[Number, AfterValidator(Allowed(0.1, 1000))]
+    fill_factor: Annotated[Number, AfterValidator(Allowed(0.001, 1))] = 1.0
+    cfa_pattern: Annotated[str, matches("mono|[A-Z]{4}", '"mono" or four letters such as "RGGB"')] | None = None
+    black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
+    white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
+
+    @property
+    def active_um(self) -> float:
+        """Side of a square pixel's active area."""
+        return self.pixel_pitch_um * math.sqrt(self.fill_factor)
+
+    @model_validator(mode="after")
+    def _white_above_black(self) -> Sensor:
+        if self.black_level is not None and self.white_level is not None and self.white_level <= self.black_level:
+            raise problem(f"white_level = {self.white_level:g}: allowed is above black_level = {self.black_level:g}")
+        return self
+
+
+class Channel(Table):
+    """A colour of the filter array and the one wavelength that stands for it."""
+
+    name: Name
+    wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
+
+
+class TargetSpec(Table):
+    """What was photographed. `file` is absolute once a plan is loaded.
+
+    order: of a carpet, or octaves of a tri-bar target; cells: along a side of a checkerboard or of noise, which `seed` draws;
+    angle_deg: by which a slanted edge leans.
+    """
+
+    kind: Annotated[str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
+    size_mm: Length
+    order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
+    cells: Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))] | None = None
+    seed: Annotated[Count, AfterValidator(Allowed(0, 2**32 - 1, whole=True))] = 0
+    angle_deg: Annotated[Number, AfterValidator(Allowed(-45, 45))] = 5.0
+    surround: Literal["black", "white", "unknown"] = "black"
+    file: Path | None = None
+    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
+
+    @field_validator("file")
+    @classmethod
+    def _absolute(cls, file: Path | None, info: ValidationInfo) -> Path | None:
+        folder: Path = (info.context or {}).get("folder", Path())
+        return None if file is None else (folder / file).absolute()
+
+    @field_validator("corners_px")
+    @classmethod
+    def _convex(cls, corners: tuple[tuple[float, float], ...] | None) -> tuple[tuple[float, float], ...] | None:
+        if corners is not None and not _is_convex(corners):
+            raise not_allowed(CORNERS)
+        return corners
+
+    @model_validator(mode="after")
+    def _complete(self) -> TargetSpec:
+        key = NEEDED.get(self.kind)
+        if key is not None and getattr(self, key) is None:
+            raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
+        if self.file is not None and not self.file.is_file():
+            raise problem(f'file = "{self.file}": there is no such file')
+        return self
+
+
+class FitSettings(Table):
+    """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model.
+
+    range_std_mm: standard error of each range beside the others, for the errors of best focus and pupil magnification.
+    """
+
+    zernike_noll: Annotated[tuple[Count, Count], Field(description=NOLL)] = (4, 15)
+    reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
+    convention: Literal["corrected", "thesis"] = "corrected"
+    range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.0
+
+    @field_validator("zernike_noll")
+    @classmethod
+    def _ordered(cls, noll: tuple[int, int]) -> tuple[int, int]:
+        if not 4 <= noll[0] <= noll[1] <= LAST_NOLL:
+            raise not_allowed(NOLL)
+        return noll
+
+
+class CameraSettings(Table):
+    """How to expose. f_number: what to set on the body, lens.f_number if it is left out."""
+
+    address: Address
+    exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))]
+    iso: Annotated[Count, AfterValidator(Allowed(1, 10_000_000, whole=True))] = 100
+    f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))] | None = None
+    capture_target: Literal["ram", "card"] = "ram"
+    frames_per_range: Annotated[Count, AfterValidator(Allowed(1, 10_000, whole=True))] = 4
+    flats_per_range: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
+    darks: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
+
+
+class RailSettings(Table):
+    """Where to stop: range = range_at_zero_mm + direction * rail position.
+
+    run_up_mm: every stop is approached from below over this way; microstep_um: what a Zaber counts in.
+    """
+
+    address: Address
+    ranges_mm: Annotated[tuple[Length, ...], Field(min_length=1, description="one or more ranges in mm")]
+    range_at_zero_mm: Annotated[Number, AfterValidator(Allowed(-1e6, 1e6))]
+    direction: Literal[1, -1] = 1
+    settle_s: Annotated[Number, AfterValidator(Allowed(0, 3600))] = 1.0
+    run_up_mm: Annotated[Number, AfterValidator(Allowed(0, 100))] = 1.0
+    microstep_um: Annotated[Number, AfterValidator(Allowed(1e-4, 1e4))] | None = None
+
+    @field_validator("ranges_mm")
+    @classmethod
+    def _once_each(cls, ranges_mm: tuple[float, ...]) -> tuple[float, ...]:
+        if twice := repeated(ranges_mm):
+            raise not_allowed(f"each range once, not {twice[0]:g} twice")
+        return ranges_mm
+
+    def position_mm(self, range_mm: float) -> float:
+        """Where the rail stands at a range."""
+        return self.direction * (range_mm - self.range_at_zero_mm)
+
+    def range_mm(self, position_mm: float) -> float:
+        """The range when the rail stands at a position."""
+        return self.range_at_zero_mm + self.direction * position_mm
+
+
+class DisplaySettings(Table):
+    """The glass the target is shown on: a panel by name, or its pitch and (height, width) in pixels."""
+
+    address: Address
+    panel: Line | None = None
+    pixel_pitch_mm: Length | None = None
+    pixels: Annotated[tuple[Count, Count] | None, Field(description="[height, width] in pixels")] = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> DisplaySettings:
+        if (self.pixel_pitch_mm is None) != (self.pixels is None):
+            raise problem("pixel_pitch_mm and pixels belong together: give both or neither")
+        if (self.panel is None) == (self.pixels is None):
+            raise problem("give either panel, or pixel_pitch_mm and pixels")
+        if self.pixels is not None and min(self.pixels) < 1:
+            raise problem(f"pixels = {list(self.pixels)}: allowed is [height, width], each at least 1")
+        return self
+
+
+def _is_convex(corners: tuple[tuple[float, float], ...]) -> bool:
+    """Whether going round the corners turns the same way at each."""
+    turns = []
+    for i in range(4):
+        (r0, c0), (r1, c1), (r2, c2) = corners[i - 2], corners[i - 1], corners[i]
+        turns.append((r1 - r0) * (c2 - c1) - (c1 - c0) * (r2 - r1))
+    return all(math.isfinite(t) for t in turns) and (min(turns) > 0 or max(turns) < 0)

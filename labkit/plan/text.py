@@ -1,0 +1,109 @@
+"""Plans as TOML: read with care, written so that it reads back the same."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from labkit.errors import PlanError
+from labkit.plan.messages import plain_number, shown
+
+DEEPEST = 6
+"""Tables and lists in one another: corners stand three deep, and what is deeper is no plan."""
+
+
+def read_text(path: Path) -> str:
+    """A plan's text, without a byte order mark. Raises PlanError for a file that is not there or not UTF-8."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PlanError(str(error.strerror)) from error
+    except UnicodeDecodeError as error:
+        raise PlanError(f"not UTF-8 at byte {error.start}") from error
+
+
+def read_tables(text: str) -> dict[str, Any]:
+    """The tables in TOML. Raises PlanError that names the line."""
+    text = text.removeprefix("\ufeff")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PlanError(f"not TOML: {error}{_line_of(str(error), text)}") from error
+    except ValueError as error:  # Python converts no more than 4,300 digits
+        raise PlanError("not TOML: an integer of more than 64 bits") from error
+    except RecursionError:
+        raise PlanError("not TOML that can be read: lists or tables too deep in one another") from None
+
+
+def write_tables(tables: Mapping[str, Any]) -> str:
+    """TOML of tables and lists of tables whose values are plain."""
+    blocks = []
+    for name, value in tables.items():
+        if isinstance(value, Mapping):
+            blocks.append([f"[{name}]", *_pairs(value)])
+        else:
+            blocks += [[f"[[{name}]]", *_pairs(item)] for item in value]
+    return "\n\n".join("\n".join(block) for block in blocks) + "\n"
+
+
+def plain(value: Any, *where: str) -> Any:
+    """A value as TOML has it: tables, lists, text and Python's own numbers; keys that hold None are left out.
+
+    where: the keys that lead to it. Raises PlanError for integers of more than 64 bits and for what is too deep.
+    """
+    if len(where) > DEEPEST:
+        raise PlanError(f"{'.'.join(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
+    match value:
+        case None | bool() | str():
+            return value
+        case Integral():
+            if not -(2**63) <= int(value) < 2**63:
+                raise PlanError(f"{'.'.join(where)}: an integer of more than 64 bits")
+            return int(value)
+        case Real():
+            return float(value)
+        case Path():
+            return str(value)
+        case BaseModel():
+            return plain(value.model_dump(exclude_unset=True), *where)
+        case Mapping():
+            return {str(key): plain(item, *where, str(key)) for key, item in value.items() if item is not None}
+        case Iterable():
+            return [plain(item, *where, str(place)) for place, item in enumerate(value)]
+    return value
+
+
+def _line_of(words: str, text: str) -> str:
+    """The line that an error of tomllib names, and what may be meant there."""
+    at = re.search(r"at line (\d+)", words)
+    lines = text.split("\n")
+    if not at or int(at[1]) > len(lines):
+        return ""
+    line = lines[int(at[1]) - 1].strip()
+    meant = plain_number(line.partition("=")[2].partition("#")[0])
+    return f": {shown(line)}" + (f"; write {meant}" if meant else "")
+
+
+def _pairs(table: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_value(value)}" for key, value in table.items()]
+
+
+def _value(value: Any) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case str():
+            # JSON's escapes are TOML's, but for the delete character
+            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        case Mapping():
+            return f"{{ {', '.join(_pairs(value))} }}"
+        case list():
+            return f"[{', '.join(_value(item) for item in value)}]"
+    return repr(value)
