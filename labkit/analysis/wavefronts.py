@@ -61,7 +61,7 @@ def fit_session(
         raise SessionError("; ".join(damage))
     target = open_target(plan.target)
     folder = session.results_folder(name)  # before the work, in case it cannot be written to
-    observations, warnings = observe(session, target, range_mm=range_mm, channel=channel, progress=progress)
+    observations, warnings = observe(session, plan, target, range_mm=range_mm, channel=channel, progress=progress)
     tasks = [Task(_optics(plan, o.channel), target, o) for o in observations]
     wavefronts = _fit_all(tasks, workers or default_workers(), progress)
     wavefronts = _signed(wavefronts, plan)
