@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, channel_data
+from labkit.calibration.calibrate import Calibration, ChannelData, Cut, by_range, calibrate, channel_data
+from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError, TargetError
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.warp import Pose
@@ -15,27 +16,28 @@ from labkit.inference.likelihood import FrameData, low_orders
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
+from labkit.raw.mosaic import MONO, Mosaic
 from labkit.session.session import Frame, Session
 from labkit.target import Target
-from labkit.types import Bools, Floats, Progress
+from labkit.types import Bools, Floats, Progress, no_progress
 
 MARGIN = 0.06  # of the target's size: surround that is kept around it, for the ambient light and the halo
 MARGIN_PX = 10
 INSET = 0.04  # of the target's size: what is left out along its edge where the surround is unknown
 INSET_PX = 4
-UNKNOWN_NOISE_STD = 2.0  # relative, of gain and read variance that no flat or dark tells
-ROUNDING_VARIANCE = 1 / 12  # of whole counts; the read noise comes without it
-ELECTRONS_AT_WHITE = 40_000  # of a usual pixel, the starting point where no flat tells the gain
+LEAST_PIXELS = 100  # usable ones on the target
+SAME_RANGE_MM = 1e-6
+UNKNOWN_NOISE_STD = 2.0  # relative, of gain and read variance that no flat or dark shows
+ELECTRONS_AT_WHITE = 40_000  # of a usual pixel, the starting point where no flat shows the gain
 
 
 @dataclass(frozen=True)
 class Observation:
     """The frames of one channel at one range, cut to the target, and where it stands in them.
 
-    range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it said; else the same.
+    range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it has one; else the same.
     names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
-    each of which repeats every `period` pixels.
+    each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw.
     """
 
     range_mm: float | None
@@ -47,96 +49,141 @@ class Observation:
     noise: NoisePrior
     places: tuple[tuple[int, int], ...]
     period: int
+    origin_px: tuple[int, int] = (0, 0)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the cut."""
+        rows, columns = self.frames[0].counts.shape
+        return rows, columns
+
+    @property
+    def corners_px(self) -> tuple[Floats, ...]:
+        """Of each frame the target's corners (4, 2) as (row, column) in pixels of the raw, in the target's order."""
+        return tuple(pose.corners_px() + np.array(self.origin_px) for pose in self.poses)
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A photograph of the target, decoded, and the target's corners (4, 2) in it, in pixels."""
+
+    frame: Frame
+    mosaic: Mosaic
+    corners_px: Floats
 
 
 def observe(
-    session: Session, target: Target, *, range_mm: float | None, channel: str | None, progress: Progress
+    session: Session,
+    plan: Plan,
+    target: Target,
+    *,
+    range_mm: float | Sequence[float] | None = None,
+    channel: str | Sequence[str] | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[list[Observation], list[str]]:
-    """All observations of a session, or only those of a range or channel; and warnings of what was assumed.
+    """All observations of a session, or only those of some ranges and channels; and warnings of what was assumed.
 
+    plan: of lens, sensor and channels, the session's or another. range_mm, channel: one, several, or None for all.
+    Each photograph is decoded once; those of one range are in memory at a time.
     Raises DataError where there is nothing to fit, TargetError where a frame does not show the target.
     """
-    plan = session.plan
-    shots = _chosen(session, range_mm)
-    channels = [c.name for c in plan.channel if channel in (None, c.name)]
-    if not channels:
-        raise DataError(f"channel {channel}: allowed are {', '.join(c.name for c in plan.channel)}")
-    calibration = calibrate(session)
+    frames = _chosen(session, range_mm)
+    channels = _channels(plan, channel)
+    calibration = calibrate(session.frames, plan)
+    observations: list[Observation] = []
     warnings = list(calibration.warnings)
-    found: list[Observation] = []
-    ranges = list(dict.fromkeys(frame.range_mm for frame in shots))
-    for done, one in enumerate(ranges):
-        progress(done, len(ranges), "finding the target")
-        group = [frame for frame in shots if frame.range_mm == one]
-        corners = [_locate(frame, plan, target) for frame in group]
-        found += [_observation(calibration, plan, target, group, corners, name) for name in channels]
-    return found, list(dict.fromkeys(warnings))
+    groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
+    for done, group in enumerate(groups):
+        progress(done, len(groups), "finding the target")
+        shots = [_locate(frame, plan, target) for frame in group]
+        for name in channels:
+            observation, assumed = _observation(calibration, target, shots, name)
+            observations.append(observation)
+            warnings += assumed
+    return observations, list(dict.fromkeys(warnings))
 
 
-def _chosen(session: Session, range_mm: float | None) -> list[Frame]:
-    shots = [f for f in session.frames if f.kind == "target"]
-    if not shots:
+def _chosen(session: Session, range_mm: float | Sequence[float] | None) -> list[Frame]:
+    frames = [frame for frame in session.frames if frame.kind == "target"]
+    if not frames:
         raise DataError(f"{session.folder} has no target frames: there is nothing to fit")
-    chosen = [f for f in shots if range_mm is None or f.range_mm == range_mm]
-    if not chosen:
-        known = ", ".join(sorted({f"{f.range_mm:g}" for f in shots if f.range_mm is not None}))
-        raise DataError(f"no target frames at {range_mm:g} mm: the session has {known or 'none with a range'}")
-    return sorted(chosen, key=lambda f: (f.range_mm is not None, f.range_mm or 0.0, f.file))
+    if range_mm is None:
+        return frames
+    wanted = np.atleast_1d(np.asarray(range_mm, dtype=np.float64)).tolist()
+    if not wanted:
+        raise DataError("range_mm is empty: give one range or more, or None for all of them")
+    if absent := [f"{mm:g}" for mm in wanted if not any(_same(frame.range_mm, mm) for frame in frames)]:
+        known = ", ".join(f"{mm:g}" for mm in sorted({f.range_mm for f in frames if f.range_mm is not None}))
+        raise DataError(f"no target frames at {', '.join(absent)} mm: the session has {known or 'none with a range'}")
+    return [frame for frame in frames if any(_same(frame.range_mm, mm) for mm in wanted)]
 
 
-def _locate(frame: Frame, plan: Plan, target: Target) -> Floats:
-    """Corners (4, 2) of the target in a frame, in pixels."""
-    if plan.target.corners_px is not None:
-        return np.array(plan.target.corners_px, float)
+def _same(range_mm: float | None, wanted_mm: float) -> bool:
+    return range_mm is not None and abs(range_mm - wanted_mm) <= SAME_RANGE_MM
+
+
+def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
+    """Names, in the plan's order."""
+    known = [c.name for c in plan.channel]
+    wanted = known if channel is None else [channel] if isinstance(channel, str) else channel
+    if not wanted or any(name not in known for name in wanted):
+        absent = ", ".join(name for name in wanted if name not in known)
+        raise DataError(f"channel {absent or 'is empty'}: allowed are {', '.join(known)}")
+    return [name for name in known if name in wanted]
+
+
+def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_raw(frame.path, plan.sensor)
+    if plan.target.corners_px is not None:
+        return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     scale = (
         None if frame.range_mm is None else float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
     )
     try:
-        return find_target(grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern), target, mm_per_pixel=scale)
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        return _Shot(frame, mosaic, find_target(grey, target, mm_per_pixel=scale))
     except TargetError as error:
         raise TargetError(f"{frame.file}: {error}") from error
 
 
 def _observation(
-    calibration: Calibration,
-    plan: Plan,
-    target: Target,
-    group: Sequence[Frame],
-    corners: Sequence[Floats],
-    channel: str,
-) -> Observation:
-    data = [channel_data(calibration, frame, channel) for frame in group]
-    rows, columns = _cut(corners, data[0].counts.shape)
-    outline = Pose.from_corners
-    poses = tuple(outline(c, target.size_mm).shifted(rows.start, columns.start) for c in corners)
-    frames = []
-    for one, pose, frame in zip(data, poses, group, strict=True):
-        used = one.mask[rows, columns]
-        if target.surround is None:
-            used = used & _inside(pose, used.shape)
-        if used.sum() < 100:
-            raise DataError(f"{frame.file}: only {used.sum()} usable pixels of channel {channel} on the target")
-        known = FrameData(
-            one.counts[rows, columns], used, one.illumination[rows, columns], one.relative_std[rows, columns]
-        )
-        frames.append(known if calibration.illumination else replace(known, departures=low_orders(*used.shape)))
-    mosaic = read_raw(group[0].path, plan.sensor)
-    period = 1 if len(mosaic.pattern) == 1 else 2
-    places = ((0, 0),) if period == 1 else mosaic.places(channel)  # the cut begins on an even row and column
-    names = tuple(frame.file for frame in group)
-    return Observation(
-        group[0].range_mm,
-        _measured(group),
-        channel,
-        names,
-        tuple(frames),
-        poses,
-        _noise(data[0], mosaic),
-        places,
-        period,
+    calibration: Calibration, target: Target, shots: Sequence[_Shot], channel: str
+) -> tuple[Observation, tuple[str, ...]]:
+    """Of one range and channel; and what was assumed."""
+    first, group = shots[0].mosaic, [shot.frame for shot in shots]
+    rows, columns = cut = _cut([shot.corners_px for shot in shots], first.counts.shape)
+    outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
+    poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
+    data = [channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots]
+    frames = tuple(
+        _frame_data(calibration, target, part, pose, f"{frame.file}: only {{}} usable pixels of channel {channel}")
+        for part, pose, frame in zip(data, poses, group, strict=True)
     )
+    mono = first.pattern == MONO
+    observation = Observation(
+        range_mm=group[0].range_mm,
+        measured_range_mm=_measured(group),
+        channel=channel,
+        names=tuple(frame.file for frame in group),
+        frames=frames,
+        poses=poses,
+        noise=_noise(data[0], first),
+        places=((0, 0),) if mono else first.places(channel),  # the cut begins on an even row and column
+        period=1 if mono else 2,
+        origin_px=(rows.start, columns.start),
+    )
+    return observation, tuple(warning for part in data for warning in part.warnings)
+
+
+def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str) -> FrameData:
+    used = data.mask
+    if target.surround is None:
+        used = used & _inside(pose, used.shape)
+    if used.sum() < LEAST_PIXELS:
+        raise DataError(f"{too_few.format(used.sum())} on the target")
+    frame = FrameData(data.counts, used, data.illumination, data.relative_std)
+    return frame if calibration.illumination else replace(frame, departures=low_orders(*used.shape))
 
 
 def _measured(group: Sequence[Frame]) -> float | None:
@@ -144,7 +191,7 @@ def _measured(group: Sequence[Frame]) -> float | None:
     return float(np.mean(readings)) if readings else group[0].range_mm
 
 
-def _cut(corners: Sequence[Floats], shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _cut(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
     """Rows and columns around the target in all frames, beginning at even ones."""
     every = np.concatenate(list(corners))
     size = np.ptp(every, axis=0).max()
@@ -167,13 +214,17 @@ def _inside(pose: Pose, shape: tuple[int, ...]) -> Bools:
 
 
 def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:
-    """The noise as flats and darks tell it; wide open where they do not."""
-    gain, gain_std = data.gain, data.gain_std
-    read, read_std = data.read_noise, data.read_noise_std
+    """The noise as flats and darks show it; wide open where they do not."""
+    noise = data.noise
+    gain, read = noise.gain, noise.read_noise
     white = mosaic.white - float(np.mean(mosaic.black))
+    gain_relative_std = max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD
+    read_variance_relative_std = (
+        max(2 * noise.read_noise_std / read, 1e-3) if read and noise.read_noise_std else UNKNOWN_NOISE_STD
+    )
     return NoisePrior(
         gain if gain else white / ELECTRONS_AT_WHITE,
-        max(gain_std / gain, 1e-3) if gain and gain_std else UNKNOWN_NOISE_STD,
+        gain_relative_std,
         read**2 + ROUNDING_VARIANCE if read else max(1.0, (white / 4000) ** 2),
-        max(2 * read_std / read, 1e-3) if read and read_std else UNKNOWN_NOISE_STD,
+        read_variance_relative_std,
     )

@@ -10,12 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from labkit.types import Floats
+from labkit.types import Bools, Counts, Floats
 
-Mask = NDArray[np.bool_]
 Plane = tuple[slice, slice]
 
 SLAB_ROWS = 256
@@ -43,7 +41,7 @@ def planes_of(pattern: Sequence[str]) -> tuple[Plane, ...]:
     return tuple((slice(row, None, height), slice(col, None, width)) for row in range(height) for col in range(width))
 
 
-def clipped_mean(stack: NDArray[np.uint16]) -> Floats:
+def clipped_mean(stack: Counts) -> Floats:
     """(rows, cols) mean of (frames, rows, cols), without the values far from each pixel's median.
 
     With fewer than three frames the plain mean.
@@ -86,10 +84,10 @@ class Illumination:
 
     relative: Floats
     level: float
-    lit: Mask
+    lit: Bools
 
 
-def smooth_illumination(flat: Floats, good: Mask) -> Illumination:
+def smooth_illumination(flat: Floats, good: Bools) -> Illumination:
     """The smooth part of a plane's mean flat.
 
     flat: (rows, cols) counts with black removed; good: pixels that may be used. A robust polynomial of low order takes
@@ -110,7 +108,7 @@ def smooth_illumination(flat: Floats, good: Mask) -> Illumination:
     return Illumination(np.where(lit, light / level, 1.0), level, lit)
 
 
-def _lit(flat: Floats, good: Mask) -> Mask:
+def _lit(flat: Floats, good: Bools) -> Bools:
     """Where the display reaches: all of the frame, or less its dark part and a seam of 5 % beside that."""
     side = max(1, min(flat.shape) // 60)
     coarse = ndimage.uniform_filter(np.where(good, flat, 0.0), side) / np.maximum(
@@ -124,7 +122,7 @@ def _lit(flat: Floats, good: Mask) -> Mask:
     return np.asarray(ndimage.binary_erosion(bright, iterations=3 * side, border_value=1))
 
 
-def _polynomial(flat: Floats, use: Mask) -> Floats:
+def _polynomial(flat: Floats, use: Bools) -> Floats:
     """Robust least squares of a polynomial of total degree ILLUMINATION_ORDER, on means of small blocks."""
     block = max(1, min(flat.shape) // 60)
     rows, cols = (n // block * block for n in flat.shape)
@@ -155,7 +153,7 @@ def _powers(y: Floats, x: Floats) -> Floats:
     return np.array([np.outer(py[i], px[j]) for i in degrees for j in degrees if i + j <= ILLUMINATION_ORDER])
 
 
-def outliers(values: Floats, among: Mask, least: float = 0.0) -> Mask:
+def outliers(values: Floats, among: Bools, least: float = 0.0) -> Bools:
     """Those `among` whose values lie 8 robust standard deviations, and `least`, from the median of them all."""
     centre = float(np.median(values[among]))
     spread = 1.4826 * float(np.median(np.abs(values[among] - centre)))

@@ -36,7 +36,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 
 @pytest.fixture(scope="module")
 def calibration(session: Session) -> Calibration:
-    return calibrate(session)
+    return calibrate(session.frames, session.plan)
 
 
 def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
@@ -77,11 +77,11 @@ def test_gain_and_read_noise_are_the_simulators(calibration: Calibration, channe
 
 def test_a_flat_over_its_model_is_photon_noise_at_every_scale(session: Session, calibration: Calibration) -> None:
     for frame in (frame for frame in session.frames if frame.kind == "flat"):
-        data = channel_data(calibration, frame, "G")
-        assert data.gain is not None
-        assert data.read_noise is not None
+        data = channel_data(calibration, frame, read_raw(frame.path, session.plan.sensor), "G")
+        assert data.noise.gain is not None
+        assert data.noise.read_noise is not None
         model = data.illumination * (data.counts[data.mask].sum() / data.illumination[data.mask].sum())
-        z = (data.counts - model) / np.sqrt(data.gain * model + data.read_noise**2 + 1 / 12)
+        z = (data.counts - model) / np.sqrt(data.noise.gain * model + data.noise.read_noise**2 + 1 / 12)
         # the frame is one of twelve that made its own model
         assert z[data.mask].std() == pytest.approx(np.sqrt(11 / 12), abs=0.02)
         blocks = np.where(data.mask, z, 0.0).reshape(6, 40, 6, 40).sum(axis=(1, 3)) / np.sqrt(800)

@@ -3,94 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-from numpy.typing import NDArray
 
 from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, channel_data
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.errors import DataError, RawError
-from labkit.session.session import Session
+from labkit.raw.decode import read_raw
+from labkit.session.session import Frame
 from labkit.types import Floats
-
-SHAPE = (180, 240)
-BLACK, WHITE, GAIN, READ_NOISE, PRNU = 512.0, 16383.0, 0.45, 1.5, 0.006
-COLOURS = {"R": 0.6, "G": 1.0, "B": 0.75}
+from tests.sensor import COLOURS, GAIN, PRNU, READ_NOISE, SHAPE, Bench, light_at
 
 
-def light_at(range_mm: float) -> Floats:
-    """Vignetting times a display's fall-off that differs between ranges; about 1."""
-    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
-    shift = (range_mm - 2000.0) / 500.0
-    return np.asarray((1.1 - 0.25 * (x**2 + y**2) / 2) * (1 + 0.05 * (x - shift) * y) / (1 + 0.02 * (x + shift) ** 2))
+def calibration_of(bench: Bench) -> Calibration:
+    return calibrate(bench.session.frames, bench.session.plan)
 
 
-@dataclass
-class Sensor:
-    """A Bayer sensor with pixels of its own; exposes frames into a session."""
-
-    rng: np.random.Generator
-    response: Floats = field(init=False)
-    offset: Floats = field(init=False)
-    colour: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.response = 1 + PRNU * self.rng.standard_normal(SHAPE)
-        self.offset = np.zeros(SHAPE)
-        self.colour = np.tile(
-            [[COLOURS["R"], COLOURS["G"]], [COLOURS["G"], COLOURS["B"]]], (SHAPE[0] // 2, SHAPE[1] // 2)
-        )
-
-    def expose(self, mean_e: Floats | float) -> NDArray[np.uint16]:
-        electrons = self.rng.poisson(np.maximum(mean_e * self.colour * self.response, 0))
-        counts = GAIN * electrons + self.offset + READ_NOISE * self.rng.standard_normal(SHAPE) + BLACK
-        return np.clip(np.rint(counts), 0, WHITE).astype(np.uint16)
+def data_of(bench: Bench, frame: Frame, name: str) -> ChannelData:
+    mosaic = read_raw(frame.path, bench.session.plan.sensor)
+    return channel_data(calibration_of(bench), frame, mosaic, name)
 
 
-PLAN = f"""
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-cfa_pattern = "RGGB"
-black_level = {BLACK:g}
-white_level = {WHITE:g}
-[target]
-kind = "sierpinski"
-order = 4
-size_mm = 30.0
-"""
-
-
-class Bench:
-    """A session in a folder, and the sensor that fills it."""
-
-    def __init__(self, folder: Path, seed: int = 1, colours: str = "RGB") -> None:
-        channels = "".join(f'[[channel]]\nname = "{name}"\nwavelength_nm = 550.0\n' for name in colours)
-        self.folder = folder
-        self.session = Session.create(folder / "session", PLAN + channels, folder)
-        self.sensor = Sensor(np.random.default_rng(seed))
-
-    def add(self, kind: str, range_mm: float | None, mean_e: Floats | float, frames: int = 1) -> None:
-        for _ in range(frames):
-            name = f"{kind}{len(self.session.frames)}.tif"
-            tifffile.imwrite(self.folder / name, self.sensor.expose(mean_e))
-            self.session.add_frame(self.folder / name, name, kind, range_mm)  # type: ignore[arg-type]
-
-    def usual(self, frames: int = 6, ranges: tuple[float, ...] = (2000.0, 2200.0)) -> None:
-        self.add("dark", None, 0.0, frames)
-        for range_mm in ranges:
-            self.add("flat", range_mm, 20000 * light_at(range_mm), frames)
-
-    def channel(self, name: str, range_mm: float | None, mean_e: Floats | float) -> tuple[Calibration, ChannelData]:
-        self.add("target", range_mm, mean_e)
-        calibration = calibrate(self.session)
-        return calibration, channel_data(calibration, self.session.frames[-1], name)
+def exposed(bench: Bench, name: str, range_mm: float | None, mean_e: Floats | float) -> ChannelData:
+    """A channel of one more target frame."""
+    return data_of(bench, bench.add("target", range_mm, mean_e), name)
 
 
 @pytest.fixture
@@ -103,7 +43,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.mark.parametrize("name", ["R", "G", "B"])
 def test_illumination_and_response_are_found_within_their_errors(bench: Bench, name: str) -> None:
     bench.usual()
-    _, data = bench.channel(name, 2200.0, 15000 * light_at(2200.0))
+    data = exposed(bench, name, 2200.0, 15000 * light_at(2200.0))
     truth = light_at(2200.0) * bench.sensor.response
     ratio = (data.illumination / truth)[data.mask]
     ratio /= ratio.mean()
@@ -116,7 +56,7 @@ def test_illumination_and_response_are_found_within_their_errors(bench: Bench, n
 
 def test_smooth_light_leaves_nothing_large_scale_behind(bench: Bench) -> None:
     bench.usual()
-    calibration, _ = bench.channel("G", 2000.0, 100.0)
+    calibration = calibration_of(bench)
     green = np.zeros(SHAPE, dtype=bool)
     green[0::2, 1::2] = green[1::2, 0::2] = True
     ratio = np.where(green, calibration.illumination[2000.0] / light_at(2000.0), 0.0)
@@ -129,33 +69,33 @@ def test_smooth_light_leaves_nothing_large_scale_behind(bench: Bench) -> None:
 def test_data_over_model_scatters_by_photons_and_read_noise_alone(bench: Bench) -> None:
     bench.usual(frames=8)
     mean_e = 15000 * light_at(2000.0)
-    _, data = bench.channel("G", 2000.0, mean_e)
-    assert data.gain is not None
-    assert data.read_noise is not None
+    data = exposed(bench, "G", 2000.0, mean_e)
+    assert data.noise.gain is not None
+    assert data.noise.read_noise is not None
     level = GAIN * 15000 * np.mean(light_at(2000.0))
     model = level * data.illumination
     model *= data.counts[data.mask].sum() / model[data.mask].sum()
-    variance = data.gain * model + data.read_noise**2 + 1 / 12 + (model * data.relative_std) ** 2
+    variance = data.noise.gain * model + data.noise.read_noise**2 + 1 / 12 + (model * data.relative_std) ** 2
     z = ((data.counts - model) / np.sqrt(variance))[data.mask]
     assert z.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * z.size) + 0.005)  # and half a per cent for the light's fit
 
 
 def test_gain_and_read_noise_are_the_sensors(bench: Bench) -> None:
     bench.usual()
-    _, data = bench.channel("B", 2000.0, 100.0)
-    assert data.gain is not None
-    assert data.gain_std is not None
-    assert data.read_noise is not None
-    assert data.read_noise_std is not None
-    assert abs(data.gain - GAIN) < 4 * data.gain_std < 0.02
-    assert abs(data.read_noise - READ_NOISE) < 4 * data.read_noise_std < 0.1
+    data = exposed(bench, "B", 2000.0, 100.0)
+    assert data.noise.gain is not None
+    assert data.noise.gain_std is not None
+    assert data.noise.read_noise is not None
+    assert data.noise.read_noise_std is not None
+    assert abs(data.noise.gain - GAIN) < 4 * data.noise.gain_std < 0.02
+    assert abs(data.noise.read_noise - READ_NOISE) < 4 * data.noise.read_noise_std < 0.1
     assert data.warnings == ()
 
 
 def test_the_two_greens_keep_their_ratio(bench: Bench) -> None:
     bench.sensor.colour[1::2, 0::2] *= 0.97
     bench.usual()
-    _, data = bench.channel("G", 2000.0, 100.0)
+    data = exposed(bench, "G", 2000.0, 100.0)
     ratio = (data.illumination / light_at(2000.0))[1::2, 0::2].mean() / (data.illumination / light_at(2000.0))[
         0::2, 1::2
     ].mean()
@@ -168,19 +108,19 @@ def test_hot_dead_and_saturated_pixels_are_masked_and_others_kept(bench: Bench) 
     bench.usual()
     mean_e = np.full(SHAPE, 5000.0)
     mean_e[60:70, 60:70] = 60000.0
-    _, data = bench.channel("R", 2000.0, mean_e)
+    data = exposed(bench, "R", 2000.0, mean_e)
     assert not data.mask[20, 30]
     assert not data.mask[60:70:2, 60:70:2].any()
     assert not data.mask[1::2].any()
     assert not data.mask[:, 1::2].any()
     assert data.mask[0::2, 0::2].sum() >= 90 * 120 - 1 - 25 - 2
-    assert not channel_data(calibrate(bench.session), bench.session.frames[-1], "G").mask[41, 50]
+    assert not data_of(bench, bench.session.frames[-1], "G").mask[41, 50]
 
 
 def test_offset_that_pixels_have_of_their_own_is_taken_off(bench: Bench) -> None:
     bench.sensor.offset = 3.0 * bench.sensor.rng.standard_normal(SHAPE) + 7.0
     bench.usual(frames=8)
-    _, data = bench.channel("R", 2000.0, 0.0)
+    data = exposed(bench, "R", 2000.0, 0.0)
     expected = np.sqrt(READ_NOISE**2 + 1 / 12) * np.sqrt(1 + 1 / 8)
     assert data.counts[data.mask].std() == pytest.approx(expected, rel=0.03)
     assert data.counts[data.mask].mean() == pytest.approx(0.0, abs=4 * expected / np.sqrt(data.mask.sum()))
@@ -188,39 +128,39 @@ def test_offset_that_pixels_have_of_their_own_is_taken_off(bench: Bench) -> None
 
 def test_equal_offsets_are_not_made_unequal_by_the_darks_noise(bench: Bench) -> None:
     bench.usual(frames=4)
-    calibration, _ = bench.channel("R", 2000.0, 0.0)
+    calibration = calibration_of(bench)
     assert calibration.offset is not None
     assert calibration.offset.std() < 0.15 * READ_NOISE / np.sqrt(4)
 
 
 def test_without_any_calibration_everything_is_assumed_and_said(bench: Bench) -> None:
-    _, data = bench.channel("G", None, 1000.0)
+    data = exposed(bench, "G", None, 1000.0)
     assert np.all(data.illumination == 1)
     assert np.all(data.relative_std == 0)
-    assert (data.gain, data.read_noise) == (None, None)
+    assert (data.noise.gain, data.noise.read_noise) == (None, None)
     assert data.counts.mean() == pytest.approx(GAIN * 1000 * np.mean(bench.sensor.colour), rel=0.01)
     assert [warning.split(":")[0] for warning in data.warnings] == ["no dark frames", "no flat frames"]
 
 
 def test_flats_of_the_nearest_range_stand_in_and_that_is_said(bench: Bench) -> None:
     bench.usual(frames=2)
-    _, data = bench.channel("G", 2150.0, 1000.0)
+    data = exposed(bench, "G", 2150.0, 1000.0)
     assert data.warnings == ("no flat frames at 2150 mm: those at 2200 mm are taken instead",)
 
 
 def test_one_flat_a_range_gives_light_but_neither_gain_nor_response(bench: Bench) -> None:
     bench.add("flat", 2000.0, 20000 * light_at(2000.0))
-    _, data = bench.channel("G", 2000.0, 1000.0)
-    assert data.gain is None
+    data = exposed(bench, "G", 2000.0, 1000.0)
+    assert data.noise.gain is None
     assert any("no range has two flat frames" in warning for warning in data.warnings)
     assert np.std(data.illumination[data.mask] / light_at(2000.0)[data.mask]) < 2e-3
 
 
 def test_bias_frames_stand_in_for_darks_and_that_is_said(bench: Bench) -> None:
     bench.add("bias", None, 0.0, 4)
-    _, data = bench.channel("G", 2000.0, 1000.0)
+    data = exposed(bench, "G", 2000.0, 1000.0)
     assert any("bias frames" in warning for warning in data.warnings)
-    assert data.read_noise == pytest.approx(READ_NOISE, rel=0.02)
+    assert data.noise.read_noise == pytest.approx(READ_NOISE, rel=0.02)
 
 
 def test_what_the_display_does_not_reach_is_not_used(bench: Bench) -> None:
@@ -228,7 +168,7 @@ def test_what_the_display_does_not_reach_is_not_used(bench: Bench) -> None:
     lit[30:150, 40:200] = 1.0
     bench.add("dark", None, 0.0, 4)
     bench.add("flat", 2000.0, 20000 * light_at(2000.0) * lit, 4)
-    _, data = bench.channel("G", 2000.0, 1000.0)
+    data = exposed(bench, "G", 2000.0, 1000.0)
     assert not data.mask[:28].any()
     assert data.mask[50:130, 60:180].sum() > 0.48 * 80 * 120
     ratio = (data.illumination / light_at(2000.0) / bench.sensor.response)[data.mask]
@@ -240,7 +180,7 @@ def test_colours_that_the_plan_leaves_out_are_not_called_unlit(tmp_path: Path) -
     bench = Bench(tmp_path, colours="G")
     with bench.session:
         bench.usual()
-        assert calibrate(bench.session).warnings == ()
+        assert calibration_of(bench).warnings == ()
 
 
 def test_frames_of_another_size_are_refused(bench: Bench) -> None:
@@ -248,10 +188,10 @@ def test_frames_of_another_size_are_refused(bench: Bench) -> None:
     tifffile.imwrite(bench.folder / "small.tif", np.full((90, 120), 900, np.uint16))
     frame = bench.session.add_frame(bench.folder / "small.tif", "small.tif", "target", 2000.0)
     with pytest.raises(DataError, match=r"small\.tif has 90×120 pixels"):
-        channel_data(calibrate(bench.session), frame, "G")
+        data_of(bench, frame, "G")
     bench.session.add_frame(bench.folder / "small.tif", "small_dark.tif", "dark", None)
     with pytest.raises(DataError, match=r"small_dark\.tif is of another sensor"):
-        calibrate(bench.session)
+        calibration_of(bench)
 
 
 def test_a_lost_file_is_named(bench: Bench) -> None:
@@ -259,12 +199,12 @@ def test_a_lost_file_is_named(bench: Bench) -> None:
     bench.add("target", 2000.0, 100.0)
     frame = replace(bench.session.frames[-1], path=bench.folder / "lost.tif")
     with pytest.raises(RawError, match=r"lost\.tif"):
-        channel_data(calibrate(bench.session), frame, "G")
+        data_of(bench, frame, "G")
 
 
 def test_a_frame_that_is_saturated_everywhere_is_refused(bench: Bench) -> None:
     with pytest.raises(DataError, match="no usable pixel"):
-        bench.channel("G", 2000.0, 1e6)
+        exposed(bench, "G", 2000.0, 1e6)
 
 
 def test_a_particle_in_one_frame_does_not_reach_the_mean() -> None:

@@ -1,0 +1,57 @@
+"""What a sensor counts without light: the offset of each pixel, and the pixels that are too hot or too noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from labkit.calibration.masters import clipped_mean, outliers, planes_of, shrunk
+from labkit.calibration.photon_transfer import OUTLIER_PROBABILITY, ROUNDING_VARIANCE, Scatter
+from labkit.calibration.stack import Stack
+from labkit.session.session import Frame
+from labkit.types import Bools, Floats32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dark:
+    """offset: (rows, cols) counts without light; usable: (rows, cols) neither hot nor noisy; scatter: of each channel."""
+
+    offset: Floats32
+    usable: Bools
+    scatter: Mapping[str, tuple[Scatter, ...]]
+
+
+def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
+    """The level of each plane, with what single pixels reliably add to it; hot pixels left out. names: of the channels."""
+    mean = clipped_mean(stack.counts)
+    offset, usable = np.empty(mean.shape, dtype=np.float32), np.ones(mean.shape, dtype=np.bool_)
+    frames = len(stack.counts)
+    for plane in planes_of(stack.first.pattern):
+        values = mean[plane]
+        good = ~outliers(values, np.ones(values.shape, dtype=np.bool_), least=1.0)
+        if frames > 1:
+            variance = stack.counts[(slice(None), *plane)].var(axis=0, ddof=1, dtype=np.float64)
+            typical = float(np.median(variance) / (chi2.median(frames - 1) / (frames - 1)))
+            limit = chi2.isf(OUTLIER_PROBABILITY, frames - 1) / (frames - 1)
+            good &= variance <= limit * max(typical, ROUNDING_VARIANCE)
+            offset[plane] = shrunk(values, float(variance[good].mean()) / frames)[0]
+        else:
+            offset[plane] = values[good].mean()  # one frame cannot separate a pixel's offset from noise
+        usable[plane] = good
+    where = {name: stack.first.channel_mask(name) & usable for name in names}
+    return Dark(offset, usable, {name: tuple(stack.scatter(where[name], offset, lit=False)) for name in names})
+
+
+def dark_warnings(kinds: Mapping[str, Sequence[Frame]]) -> Iterable[str]:
+    """What is assumed of the dark level for want of frames. kinds: the session's frames by kind."""
+    if not kinds["dark"] and not kinds["bias"]:
+        yield "no dark frames: the black level of the files (or the plan) is taken, and no pixel is known to be hot"
+        return
+    if not kinds["dark"]:
+        yield "no dark frames: bias frames are taken instead, and dark current as none"
+    exposures = {frame.exposure_s for frame in (*kinds["dark"], *kinds["target"]) if frame.exposure_s is not None}
+    if kinds["dark"] and exposures and max(exposures) > 1.05 * min(exposures):
+        yield "dark and target frames differ in exposure time: dark current may be off"

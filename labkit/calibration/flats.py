@@ -1,0 +1,129 @@
+"""What flats of the white display show: each range's illumination, and the response of single pixels.
+
+Illumination is smooth and belongs to a range; response belongs to the sensor and is averaged over all ranges' flats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.calibration.darks import Dark
+from labkit.calibration.masters import Plane, clipped_mean, outliers, planes_of, shrunk, smooth_illumination
+from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
+from labkit.calibration.stack import Stack
+from labkit.raw.mosaic import Mosaic
+from labkit.types import Bools, Floats, Floats32
+
+LEAST_DEFECT = 0.05
+"""A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flat:
+    """One range's flats.
+
+    frames: how many; illumination: (rows, cols), mean 1 in each channel, NaN where unlit; mean: (rows, cols) counts above
+    dark, NaN where saturated; places: the planes of each channel; level: the counts that illumination 1 means in it;
+    scatter: from frame to frame, of each channel.
+    """
+
+    frames: int
+    illumination: Floats32
+    mean: Floats32
+    places: Mapping[str, tuple[Plane, ...]]
+    level: Mapping[str, float]
+    scatter: Mapping[str, tuple[Scatter, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """(rows, cols) pixels' gain relative to their neighbours', its posterior standard deviation, and the dead pixels."""
+
+    relative: Floats32
+    relative_std: Floats32
+    dead: Bools
+
+
+def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
+    """Smooth illumination, mean 1 in each channel; two greens keep their ratio. names: of the channels."""
+    offset = stack.first.black_map() if dark is None else dark.offset
+    mean = clipped_mean(stack.counts) - offset
+    good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
+    illumination = np.full(mean.shape, np.nan, dtype=np.float32)
+    places, levels = {}, {}
+    for name in names:
+        places[name] = _planes(stack.first, name)
+        smooth = [smooth_illumination(mean[plane], good[plane]) for plane in places[name]]
+        levels[name] = float(np.mean([part.level for part in smooth]))
+        for plane, part in zip(places[name], smooth, strict=True):
+            illumination[plane] = np.where(part.lit, part.relative * part.level / levels[name], np.nan)
+    mean[stack.saturated] = np.nan
+    lit = np.isfinite(illumination) & ~stack.saturated
+    where = {name: stack.first.channel_mask(name) & lit for name in names}
+    scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
+    return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter)
+
+
+def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:
+    """From all ranges' flats, one or more; 1 in channels whose noise is not known."""
+    shape = flats[0].mean.shape
+    relative, std = np.ones(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    dead = np.zeros(shape, dtype=np.bool_)
+    for name, planes in flats[0].places.items():
+        if noise[name].gain is None:
+            continue  # without the noise a pixel's response cannot be separated from it
+        for plane in planes:
+            ratio, weights = _mean_ratio(flats, plane, name, noise[name])
+            shown = weights > 0
+            dead[plane] = outliers(ratio, shown, least=LEAST_DEFECT)
+            good = shown & ~dead[plane]
+            relative[plane][good], posterior = shrunk(ratio[good], 1 / weights[good])
+            std[plane] = relative[plane][good].std()  # of a pixel that no flat shows, no more is known
+            std[plane][good] = posterior
+    return Response(relative, std, dead)
+
+
+def flat_warnings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]) -> Iterable[str]:
+    """What is assumed of light and pixels for want of flats, by range."""
+    if not flats:
+        yield (
+            "no flat frames: light is taken to vary by low orders, which are fitted with gain and read noise, "
+            "and pixels to be equal"
+        )
+        return
+    for range_mm, flat in flats.items():
+        planes = [flat.illumination[plane] for places in flat.places.values() for plane in places]
+        unlit = float(np.mean([np.mean(np.isnan(plane)) for plane in planes]))  # of the plan's colours
+        if unlit > 0.01:
+            yield f"flat frames{at_range(range_mm)} leave {100 * unlit:.0f} % of the frame unlit: that part is not used"
+    if any(estimate.gain is None for estimate in noise.values()):
+        yield "no range has two flat frames: gain is not measured, and equal pixels are assumed"
+
+
+def at_range(range_mm: float | None) -> str:
+    """A range as words of a sentence."""
+    return " without a range" if range_mm is None else f" at {range_mm:g} mm"
+
+
+def _planes(mosaic: Mosaic, name: str) -> tuple[Plane, ...]:
+    """The slices of the full grid that hold a channel."""
+    if len(mosaic.pattern) == 1:
+        return planes_of(mosaic.pattern)
+    return tuple((slice(row, None, 2), slice(col, None, 2)) for row, col in mosaic.places(name))
+
+
+def _mean_ratio(flats: Sequence[Flat], plane: Plane, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:
+    """Measured over expected counts of a plane's pixels, averaged over flats, and the inverse of its variance."""
+    shape = flats[0].mean[plane].shape
+    weighted, weights = np.zeros(shape), np.zeros(shape)
+    floor = (noise.read_noise or 0.0) ** 2 + ROUNDING_VARIANCE
+    for flat in flats:
+        expected = flat.illumination[plane].astype(np.float64) * flat.level[name]
+        weight = np.nan_to_num(flat.frames * expected**2 / ((noise.gain or 0.0) * expected + floor))
+        weight[np.isnan(flat.mean[plane])] = 0.0
+        weighted += weight * np.nan_to_num(flat.mean[plane] / expected)
+        weights += weight
+    return np.where(weights > 0, weighted / np.maximum(weights, 1e-300), 1.0), weights

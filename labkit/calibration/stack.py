@@ -1,0 +1,64 @@
+"""Photographs of one kind, read one after another into one stack, and what repeated ones do not repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labkit.calibration.photon_transfer import Scatter, scatter_of
+from labkit.errors import DataError
+from labkit.plan import Sensor
+from labkit.raw.decode import read_raw
+from labkit.raw.mosaic import Mosaic
+from labkit.session.session import Frame
+from labkit.types import Bools, Counts, Floats, Floats32
+
+SATURATION_MARGIN = 0.01
+"""Counts this near to the white level, as a share of the way up from black, count as saturated: noise is cut there."""
+
+NOISE_PIXELS = 400_000
+"""Pixels of a channel that photon transfer looks at: enough for 0.2 % from two flats."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """Frames of one kind: counts (frames, rows, cols), the first one for all that they share, and (rows, cols) the
+    pixels that are saturated in any of them."""
+
+    counts: Counts
+    first: Mosaic
+    saturated: Bools
+
+    def scatter(self, where: Bools, offset: Floats32 | Floats, *, lit: bool) -> Iterator[Scatter]:
+        """Variance from frame to frame of some of the pixels `where`; nothing from a single frame."""
+        chosen = np.flatnonzero(where)
+        if len(self.counts) > 1 and chosen.size:
+            chosen = chosen[:: -(-chosen.size // NOISE_PIXELS)]
+            counts = self.counts.reshape(len(self.counts), -1)[:, chosen]
+            yield scatter_of(counts - offset.ravel()[chosen].astype(np.float64), lit=lit)
+
+
+def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
+    """One frame or more, each decoded once; beside the stack one photograph is in memory at a time.
+
+    Raises RawError for a file that cannot be read, DataError for frames of different sensors.
+    """
+    first = read_raw(frames[0].path, sensor)
+    counts = np.empty((len(frames), *first.counts.shape), dtype=np.uint16)
+    counts[0], saturated_pixels = first.counts, saturated(first)
+    for place, frame in enumerate(frames[1:], start=1):
+        mosaic = read_raw(frame.path, sensor)
+        if mosaic.counts.shape != first.counts.shape or mosaic.pattern != first.pattern:
+            size = "×".join(map(str, mosaic.counts.shape))
+            raise DataError(f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}")
+        counts[place] = mosaic.counts
+        saturated_pixels |= saturated(mosaic)
+    return Stack(counts, replace(first, counts=counts[0]), saturated_pixels)
+
+
+def saturated(mosaic: Mosaic) -> Bools:
+    """(rows, cols) pixels at the white level, or so near below it that their noise is cut."""
+    black = mosaic.black_map()
+    return np.asarray(mosaic.counts >= mosaic.white - SATURATION_MARGIN * (mosaic.white - black))
