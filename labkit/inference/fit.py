@@ -11,10 +11,10 @@ import numpy as np
 
 from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior, Problem, Solution, State, climb
+from labkit.inference.fisher_scoring import NoisePrior, Problem, Solution, State, maximize
 from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.likelihood import FrameData, predict
-from labkit.inference.phase_retrieval import Retrieval
+from labkit.inference.phase_retrieval import PhaseRetrieval
 from labkit.optics.zernike import is_even
 from labkit.target import Target
 from labkit.types import Floats
@@ -207,7 +207,7 @@ class _Search:
     def _climb_from(self, problem: Problem, start: State) -> Solution:
         """Pose and light first: all freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame."""
         self.starts += 1
-        return climb(problem, _settle(problem, start), max_steps=CLIMB_STEPS, tolerance=0.3)
+        return maximize(problem, _settle(problem, start), max_steps=CLIMB_STEPS, tolerance=0.3)
 
     def _excess(self, sketched: State) -> float:
         """Of variance, in a sketch: what a state leaves unexplained."""
@@ -217,7 +217,7 @@ class _Search:
     def _retrieved(self, state: State, first: Sequence[Floats]) -> Iterator[State]:
         """Near focus: from the small problem."""
         rough, before = self.rough, self.starts
-        small = Retrieval.prepare(rough.optics, rough.target, rough.frame, rough.noise, state)
+        small = PhaseRetrieval.prepare(rough.optics, rough.target, rough.frame, rough.noise, state)
         for candidate in small.candidates(first, self.rng):
             self.starts, self.seen = before + small.starts, [(o.state.waves, o.misfit / 2) for o in small.optima]
             self.progress(f"start {self.starts}")
@@ -226,7 +226,7 @@ class _Search:
     def _climbed(self, state: State) -> Iterator[State]:
         """Far from focus, where the small problem is not small: ends of climbs, each if it is better than those before."""
         problem = self.rough.problem(state, 1.0)
-        best, again = climb(problem, state, max_steps=CLIMB_STEPS, tolerance=0.3), 0
+        best, again = maximize(problem, state, max_steps=CLIMB_STEPS, tolerance=0.3), 0
         self.seen = [(best.state.waves, -best.objective)]
         for start in _more_starts(best, self.rough.optics, self.rng):
             if again >= ENOUGH or self.starts >= self.max_climbs:
@@ -244,7 +244,7 @@ class _Search:
 
 def _settle(problem: Problem, start: State) -> State:
     """Pose, light and noise alone, a few steps."""
-    return climb(problem, start, free_waves=False, max_steps=4, tolerance=1.0).state
+    return maximize(problem, start, free_waves=False, max_steps=4, tolerance=1.0).state
 
 
 def _more_starts(found: Solution, optics: Optics, rng: np.random.Generator) -> Iterator[State]:
@@ -310,7 +310,7 @@ def _finish(whole: Problem, rough: Rough, found: State, poses: Sequence[Pose]) -
     )
     if len(poses) > 1:
         state = _settle(replace(rough.problem(found, rough.sketch_band), frames=whole.frames), state)
-    solution = climb(whole, state)
+    solution = maximize(whole, state)
     relative = whole.relative(solution.state)
     return _Outcome(solution, judge(whole, solution.state, relative), relative)
 

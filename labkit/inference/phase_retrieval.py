@@ -49,7 +49,7 @@ class Optimum:
 
 
 @dataclass
-class Retrieval:
+class PhaseRetrieval:
     """A small problem and what was seen in it. optima: the best first; starts: made so far."""
 
     optics: Optics
@@ -61,7 +61,9 @@ class Retrieval:
     starts: int = 0
 
     @classmethod
-    def prepare(cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State) -> "Retrieval":
+    def prepare(
+        cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State
+    ) -> "PhaseRetrieval":
         """From a state whose pose and light are about right."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, LOBES * optics.airy_um / optics.pitch_um)

@@ -10,7 +10,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.inference import phase_retrieval
 from labkit.inference.fisher_scoring import State
 from labkit.inference.likelihood import low_orders, predict
-from labkit.inference.phase_retrieval import Retrieval
+from labkit.inference.phase_retrieval import PhaseRetrieval
 from labkit.optics.psf import Pupil
 
 OFF_PX = np.array([0.15, -0.2])  # rows, columns
@@ -21,8 +21,8 @@ def trial() -> Trial:
     return draw_trial(np.random.default_rng(7), snr=50.0)
 
 
-def prepared(trial: Trial, state: State) -> Retrieval:
-    return Retrieval.prepare(optics(NOLL), carpet(), trial.frame, trial.noise, state)
+def prepared(trial: Trial, state: State) -> PhaseRetrieval:
+    return PhaseRetrieval.prepare(optics(NOLL), carpet(), trial.frame, trial.noise, state)
 
 
 def knowing_nothing(trial: Trial) -> State:
@@ -67,7 +67,7 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
         assert mine - best == pytest.approx(whole - whole_best, rel=0.05)
 
 
-def searched(small: Retrieval, seed: int) -> State:
+def searched(small: PhaseRetrieval, seed: int) -> State:
     """The best of all candidates."""
     list(small.candidates([], np.random.default_rng(seed)))
     return small.optima[0].state
@@ -99,7 +99,7 @@ def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
     light = 1 + np.tensordot([0.05, -0.03, 0.02, 0.01, -0.04], uneven, 1)
     frame = replace(trial.frame, counts=trial.frame.counts * light, departures=uneven)
     state = replace(knowing_nothing(trial), unevenness=np.zeros(len(uneven)))
-    small = Retrieval.prepare(optics(NOLL), carpet(), frame, trial.noise, state)
+    small = PhaseRetrieval.prepare(optics(NOLL), carpet(), frame, trial.noise, state)
     found = searched(small, 3)
     assert np.linalg.norm(trial.error(found.waves)) < 0.03
 
@@ -107,6 +107,6 @@ def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
 def test_one_mode_alone_is_retrieved_too() -> None:
     rng = np.random.default_rng(8)
     trial = draw_trial(rng, noll=(4,))
-    small = Retrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
+    small = PhaseRetrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
     found = next(small.candidates([], rng))
     assert abs(abs(found.waves[0]) - abs(trial.waves[0])) < 0.01
