@@ -8,7 +8,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from labkit.errors import DataError
-from labkit.optics.lens import Convention, ThinLens, defocus_waves
+from labkit.optics.lens import Convention, ThinLens, defocus_slopes, defocus_waves
 from labkit.types import Floats
 
 TELLING_STD = (
@@ -17,7 +17,6 @@ TELLING_STD = (
 USUAL_MAGNIFICATION_STD = 0.3
 LEAST, MOST = 0.05, 20.0  # pupil magnifications that are tried; a fit that ends there has found none
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
-RANGE_STEP_MM = 0.01  # of the difference that tells how defocus changes with range
 LEAST_SLOPE = 1e-9  # standard errors for a unit of a parameter: less tells nothing
 ROUNDING = 1e-14  # of an eigenvalue, scaled to a unit diagonal
 SIGN_FLOOR_WAVES = 0.01  # errors below this decide no sign
@@ -99,21 +98,23 @@ def fit_focus(
     shortest = 1.01 * focal_length_mm
 
     lens = ThinLens(focal_length_mm, f_number)
-    nearer, farther = (
-        defocus_waves(lens, ranges + step, theta0[:-1][which], reference_nm, convention)
-        for step in (-RANGE_STEP_MM, RANGE_STEP_MM)
-    )
-    moved = range_std_mm * (farther - nearer) / (2 * RANGE_STEP_MM)
+    moved = range_std_mm * defocus_slopes(lens, ranges, theta0[:-1][which], reference_nm, convention)[0]
     shared = np.outer(moved, moved) * (ranges[:, None] == ranges)
     root = cholesky(np.diag(std**2) + shared, lower=True)
 
     def misfit(theta: Floats) -> Floats:
         return np.asarray(solve_triangular(root, waves - modelled(theta), lower=True))
 
+    def slopes(theta: Floats) -> Floats:
+        lens = ThinLens(focal_length_mm, f_number, float(theta[-1]))
+        _, by_focus, by_pupils = defocus_slopes(lens, ranges, theta[:-1][which], reference_nm, convention)
+        own = np.where(which[:, None] == np.arange(len(channels)), by_focus[:, None], 0.0)
+        return np.asarray(solve_triangular(root, -np.column_stack([own, by_pupils]), lower=True))
+
     solved = least_squares(
         misfit,
         theta0,
-        jac="3-point",
+        slopes,
         x_scale=np.array([1e-3 * r for r in start] + [0.01]),
         bounds=([shortest] * len(channels) + [LEAST], [np.inf] * len(channels) + [MOST]),
         xtol=1e-14,
