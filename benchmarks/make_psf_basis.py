@@ -11,9 +11,9 @@ from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
 from labkit.inference.bounds import expected
 from labkit.inference.fisher_scoring import Problem, maximize
-from labkit.inference.fit import NEAR_WINDOW
 from labkit.inference.likelihood import predict
 from labkit.inference.optimum_tests import find_psf_basis
+from labkit.inference.sketch import NEAR_WINDOW
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 
