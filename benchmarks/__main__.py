@@ -14,7 +14,7 @@ from labkit.experiments.annealing import Task, work
 from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import climb
+from labkit.inference.fisher_scoring import maximize
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import zernike
 from labkit.types import Floats
@@ -129,7 +129,7 @@ def local_fit() -> None:
         trial = draw_trial(rng)
         start = trial.state(trial.waves + random_waves(rng, len(NOLL), AWAY_WAVES))
         began = perf_counter()
-        solution = climb(trial.problem, start)
+        solution = maximize(trial.problem, start)
         took.append(perf_counter() - began)
         off.append(float(np.linalg.norm(trial.error(solution.state.waves)) / trial.bound))
     line(f"local fit from {AWAY_WAVES:g} waves away, median of {RUNS}", f"{median(took):.2f} s", "<= 1 s")

@@ -13,9 +13,9 @@ import numpy as np
 from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.roc import area
-from labkit.inference.fisher_scoring import Problem, State, climb
+from labkit.inference.fisher_scoring import Problem, State, maximize
 from labkit.inference.goodness_of_fit import SIGNIFICANCE, judge
-from labkit.inference.optimum_tests import bootstrap, embedding, one_sided, recalibrated, shipped_relaxation, two_sided
+from labkit.inference.optimum_tests import bootstrap, embedding, one_sided, recalibrated, shipped_psf_basis, two_sided
 from labkit.types import Floats
 
 CLIMBS = 6
@@ -24,7 +24,7 @@ WRONG = 0.03  # waves RMS from the truth and its twin: twenty times the bound
 
 def embedded(problem: Problem, state: State, degrees: int) -> float:
     """p-value of the embedding of so many degrees."""
-    return embedding(problem, state, shipped_relaxation(degrees)).p_value
+    return embedding(problem, state, shipped_psf_basis(degrees)).p_value
 
 
 def residuals(problem: Problem, state: State, model_error: float) -> float:
@@ -62,7 +62,7 @@ def work(task: tuple[float, int, int]) -> Answer:
     def all_tests(problem: Problem, state: State) -> list[float]:
         return [float(test(problem, state)) for test in TESTS.values()]
 
-    state = climb(problem, trial.state(trial.waves)).state
+    state = maximize(problem, trial.state(trial.waves)).state
     right, seconds = [], []
     for test in TESTS.values():
         began = perf_counter()
@@ -70,7 +70,7 @@ def work(task: tuple[float, int, int]) -> Answer:
         seconds.append(perf_counter() - began)
     drawn = bootstrap(problem, state, all_tests, rng, 1)[0].tolist()
     for _ in range(climbs):
-        found = climb(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
+        found = maximize(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
         if np.linalg.norm(trial.error(found.state.waves)) > WRONG:
             return Answer(right, drawn, all_tests(problem, found.state), seconds)
     return Answer(right, drawn, None, seconds)

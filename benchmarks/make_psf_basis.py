@@ -1,4 +1,4 @@
-"""Makes labkit/inference/psf_basis.npz by Algorithm 4.9: `python -m benchmarks.make_relaxation` (6 minutes)."""
+"""Makes labkit/inference/psf_basis.npz by Algorithm 4.9: `python -m benchmarks.make_psf_basis` (6 minutes)."""
 
 import io
 from pathlib import Path
@@ -10,10 +10,10 @@ from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optic
 from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
 from labkit.inference.bounds import expected
-from labkit.inference.fisher_scoring import Problem, climb
-from labkit.inference.fit import NEAR_WINDOW
+from labkit.inference.fisher_scoring import Problem, maximize
 from labkit.inference.likelihood import predict
-from labkit.inference.optimum_tests import find_relaxation
+from labkit.inference.optimum_tests import find_psf_basis
+from labkit.inference.sketch import NEAR_WINDOW
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 
@@ -28,14 +28,14 @@ def main() -> None:
         truth = trial.state(trial.waves)
         problem = expected(Problem(model, (trial.frame,), trial.noise), truth)
         for _ in range(STARTS):
-            found = climb(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
+            found = maximize(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
             if np.linalg.norm(trial.error(found.state.waves)) > 0.02:
                 seen = problem.relative(found.state)[0]
                 variance = predict(seen, problem.frames[0], found.state.detectors()[0])[1]
                 cases.append((problem, found.state, 1 / variance))
-    relaxation = find_relaxation(cases, DEGREES)
+    basis = find_psf_basis(cases, DEGREES)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, directions=relaxation.directions.astype(np.float32))
+    np.savez_compressed(buffer, directions=basis.directions.astype(np.float32))
     path = Path(labkit.inference.__file__).with_name("psf_basis.npz")
     write_atomically(path, buffer.getvalue())
     print(f"{len(cases)} wrong optima of {WAVEFRONTS * STARTS} climbs; {path.stat().st_size} bytes")

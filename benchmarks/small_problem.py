@@ -11,7 +11,7 @@ import numpy as np
 from labkit.experiments.conditions import NOLL, carpet, draw_trial, optics, random_waves
 from labkit.experiments.search import NOLL_22, SAME_END, STARTS
 from labkit.inference import phase_retrieval
-from labkit.inference.phase_retrieval import Retrieval
+from labkit.inference.phase_retrieval import PhaseRetrieval
 
 SNR = 75.0
 CASES = ((NOLL, 0.25, 4), (NOLL, 0.5, 6), (NOLL_22, 0.35, 6), (NOLL_22, 0.5, 10))
@@ -19,7 +19,7 @@ SETTINGS = ((300, 0.4), (600, 0.6))
 PSFS = 40
 
 
-def left(small: Retrieval, waves_rms: float) -> float:
+def left(small: PhaseRetrieval, waves_rms: float) -> float:
     """Median share of a PSF's departure from the perfect one that the components leave."""
     components, perfect = phase_retrieval._components(small.pupil)
     rng, shares = np.random.default_rng(5), []
@@ -39,7 +39,7 @@ def case(noll: Sequence[int], waves_rms: float, pictures: int) -> str:
         rng = np.random.default_rng([seed, round(SNR), len(modes), round(100 * waves_rms)])
         trial = draw_trial(rng, snr=SNR, noll=modes, waves_rms=waves_rms)
         here = trial.state(np.zeros(len(modes)))
-        small = Retrieval.prepare(optics(modes), carpet(), trial.frame, trial.noise, here)
+        small = PhaseRetrieval.prepare(optics(modes), carpet(), trial.frame, trial.noise, here)
         true_end = small.descend(trial.waves)
         error = trial.error(true_end.state.waves)
         ends = [small.descend(small.random_waves(rng)) for _ in range(STARTS)]

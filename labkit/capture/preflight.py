@@ -21,7 +21,7 @@ from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px
-from labkit.inference.fit import FARTHEST_WAVES
+from labkit.inference.sketch import FARTHEST_WAVES
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.frame_quality import exposure_problem

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from labkit.execute import run_all
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting
-from labkit.inference.fisher_scoring import climb
+from labkit.inference.fisher_scoring import maximize
 from labkit.report.style import SOFT
 from labkit.types import Floats
 
@@ -41,7 +41,7 @@ def work(task: Task) -> Answer:
     trial = draw_trial(rng, snr=task.snr)
     problem, start = trial.problem, trial.state(trial.waves + random_waves(rng, len(trial.noll), START_WAVES))
     began = perf_counter()
-    found = climb(problem, start)
+    found = maximize(problem, start)
     seconds = perf_counter() - began
     modes = len(trial.noll)
     bound = np.sqrt(np.diag(found.covariance())[:modes])

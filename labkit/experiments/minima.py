@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from labkit.execute import run_all
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting
-from labkit.inference.fisher_scoring import climb
+from labkit.inference.fisher_scoring import maximize
 from labkit.types import Floats
 
 START_WAVES = 1e-3  # RMS: at exactly zero the likelihood has a saddle
@@ -33,8 +33,8 @@ def work(seed: int) -> Answer:
     problem = trial.problem
     ends = [
         quasi_newton(trial, near),
-        climb(problem, trial.state(near)).state.waves,
-        climb(problem, trial.state(random_waves(rng, len(trial.noll), 0.2))).state.waves,
+        maximize(problem, trial.state(near)).state.waves,
+        maximize(problem, trial.state(random_waves(rng, len(trial.noll), 0.2))).state.waves,
     ]
     return Answer(*(float(np.linalg.norm(trial.error(end))) for end in ends))
 

@@ -10,7 +10,7 @@ from labkit.errors import LabkitError
 from labkit.execute import run_all
 from labkit.experiments.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
 from labkit.experiments.runner import Claim, Outcome, Setting
-from labkit.inference.phase_retrieval import Retrieval
+from labkit.inference.phase_retrieval import PhaseRetrieval
 
 STARTS = 12  # single ones that are counted in each trial
 SAME_END = 0.05  # waves RMS: ends nearer to one another are one
@@ -84,7 +84,7 @@ def work(task: tuple[Condition, int]) -> Answer:
 def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float]:
     """Share of random starts of the small problem that end right, and the error of that end."""
     here = trial.state(np.zeros(len(trial.noll)))
-    small = Retrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
+    small = PhaseRetrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
     right = trial.error(small.descend(trial.waves).state.waves)
     ends = [trial.error(small.descend(small.random_waves(rng)).state.waves) for _ in range(STARTS)]
     return float(np.mean([np.linalg.norm(end - right) < SAME_END for end in ends])), float(np.linalg.norm(right))

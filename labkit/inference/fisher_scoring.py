@@ -155,7 +155,7 @@ class Solution:
         return inverse(self.information)
 
 
-def climb(
+def maximize(
     problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.05
 ) -> Solution:
     """Climb to the maximum near a start.

@@ -15,15 +15,15 @@ from scipy.stats import chi2, norm
 
 from labkit.arrays import positive, real_array
 from labkit.imaging.model import ForwardModel
-from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, State, climb
+from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, State, maximize
 from labkit.inference.likelihood import predict
 from labkit.types import Complexes, Floats
 
-SPACING_AIRY = 0.4  # of a relaxation's directions, in lambda N
+SPACING_AIRY = 0.4  # between samples of a PSF basis, in lambda N
 
 
 @dataclass(frozen=True, slots=True)
-class LocalTest:
+class OptimumTest:
     """statistic: large at a wrong optimum; p_value: chance of one as large at the right one, by the test's fast form."""
 
     name: str
@@ -51,16 +51,16 @@ def excess_likelihood(problem: Problem, state: State) -> float:
     return (pixels - fitted - misfit) / float(np.sqrt(spread))
 
 
-def two_sided(problem: Problem, state: State) -> LocalTest:
+def two_sided(problem: Problem, state: State) -> OptimumTest:
     """Biernacki's test, (4.10)."""
     z = excess_likelihood(problem, state)
-    return LocalTest("Biernacki", z**2, float(chi2.sf(z**2, 1)))
+    return OptimumTest("Biernacki", z**2, float(chi2.sf(z**2, 1)))
 
 
-def one_sided(problem: Problem, state: State) -> LocalTest:
+def one_sided(problem: Problem, state: State) -> OptimumTest:
     """The one-sided test, (4.12): by Theorem IV.1 a wrong optimum can only make the data less likely."""
     z = excess_likelihood(problem, state)
-    return LocalTest("one-sided", -z, float(norm.cdf(z)))
+    return OptimumTest("one-sided", -z, float(norm.cdf(z)))
 
 
 def rao_score(gradient: Floats, information: Floats) -> float:
@@ -78,10 +78,10 @@ def _calibrated(problem: Problem, state: State) -> State:
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxation:
+class PsfBasis:
     """Directions in which a PSF may depart from any wavefront's: the reparameterised embedding of §4.2.3.
 
-    directions: (k, n, n) changes of the PSF, n odd, centred, SPACING_AIRY lambda N apart, found by `find_relaxation`.
+    directions: (k, n, n) changes of the PSF, n odd, centred, SPACING_AIRY lambda N apart, found by `find_psf_basis`.
     """
 
     directions: Floats
@@ -115,15 +115,15 @@ class Relaxation:
         ]
 
 
-def embedding(problem: Problem, state: State, relaxation: Relaxation) -> LocalTest:
-    """Twice the gap (4.21) that a relaxation of the PSF opens, by Rao's score: one Newton step instead of another climb.
+def embedding(problem: Problem, state: State, basis: PsfBasis) -> OptimumTest:
+    """Twice the gap (4.21) that a basis of the PSF opens, by Rao's score: one Newton step instead of another maximisation.
 
-    It is chi-squared with `relaxation.degrees` at the right optimum (Wilks); `wilson_hilferty` is nearly as
+    It is chi-squared with `basis.degrees` at the right optimum (Wilks); `wilson_hilferty` is nearly as
     good and needs no tables.
     """
-    gradient, information = _relaxed_score(problem, state, relaxation.kernels(problem.model))
+    gradient, information = _embedded_score(problem, state, basis.kernels(problem.model))
     gap2 = rao_score(gradient, information)
-    return LocalTest("embedding", gap2, float(chi2.sf(gap2, relaxation.degrees)))
+    return OptimumTest("embedding", gap2, float(chi2.sf(gap2, basis.degrees)))
 
 
 def wilson_hilferty(statistic: float, degrees: int) -> float:
@@ -135,16 +135,16 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
     return float(((statistic / degrees) ** (1 / 3) - (1 - spread)) / np.sqrt(spread))
 
 
-def _relaxed_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
-    """Gradient and information over all fitted parameters, with the relaxation's first of all, as if they were modes."""
+def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
+    """Gradient and information over all fitted parameters, with the basis's first of all, as if they were modes."""
     used, poses = [f.used for f in problem.frames], list(state.poses)
-    torus, relaxed = problem.model.blur.torus, []
+    torus, embedded = problem.model.blur.torus, []
     for seen, spectrum, u in zip(
         problem.model.evaluate(state.waves, poses, used), problem.model.scene.spectra(poses), used, strict=True
     ):
         departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
-        relaxed.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
-    return problem.assembled(state, relaxed)[:2]
+        embedded.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
+    return problem.assembled(state, embedded)[:2]
 
 
 def bootstrap(
@@ -170,11 +170,11 @@ def bootstrap(
             counts[frame.used] = rng.normal(mean, np.sqrt(variance))
             frames.append(replace(frame, counts=counts))
         drawn = replace(problem, frames=tuple(frames), noise=recalibrated(problem.noise, rng))
-        values.append(statistics(drawn, climb(drawn, replace(truth, log_noise=drawn.noise.centre)).state))
+        values.append(statistics(drawn, maximize(drawn, replace(truth, log_noise=drawn.noise.centre)).state))
     return np.array(values)
 
 
-def against(test: LocalTest, drawn: Floats) -> LocalTest:
+def against(test: OptimumTest, drawn: Floats) -> OptimumTest:
     """The same test with its p-value by bootstrap: rank among statistics (draws,) drawn at the right optimum."""
     drawn = real_array("drawn", drawn, (None,), "the statistic's")
     return replace(test, p_value=float((1 + np.sum(drawn >= test.statistic)) / (1 + drawn.size)))
@@ -186,7 +186,7 @@ def recalibrated(noise: NoisePrior, rng: np.random.Generator) -> NoisePrior:
     return replace(noise, gain=float(gain), read_variance=float(read_variance))
 
 
-def find_relaxation(cases: list[tuple[Problem, State, Floats]], degrees: int, half_width: int = 14) -> Relaxation:
+def find_psf_basis(cases: list[tuple[Problem, State, Floats]], degrees: int, half_width: int = 14) -> PsfBasis:
     """Algorithm 4.9 in the space of PSFs, which serves every pose and wavefront.
 
     cases: (problem of one frame without noise, a wrong optimum of it, weights (pixels,), one over the variance). The
@@ -206,7 +206,7 @@ def find_relaxation(cases: list[tuple[Problem, State, Floats]], degrees: int, ha
     whiten = vectors[:, kept] / np.sqrt(values[kept])
     left = np.linalg.svd(whiten.T @ np.array(scores).T, full_matrices=False)[0][:, :degrees]
     side = 2 * half_width + 1
-    return Relaxation((whiten @ left).T.reshape(degrees, side, side))
+    return PsfBasis((whiten @ left).T.reshape(degrees, side, side))
 
 
 def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
@@ -225,7 +225,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
 
 
 @cache
-def shipped_relaxation(degrees: int) -> Relaxation:
+def shipped_psf_basis(degrees: int) -> PsfBasis:
     """The first of the 16 directions that `benchmarks/make_psf_basis.py` found at the conditions of thesis §3.8.
 
     Raises ValueError for more or none.
@@ -234,4 +234,4 @@ def shipped_relaxation(degrees: int) -> Relaxation:
         directions = np.load(path)["directions"]
     if not 1 <= degrees <= len(directions):
         raise ValueError(f"degrees = {degrees}: 1 to {len(directions)} directions are shipped")
-    return Relaxation(directions[:degrees].astype(float))
+    return PsfBasis(directions[:degrees].astype(float))

@@ -5,8 +5,7 @@ factorisation of the components' pictures leaves a least-squares problem of as m
 of what it costs in the likelihood. What the pose is off by, tilts take up.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -38,9 +37,10 @@ EVALUATIONS = 30  # of one start, at most
 Singles = npt.NDArray[np.float32]
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Optimum:
-    """An end of the small problem. misfit: sum of squares, so minus twice a log-likelihood; met: how often."""
+    """An end of the small problem. misfit: sum of squares, so minus twice a log-likelihood; met: how often; offered: whether
+    it was a candidate already."""
 
     state: State
     misfit: float
@@ -48,20 +48,64 @@ class Optimum:
     offered: bool = False
 
 
-@dataclass
-class Retrieval:
-    """A small problem and what was seen in it. optima: the best first; starts: made so far."""
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """What has come of the starts made so far.
+
+    given: wavefronts (modes,) to start from before random ones. optima: the best first. starts: made so far; waited: since
+    the last candidate. candidate: offered last, None where the search has ended without another.
+    """
+
+    given: tuple[Floats, ...] = ()
+    optima: tuple[Optimum, ...] = ()
+    starts: int = 0
+    waited: int = 0
+    candidate: State | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether the search keeps coming back to its best optimum, or has made starts enough."""
+        return bool(self.optima) and (self.starts >= MOST or self.optima[0].met >= ENOUGH)
+
+    def joined(self, end: Optimum) -> "Retrieved":
+        """The record with the end of another start."""
+        known = [abs(o.misfit - end.misfit) < SAME * end.misfit for o in self.optima]
+        if any(known):
+            met = known.index(True)
+            optima = tuple(replace(o, met=o.met + 1) if k == met else o for k, o in enumerate(self.optima))
+        else:
+            optima = tuple(sorted([*self.optima, end], key=lambda o: o.misfit))
+        return replace(self, optima=optima, starts=self.starts + 1, waited=self.waited + 1, candidate=None)
+
+    def offering(self) -> "Retrieved":
+        """The record with the best optimum that was not offered yet as the candidate, where it is time for one."""
+        best, least = self.optima[0], self.optima[0].misfit
+        fresh = next((o for o in self.optima if not o.offered and o.misfit < WORTH * least), None)
+        stands_out = len(self.optima) > 1 and self.optima[1].misfit > CLEAR * least
+        clear = fresh is best and stands_out and self.starts >= max(LEAST, len(self.given))
+        if fresh is None or not (clear or self.ended or self.waited >= PATIENCE):
+            return self
+        optima = tuple(replace(o, offered=True) if o is fresh else o for o in self.optima)
+        return replace(self, optima=optima, waited=0, candidate=fresh.state)
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseRetrieval:
+    """A small problem: |factor @ (scale * components of the PSF's departure, scale, ambient) - data|^2 is its misfit.
+
+    factor: (n, n), data: (n,), n two more than the components. state: holds the pose, and light to start from.
+    """
 
     optics: Optics
     pupil: Pupil
     factor: Floats
     data: Floats
     state: State
-    optima: list[Optimum] = field(default_factory=list)
-    starts: int = 0
 
     @classmethod
-    def prepare(cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State) -> "Retrieval":
+    def prepare(
+        cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State
+    ) -> "PhaseRetrieval":
         """From a state whose pose and light are about right."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, LOBES * optics.airy_um / optics.pitch_um)
@@ -84,25 +128,19 @@ class Retrieval:
         data = rotation.T @ (frame.counts[frame.used] * weight)
         return cls(optics, model.blur.pupil, factor[free:, free:], data[free:], state)
 
-    def candidates(self, first: Sequence[Floats], rng: np.random.Generator) -> Iterator[State]:
-        """Where to climb from, the best first; while they are asked for, the search goes on.
+    def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
+        """Starts made until there is a state to maximise the likelihood from, the best first, or until the search has ended.
 
-        first: wavefronts (modes,) to start from before random ones. Ends when it keeps coming back to one best optimum, or
-        at once where the frame has fewer pixels than there are unknowns.
+        It ends at once where the frame has fewer pixels than there are unknowns.
         """
+        retrieved = replace(retrieved, candidate=None)
         if self.data.size < len(self.pupil.noll) + 2:
-            return
-        starts, since, done = [*first], 0, False
-        while not done:
-            self._add(self.descend(starts.pop(0) if starts else self.random_waves(rng)))
-            self.starts, since = self.starts + 1, since + 1
-            least, second = [o.misfit for o in (*self.optima, self.optima[0])[:2]]
-            fresh = next((o for o in self.optima if not o.offered and o.misfit < WORTH * least), None)
-            clear = fresh is self.optima[0] and second > CLEAR * least and self.starts >= max(LEAST, len(first))
-            done = self.starts >= MOST or self.optima[0].met >= ENOUGH
-            if fresh and (clear or done or since >= PATIENCE):
-                fresh.offered, since = True, 0
-                yield fresh.state
+            return retrieved
+        while not retrieved.ended and retrieved.candidate is None:
+            waiting = retrieved.starts < len(retrieved.given)
+            start = retrieved.given[retrieved.starts] if waiting else self.random_waves(rng)
+            retrieved = retrieved.joined(self.descend(start)).offering()
+        return retrieved
 
     def random_waves(self, rng: np.random.Generator) -> Floats:
         """A start, (modes,)."""
@@ -142,13 +180,6 @@ class Retrieval:
         return replace(
             self.state, waves=point[2:-2], poses=(pose,), scales=point[-2:-1].copy(), ambients=point[-1:].copy()
         )
-
-    def _add(self, found: Optimum) -> None:
-        known = next((o for o in self.optima if abs(o.misfit - found.misfit) < SAME * found.misfit), None)
-        if known is None:
-            self.optima = sorted([*self.optima, found], key=lambda o: o.misfit)
-        else:
-            known.met += 1
 
 
 @lru_cache(maxsize=8)

@@ -20,7 +20,7 @@ from labkit.inference.bounds import (
     psf_std,
     uniform_bound,
 )
-from labkit.inference.fisher_scoring import Problem, climb
+from labkit.inference.fisher_scoring import Problem, maximize
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import low_orders
 from labkit.optics.psf import Pupil
@@ -91,7 +91,7 @@ def test_fits_err_by_the_bound() -> None:
     rng, scaled = np.random.default_rng(8), []
     for _ in range(10):
         drawn = draw_trial(rng)
-        solution = climb(drawn.problem, drawn.state(drawn.waves))
+        solution = maximize(drawn.problem, drawn.state(drawn.waves))
         bound = bound_of(fisher_information(drawn.problem, drawn.state(drawn.waves)), ["?"] * len(solution.information))
         error = solution.state.waves - drawn.waves
         scaled.append(error @ np.linalg.solve(bound.covariance[:12, :12], error))

@@ -5,16 +5,16 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
-from labkit.inference.fisher_scoring import Problem, State, climb
+from labkit.inference.fisher_scoring import Problem, State, maximize
 from labkit.inference.optimum_tests import (
-    LocalTest,
+    OptimumTest,
     against,
     bootstrap,
     embedding,
-    find_relaxation,
+    find_psf_basis,
     one_sided,
     rao_score,
-    shipped_relaxation,
+    shipped_psf_basis,
     two_sided,
     wilson_hilferty,
 )
@@ -28,29 +28,29 @@ def trial() -> Trial:
 
 @pytest.fixture(scope="module")
 def right(trial: Trial) -> State:
-    return climb(trial.problem, trial.state(trial.waves)).state
+    return maximize(trial.problem, trial.state(trial.waves)).state
 
 
 @pytest.fixture(scope="module")
 def wrong(trial: Trial) -> State:
     for seed in range(10):
         start = trial.state(random_waves(np.random.default_rng(seed), 12, 0.2))
-        found = climb(trial.problem, start).state
+        found = maximize(trial.problem, start).state
         if np.linalg.norm(trial.error(found.waves)) > 0.03:
             return found
     raise AssertionError("ten random starts all ended in the right optimum")
 
 
 def test_the_right_optimum_passes_and_a_wrong_one_does_not(trial: Trial, right: State, wrong: State) -> None:
-    problem, relaxation = trial.problem, shipped_relaxation(4)
-    for test in (two_sided, one_sided, lambda p, s: embedding(p, s, relaxation)):
+    problem, basis = trial.problem, shipped_psf_basis(4)
+    for test in (two_sided, one_sided, lambda p, s: embedding(p, s, basis)):
         assert test(problem, right).p_value > 1e-3
         assert test(problem, wrong).p_value < 1e-6
 
 
 def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: State, wrong: State) -> None:
     def statistics(problem: Problem, state: State) -> tuple[float, float]:
-        return one_sided(problem, state).statistic, embedding(problem, state, shipped_relaxation(4)).statistic
+        return one_sided(problem, state).statistic, embedding(problem, state, shipped_psf_basis(4)).statistic
 
     drawn = bootstrap(trial.problem, right, statistics, np.random.default_rng(31), 24)
     assert kstest(drawn[:, 0], "norm").pvalue > 1e-3
@@ -61,7 +61,7 @@ def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: S
 def test_a_bootstrapped_p_value_is_a_rank() -> None:
     drawn = np.arange(1.0, 100.0)
     for statistic, p_value in ((95.5, 0.05), (95.0, 0.06), (1e3, 0.01), (0.0, 1.0)):
-        assert against(LocalTest("any", statistic, 0.5), drawn).p_value == pytest.approx(p_value)
+        assert against(OptimumTest("any", statistic, 0.5), drawn).p_value == pytest.approx(p_value)
 
 
 def test_rao_of_a_linear_model_is_the_fall_of_the_misfit() -> None:
@@ -82,6 +82,6 @@ def test_wilson_and_hilferty_are_near_the_normal(degrees: int) -> None:
 def test_algorithm_4_9_finds_a_direction_that_is_common_to_its_cases(trial: Trial, wrong: State) -> None:
     problem = trial.problem
     weights: Floats = np.full(int(trial.frame.used.sum()), 1 / trial.read_noise**2)
-    relaxation = find_relaxation([(problem, wrong, weights)], 1, half_width=10)
-    assert relaxation.directions.shape == (1, 21, 21)
-    assert embedding(problem, wrong, relaxation).p_value < 1e-6
+    basis = find_psf_basis([(problem, wrong, weights)], 1, half_width=10)
+    assert basis.directions.shape == (1, 21, 21)
+    assert embedding(problem, wrong, basis).p_value < 1e-6

@@ -1,5 +1,6 @@
 """Wavefronts retrieved at a pose that is held, from pictures that labkit's model did not form."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,9 @@ from labkit.imaging.model import ForwardModel
 from labkit.inference import phase_retrieval
 from labkit.inference.fisher_scoring import State
 from labkit.inference.likelihood import low_orders, predict
-from labkit.inference.phase_retrieval import Retrieval
+from labkit.inference.phase_retrieval import PhaseRetrieval, Retrieved
 from labkit.optics.psf import Pupil
+from labkit.types import Floats
 
 OFF_PX = np.array([0.15, -0.2])  # rows, columns
 
@@ -21,8 +23,8 @@ def trial() -> Trial:
     return draw_trial(np.random.default_rng(7), snr=50.0)
 
 
-def prepared(trial: Trial, state: State) -> Retrieval:
-    return Retrieval.prepare(optics(NOLL), carpet(), trial.frame, trial.noise, state)
+def prepared(trial: Trial, state: State) -> PhaseRetrieval:
+    return PhaseRetrieval.prepare(optics(NOLL), carpet(), trial.frame, trial.noise, state)
 
 
 def knowing_nothing(trial: Trial) -> State:
@@ -67,31 +69,42 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
         assert mine - best == pytest.approx(whole - whole_best, rel=0.05)
 
 
-def searched(small: Retrieval, seed: int) -> State:
-    """The best of all candidates."""
-    list(small.candidates([], np.random.default_rng(seed)))
-    return small.optima[0].state
+def searched(small: PhaseRetrieval, seed: int, given: Sequence[Floats] = ()) -> list[Retrieved]:
+    """Records at every candidate, and at the end."""
+    rng, records = np.random.default_rng(seed), [Retrieved(tuple(given))]
+    while len(records) == 1 or records[-1].candidate is not None:
+        records.append(small.to_next_candidate(records[-1], rng))
+    return records[1:]
 
 
 def test_from_random_starts_the_truth_stands_out_and_the_pose_is_mended(trial: Trial) -> None:
     small = prepared(trial, knowing_nothing(trial))
-    found = searched(small, 3)
-    assert np.linalg.norm(trial.error(found.waves)) < 0.03
-    off = found.poses[0].corners_px() - trial.pose.corners_px()
+    best, second = searched(small, 3)[-1].optima[:2]
+    assert np.linalg.norm(trial.error(best.state.waves)) < 0.03
+    off = best.state.poses[0].corners_px() - trial.pose.corners_px()
     assert np.abs(off.mean(axis=0)).max() < 0.3 * np.abs(OFF_PX).max()
-    assert small.optima[1].misfit > 2 * small.optima[0].misfit
+    assert second.misfit > 2 * best.misfit
 
 
 def test_starts_that_are_given_come_first_and_the_search_ends(trial: Trial) -> None:
     small = prepared(trial, knowing_nothing(trial))
     given = [trial.waves + 0.01, -trial.waves]
-    offered = list(small.candidates(given, np.random.default_rng(4)))
-    assert np.linalg.norm(trial.error(offered[0].waves)) < 0.03
-    assert small.starts <= phase_retrieval.MOST
-    assert small.optima[0].met >= phase_retrieval.ENOUGH or small.starts == phase_retrieval.MOST
-    misfits = [o.misfit for o in small.optima]
+    *offers, end = searched(small, 4, given)
+    assert offers[0].candidate is not None
+    assert np.linalg.norm(trial.error(offers[0].candidate.waves)) < 0.03
+    assert end.starts <= phase_retrieval.MOST
+    assert end.optima[0].met >= phase_retrieval.ENOUGH or end.starts == phase_retrieval.MOST
+    misfits = [o.misfit for o in end.optima]
     assert misfits == sorted(misfits)
-    assert len(offered) == sum(o.offered for o in small.optima)
+    assert len(offers) == sum(o.offered for o in end.optima)
+
+
+def test_a_search_taken_up_again_from_its_record_goes_the_same_way(trial: Trial) -> None:
+    small, given = prepared(trial, knowing_nothing(trial)), [trial.waves + 0.01]
+    record = small.to_next_candidate(Retrieved(tuple(given)), np.random.default_rng(5))
+    ends = [small.to_next_candidate(record, np.random.default_rng(6)) for _ in range(2)]
+    assert [o.misfit for o in ends[0].optima] == [o.misfit for o in ends[1].optima]
+    assert [o.met for o in ends[0].optima] == [o.met for o in ends[1].optima]
 
 
 def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
@@ -99,14 +112,15 @@ def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
     light = 1 + np.tensordot([0.05, -0.03, 0.02, 0.01, -0.04], uneven, 1)
     frame = replace(trial.frame, counts=trial.frame.counts * light, departures=uneven)
     state = replace(knowing_nothing(trial), unevenness=np.zeros(len(uneven)))
-    small = Retrieval.prepare(optics(NOLL), carpet(), frame, trial.noise, state)
-    found = searched(small, 3)
-    assert np.linalg.norm(trial.error(found.waves)) < 0.03
+    small = PhaseRetrieval.prepare(optics(NOLL), carpet(), frame, trial.noise, state)
+    best = searched(small, 3)[-1].optima[0]
+    assert np.linalg.norm(trial.error(best.state.waves)) < 0.03
 
 
 def test_one_mode_alone_is_retrieved_too() -> None:
     rng = np.random.default_rng(8)
     trial = draw_trial(rng, noll=(4,))
-    small = Retrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
-    found = next(small.candidates([], rng))
-    assert abs(abs(found.waves[0]) - abs(trial.waves[0])) < 0.01
+    small = PhaseRetrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
+    offer = small.to_next_candidate(Retrieved(), rng).candidate
+    assert offer is not None
+    assert abs(abs(offer.waves[0]) - abs(trial.waves[0])) < 0.01

@@ -14,17 +14,17 @@ from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import bias_sensitivity, detector_information, mtf_std, psf_std, uniform_bound
 from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State, climb
+from labkit.inference.fisher_scoring import NoisePrior, Problem, State, maximize
 from labkit.inference.goodness_of_fit import judge
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import Detector, FrameData, low_orders, predict
 from labkit.inference.optimum_tests import (
-    LocalTest,
-    Relaxation,
+    OptimumTest,
+    PsfBasis,
     against,
     bootstrap,
     rao_score,
-    shipped_relaxation,
+    shipped_psf_basis,
     wilson_hilferty,
 )
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
@@ -83,8 +83,8 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "bias_sensitivity": ("covariance", np.eye(3), lambda v: bias_sensitivity(v, 0)),
     "rao gradient": ("gradient", np.ones(3), lambda v: rao_score(v, np.eye(3))),
     "rao information": ("information", np.eye(3), lambda v: rao_score(np.ones(3), v)),
-    "relaxation": ("directions", np.ones((2, 3, 3)), Relaxation),
-    "against": ("drawn", np.ones(3), lambda v: against(LocalTest("any", 1.0, 1.0), v)),
+    "PSF basis": ("directions", np.ones((2, 3, 3)), PsfBasis),
+    "against": ("drawn", np.ones(3), lambda v: against(OptimumTest("any", 1.0, 1.0), v)),
     "rotated": ("waves", np.ones(12), lambda v: rotated(v, 0.1)),
     "strehl": ("waves", np.ones(12), strehl),
     "highest_on_shell": ("start", np.ones(12), lambda v: highest_on_shell(v, 0.1)),
@@ -139,12 +139,12 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         ),
         (lambda: MODEL.means(np.zeros(2), [POSE], [USED[:5]]), r"used has shape \(5, 14\)"),
         (lambda: MODEL.evaluate(np.zeros(2), [POSE, POSE], [USED]), "2 poses and 1 masks"),
-        (lambda: climb(PROBLEM, replace(STATE, waves=np.zeros(3))), r"waves has shape \(3,\); \(2,\) is needed"),
+        (lambda: maximize(PROBLEM, replace(STATE, waves=np.zeros(3))), r"waves has shape \(3,\); \(2,\) is needed"),
         (lambda: predict(np.ones(5), FRAME, Detector(1, 0, 1, 1)), r"relative has shape \(5,\); \(168,\) is needed"),
         (lambda: judge(PROBLEM, STATE, []), "0 images .* for 1 frames"),
         (lambda: bootstrap(PROBLEM, STATE, lambda p, s: [0.0], np.random.default_rng(), 0), "draws = 0"),
-        (lambda: Relaxation(np.ones((1, 4, 4))), "an odd side is needed"),
-        (lambda: shipped_relaxation(17), "degrees = 17: 1 to 16"),
+        (lambda: PsfBasis(np.ones((1, 4, 4))), "an odd side is needed"),
+        (lambda: shipped_psf_basis(17), "degrees = 17: 1 to 16"),
         (lambda: wilson_hilferty(-1.0, 2), "statistic = -1"),
         (lambda: wilson_hilferty(1.0, 0), "degrees = 0"),
         (lambda: highest_on_shell(np.zeros(12), 0.1), "length of start = 0"),

@@ -9,7 +9,7 @@ import pytest
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, Solution, State, climb
+from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, Solution, State, maximize
 from labkit.inference.likelihood import FrameData
 from labkit.target import CellTarget
 from labkit.types import Floats
@@ -55,7 +55,7 @@ def beside(state: State, rng: np.random.Generator) -> State:
 
 @pytest.fixture(scope="module")
 def solution(problem: Problem) -> Solution:
-    return climb(problem, beside(truth(), np.random.default_rng(1)))
+    return maximize(problem, beside(truth(), np.random.default_rng(1)))
 
 
 def standard_errors(step: Floats, solution: Solution) -> float:
@@ -79,7 +79,7 @@ def test_nothing_about_its_end_is_likelier(problem: Problem, solution: Solution)
 
 def test_its_objective_never_decreases(problem: Problem) -> None:
     start = beside(truth(), np.random.default_rng(3))
-    heights = [climb(problem, start, max_steps=steps).objective for steps in range(1, 12)]
+    heights = [maximize(problem, start, max_steps=steps).objective for steps in range(1, 12)]
     assert heights[0] == problem.objective(start, problem.relative(start))
     assert np.all(np.diff(heights) >= 0)
     assert heights[0] < heights[-1] - 100
@@ -87,7 +87,7 @@ def test_its_objective_never_decreases(problem: Problem) -> None:
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
 def test_climbs_from_different_near_starts_end_in_one_place(problem: Problem, solution: Solution, seed: int) -> None:
-    other = climb(problem, beside(truth(), np.random.default_rng(seed)))
+    other = maximize(problem, beside(truth(), np.random.default_rng(seed)))
     std = np.sqrt(np.diag(solution.covariance()))
     # the target's raster is drawn for the first pose that is seen and kept for those alike: its ripple moves log-likelihoods
     # of this frame by 0.06, which is sqrt(2 * 0.06) = 0.35 standard errors at most, all parameters together
@@ -104,7 +104,7 @@ def test_the_truth_is_found_within_its_standard_errors(solution: Solution) -> No
 
 
 def test_frames_with_poses_of_their_own_tell_one_wavefront_together(model: ForwardModel, solution: Solution) -> None:
-    both = climb(photographed(model, 2), beside(truth(2), np.random.default_rng(7)))
+    both = maximize(photographed(model, 2), beside(truth(2), np.random.default_rng(7)))
     std = np.sqrt(np.diag(both.covariance()))
     assert both.information.shape == (3 + 2 * PER_FRAME + 2,) * 2
     assert np.all(np.abs(both.state.poses[1].v - truth(2).poses[1].v) < 4 * std[13:21])
@@ -114,7 +114,7 @@ def test_frames_with_poses_of_their_own_tell_one_wavefront_together(model: Forwa
 
 def test_fixed_modes_stay_where_they_are(problem: Problem) -> None:
     start = beside(truth(), np.random.default_rng(8))
-    found = climb(problem, start, free_waves=False)
+    found = maximize(problem, start, free_waves=False)
     np.testing.assert_array_equal(found.state.waves, start.waves)
     assert np.all(found.information[:3] == 0)
     assert found.objective > problem.objective(start, problem.relative(start))
@@ -122,7 +122,7 @@ def test_fixed_modes_stay_where_they_are(problem: Problem) -> None:
 
 def test_a_pose_that_would_run_away_is_not_followed(problem: Problem) -> None:
     far = replace(truth(), waves=np.array([4.0, 0.0, 0.0]))
-    found = climb(problem, far, free_waves=False, max_steps=12)
+    found = maximize(problem, far, free_waves=False, max_steps=12)
     assert np.abs(found.state.poses[0].corners_px() - CORNERS).max() < 0.5 * 21.2
 
 

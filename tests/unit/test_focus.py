@@ -107,7 +107,8 @@ def test_standard_errors_are_those_of_slopes_in_more_digits(scale: float) -> Non
     wanted = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     given = [DefocusPoint(x, "G", float(w), 0.002) for x, w in zip(ranges, waves(focus, 1.0), strict=True)]
     fit = fit_focus(given, 70.0, 2.8, 450.0, "corrected")
-    np.testing.assert_allclose(fit.std, wanted, rtol=1e-3)
+    # at 300 m the two slopes differ by so little that inverting their products leaves six digits
+    np.testing.assert_allclose(fit.std, wanted, rtol=4e-6)
     assert not fit.identifiable
 
 

@@ -1,0 +1,76 @@
+"""Quick problems to search in, and the defocus that a sweep over them names."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
+from labkit.inference.fisher_scoring import NoisePrior, Problem, State
+from labkit.inference.likelihood import FrameData
+from labkit.target import Target
+
+# share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
+SKETCH_BAND = 0.2
+# RMS at the light's own wavelength; the twin covers the rest. Each is less than twice the one before: the sweep's three
+# best names the right one on every session tried (docs/decisions.md)
+DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
+OUTWARDS = 1.4  # from one value to the next where the last of the row is still the best
+FARTHEST_WAVES = 12.0  # RMS: there the sweep ends
+# RMS defocus up to which a PSF's window so many lambda N wide serves to search; its geometric blur is
+# 16 sqrt(3) 0.5 = 14 lambda N wide
+NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0
+
+
+@dataclass
+class Sketches:
+    """Quick problems of one frame: part of the band or a PSF's window no wider than needed.
+
+    Each is made when it is first wanted, and kept; it depends on nothing but its band and its window.
+    """
+
+    optics: Optics
+    target: Target
+    frame: FrameData
+    noise: NoisePrior
+    _made: dict[tuple[float, float], Problem] = field(default_factory=dict, repr=False)
+
+    @property
+    def band(self) -> float:
+        """Share of the pass band for sketches: never less than half as much again as the pixels' own Nyquist frequency."""
+        return min(1.0, max(SKETCH_BAND, 0.75 / self.optics.pitch_um * self.optics.airy_um))
+
+    def near(self, state: State) -> bool:
+        """Whether a wavefront is near enough to focus for a PSF's narrow window."""
+        defocus = state.waves[0] if self.optics.noll[0] == 4 else 0.0
+        return bool(abs(defocus) * self.optics.reference_um <= NEAR_WAVES * self.optics.wavelength_um)
+
+    def problem(self, state: State, band: float) -> Problem:
+        """For wavefronts of about a state's defocus."""
+        key = band, NEAR_WINDOW if self.near(state) else WINDOW_AIRY
+        if key not in self._made:
+            shape = self.frame.counts.shape
+            model = ForwardModel.build(self.optics, self.target, shape, band=band, window_airy=key[1])
+            self._made[key] = Problem(model, (self.frame,), self.noise)
+        return self._made[key]
+
+
+def sweep(sketches: Sketches, start: State) -> list[State]:
+    """States at each of a row of defocus values, their light fitted, the one with the least sum of squares first.
+
+    The row goes on outwards while its last value is the best. The pose is left alone: a pixel hardly changes the order.
+    """
+    scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
+    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+    values, swept, best = list(DEFOCUS_WAVES), list[tuple[float, State]](), np.inf
+    while values:
+        value = values.pop(0)
+        state = replace(start, waves=np.append(value * scale, np.zeros(start.waves.size - 1)))
+        (relative,) = sketches.problem(state, sketches.band).relative(state)
+        columns = np.stack([light * relative, light], axis=1)
+        levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
+        misfit = float(np.sum((columns @ levels - counts) ** 2))
+        swept.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
+        if not values and misfit < best and value < FARTHEST_WAVES:
+            values.append(OUTWARDS * value)
+        best = min(best, misfit)
+    return [state for _, state in sorted(swept, key=lambda entry: entry[0])]
