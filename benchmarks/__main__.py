@@ -48,7 +48,11 @@ def evaluation() -> None:
 
     A climb has drawn the target when it comes to the Jacobian, for it has looked at the mean there before.
     """
-    model = ForwardModel.build(Optics(0.55, 0.45, 2.8, 4.78, 4.78, NOLL), carpet(), (264, 264))
+    model = ForwardModel.build(
+        Optics(wavelength_um=0.55, reference_um=0.45, f_number=2.8, pitch_um=4.78, active_um=4.78, noll=NOLL),
+        carpet(),
+        (264, 264),
+    )
     used = np.zeros((264, 264), bool)
     used[0::2, 1::2] = used[1::2, 0::2] = True
     waves = np.array([0.6, *np.full(11, 0.02)])

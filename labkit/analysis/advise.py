@@ -194,12 +194,12 @@ def _bound(
     first, last = plan.fit.zernike_noll
     noll = tuple(range(first, last + 1))
     optics = Optics(
-        channel.wavelength_nm * 1e-3,
-        plan.reference_wavelength_nm * 1e-3,
-        plan.lens.f_number,
-        plan.sensor.pixel_pitch_um,
-        plan.sensor.active_um,
-        noll,
+        wavelength_um=channel.wavelength_nm * 1e-3,
+        reference_um=plan.reference_wavelength_nm * 1e-3,
+        f_number=plan.lens.f_number,
+        pitch_um=plan.sensor.pixel_pitch_um,
+        active_um=plan.sensor.active_um,
+        noll=noll,
     )
     edge = ceil(1.2 * side_px / 2) * 2
     half = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * side_px / 2

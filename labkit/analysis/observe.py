@@ -17,6 +17,7 @@ from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import MONO, Mosaic
+from labkit.results.model import same_range
 from labkit.session.session import Frame, Session
 from labkit.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
@@ -26,7 +27,6 @@ MARGIN_PX = 10
 INSET = 0.04  # of the target's size: what is left out along its edge where the surround is unknown
 INSET_PX = 4
 LEAST_PIXELS = 100  # usable ones on the target
-SAME_RANGE_MM = 1e-6
 UNKNOWN_NOISE_STD = 2.0  # relative, of gain and read variance that no flat or dark shows
 ELECTRONS_AT_WHITE = 40_000  # of a usual pixel, the starting point where no flat shows the gain
 
@@ -112,14 +112,10 @@ def _chosen(session: Session, range_mm: float | Sequence[float] | None) -> list[
     wanted = np.atleast_1d(np.asarray(range_mm, dtype=np.float64)).tolist()
     if not wanted:
         raise DataError("range_mm is empty: give one range or more, or None for all of them")
-    if absent := [f"{mm:g}" for mm in wanted if not any(_same(frame.range_mm, mm) for frame in frames)]:
+    if absent := [f"{mm:g}" for mm in wanted if not any(same_range(frame.range_mm, mm) for frame in frames)]:
         known = ", ".join(f"{mm:g}" for mm in sorted({f.range_mm for f in frames if f.range_mm is not None}))
         raise DataError(f"no target frames at {', '.join(absent)} mm: the session has {known or 'none with a range'}")
-    return [frame for frame in frames if any(_same(frame.range_mm, mm) for mm in wanted)]
-
-
-def _same(range_mm: float | None, wanted_mm: float) -> bool:
-    return range_mm is not None and abs(range_mm - wanted_mm) <= SAME_RANGE_MM
+    return [frame for frame in frames if any(same_range(frame.range_mm, mm) for mm in wanted)]
 
 
 def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
@@ -152,7 +148,7 @@ def _observation(
 ) -> tuple[Observation, tuple[str, ...]]:
     """Of one range and channel; and what was assumed."""
     first, group = shots[0].mosaic, [shot.frame for shot in shots]
-    rows, columns = cut = _cut([shot.corners_px for shot in shots], first.counts.shape)
+    rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.counts.shape)
     outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
     data = [channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots]
@@ -179,7 +175,7 @@ def _observation(
 def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str) -> FrameData:
     used = data.mask
     if target.surround is None:
-        used = used & _inside(pose, used.shape)
+        used = used & sees_target_only(pose, used.shape)
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(data.counts, used, data.illumination, data.relative_std)
@@ -191,7 +187,7 @@ def _measured(group: Sequence[Frame]) -> float | None:
     return float(np.mean(readings)) if readings else group[0].range_mm
 
 
-def _cut(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
+def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
     """Rows and columns around the target in all frames, beginning at even ones."""
     every = np.concatenate(list(corners))
     size = np.ptp(every, axis=0).max()
@@ -202,7 +198,7 @@ def _cut(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
 
-def _inside(pose: Pose, shape: tuple[int, ...]) -> Bools:
+def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
     """Pixels that see nothing but the target."""
     corners = pose.corners_px()
     polygon = np.zeros(shape, np.uint8)

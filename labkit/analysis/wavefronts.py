@@ -189,9 +189,7 @@ def as_wavefront(local: LocalFit) -> Wavefront:
         ),
         seconds=fit.seconds,
         frames=observation.names,
-        placement=Placement(
-            observation.origin_px, observation.shape_px, np.array([pose.corners_px() for pose in poses])
-        ),
+        placement=Placement(observation.origin_px, observation.shape, np.array([pose.corners_px() for pose in poses])),
         residuals=_residuals(local),
     )
 

@@ -116,7 +116,14 @@ def carpet() -> Target:
 
 def optics(noll: tuple[int, ...]) -> Optics:
     """The camera as the estimator knows it."""
-    return Optics(WAVELENGTH_UM, WAVELENGTH_UM, F_NUMBER, PITCH_UM, PITCH_UM, noll)
+    return Optics(
+        wavelength_um=WAVELENGTH_UM,
+        reference_um=WAVELENGTH_UM,
+        f_number=F_NUMBER,
+        pitch_um=PITCH_UM,
+        active_um=PITCH_UM,
+        noll=noll,
+    )
 
 
 @cache

@@ -30,12 +30,15 @@ class Evaluation:
     by_pose: Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
     """What is known of lens, light and sensor for one channel.
 
-    f_number: of the beam that reaches the sensor. noll: modes of the wavefront. pitch_um: of the pixels, whatever their
-    colours; active_um: width of a pixel's active square.
+    wavelength_um: of the light; reference_um: of the waves that wavefronts are counted in. f_number: of the beam that
+    reaches the sensor. pitch_um: of the pixels, whatever their colours; active_um: width of a pixel's active square. noll:
+    modes of the wavefront. Raises ValueError for a length or f-number that is not above 0.
+
+    >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
     """
 
     wavelength_um: float
@@ -43,7 +46,7 @@ class Optics:
     f_number: float
     pitch_um: float
     active_um: float
-    noll: tuple[int, ...]
+    noll: tuple[int, ...] = tuple(range(4, 16))
 
     def __post_init__(self) -> None:
         for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):

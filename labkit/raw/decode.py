@@ -15,7 +15,7 @@ from labkit.errors import RawError
 from labkit.plan import Sensor
 from labkit.raw.captured_stderr import captured_stderr
 from labkit.raw.formats import Container, read_numbers, recognise
-from labkit.raw.mosaic import MONO, Mosaic
+from labkit.raw.mosaic import MONO, Mosaic, pattern_of
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 
@@ -95,7 +95,7 @@ def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
         counts=counts.astype(np.uint16),
         black=np.full((2, 2), sensor.black_level),
         white=sensor.white_level,
-        pattern=MONO if sensor.cfa_pattern == "mono" else (sensor.cfa_pattern[:2], sensor.cfa_pattern[2:]),
+        pattern=pattern_of(sensor.cfa_pattern),
         camera=container.camera,
         exposure_s=container.exposure_s,
         iso=container.iso,

@@ -51,10 +51,20 @@ class Mosaic:
 
     def places(self, name: str) -> tuple[tuple[int, int], ...]:
         """(row, col) of a colour in the 2x2 cell: two for G of a Bayer cell, all four on a mono sensor."""
-        cell = tuple((row, col) for row in range(2) for col in range(2))
-        if self.pattern == MONO:
-            return cell
-        found = tuple((row, col) for row, col in cell if self.pattern[row][col] == name)
-        if not found:
-            raise RawError(f"no channel {name} in this filter array: {self.cfa}")
-        return found
+        return places_of(self.pattern, name)
+
+
+def pattern_of(cfa: str) -> tuple[str, ...]:
+    """A filter array as a plan writes it, "RGGB" or "mono", as the colours of its cell's rows."""
+    return MONO if cfa == "mono" else (cfa[:2], cfa[2:])
+
+
+def places_of(pattern: tuple[str, ...], name: str) -> tuple[tuple[int, int], ...]:
+    """(row, col) of a colour in a filter array's cell, all four of mono. Raises RawError for a colour that it lacks."""
+    cell = tuple((row, col) for row in range(2) for col in range(2))
+    if pattern == MONO:
+        return cell
+    places = tuple((row, col) for row, col in cell if pattern[row][col] == name)
+    if not places:
+        raise RawError(f"no channel {name} in this filter array: {''.join(pattern)}")
+    return places

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically
-from labkit.plan import Plan, load_plan
+from labkit.plan import Plan
 from labkit.results.model import Focus, OptimumTest, OtherOptimum, Placement, Residuals, Results, Wavefront, array_key
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -39,7 +39,7 @@ def write(results: Results, folder: Path) -> Path:
     files = {  # made before the first is written: files of two fits never lie side by side for long
         PSFS: _packed(psfs(results)),
         RESIDUALS: _packed(_residuals(results)),
-        RESULTS: json.dumps(as_json(results, folder), indent=1, allow_nan=False).encode() + b"\n",
+        RESULTS: json.dumps(as_json(results), indent=1, allow_nan=False).encode() + b"\n",
     }
     (folder / REPORT[0]).unlink(missing_ok=True)
     shutil.rmtree(folder / REPORT[1], ignore_errors=True)
@@ -81,8 +81,8 @@ def kept_keys(folder: Path) -> set[str]:
         return set()
 
 
-def as_json(results: Results, folder: Path | None = None) -> Json:
-    """The content of results.json. folder: where it will lie; a target's picture in its session is named from there."""
+def as_json(results: Results) -> Json:
+    """The content of results.json."""
     return {
         "schema": SCHEMA,
         "labkit_version": results.labkit_version,
@@ -218,7 +218,7 @@ def _results(entry: Json, residuals: dict[str, Any], folder: Path) -> Results:
 def _plan(entry: Json, folder: Path) -> Plan:
     """The plan that the results were made with; of results that do not hold it, the session's."""
     if "plan" not in entry:
-        return load_plan(folder.resolve().parents[1] / "plan.toml")
+        return Plan.load(folder.resolve().parents[1] / "plan.toml")
     try:
         return Plan.model_validate(entry["plan"], context={"files": "unchecked"})
     except ValueError as error:

@@ -13,7 +13,7 @@ from labkit.types import Floats
 
 CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((3, 3))), (30.0, 30.0), 0.0)
 CORNERS = np.array([[11.3, 12.1], [10.2, 41.7], [40.8, 42.9], [42.1, 11.4]])
-OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.5, (4, 6, 7, 8, 11))
+OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=8.0, pitch_um=4.8, active_um=4.5, noll=(4, 6, 7, 8, 11))
 WAVES = np.array([0.22, -0.05, 0.06, -0.04, 0.03])
 FRAME = (54, 56)
 

@@ -34,7 +34,7 @@ from labkit.optics.zernike import zernike
 from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge
 
-OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.8, (4, 6))
+OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=8.0, pitch_um=4.8, active_um=4.8, noll=(4, 6))
 PUPIL = Pupil(0.55, 0.45, 8.0, 2.2, 32, (4, 6))
 CELLS = CellTarget(np.eye(3), (2.0, 2.0))
 EDGE = SlantedEdge(2.0, 5.0)
@@ -121,8 +121,18 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
     [
         (lambda: NoisePrior(0.0, 0.01, 4.0, 0.02), r"gain = 0: a number above 0 is needed \(counts per electron\)"),
         (lambda: NoisePrior(1.0, 0.01, np.nan, 0.02), r"read_variance = nan: .* \(counts\^2\)"),
-        (lambda: Optics(0.55, 0.45, -8.0, 4.8, 4.8, (4,)), "f_number = -8"),
-        (lambda: Optics(np.nan, 0.45, 8.0, 4.8, 4.8, (4,)), r"wavelength_um = nan: .* \(um\)"),
+        (
+            lambda: Optics(
+                wavelength_um=0.55, reference_um=0.45, f_number=-8.0, pitch_um=4.8, active_um=4.8, noll=(4,)
+            ),
+            "f_number = -8",
+        ),
+        (
+            lambda: Optics(
+                wavelength_um=np.nan, reference_um=0.45, f_number=8.0, pitch_um=4.8, active_um=4.8, noll=(4,)
+            ),
+            r"wavelength_um = nan: .* \(um\)",
+        ),
         (lambda: Pupil(0.55, 0.45, np.inf, 2.2, 32, (4,)), "f_number = inf"),
         (lambda: disc_area(np.zeros(1), 0.0), r"radius = 0: .* \(samples\)"),
         (lambda: diffraction_mtf(np.array([np.nan])), "frequency, shape"),

@@ -14,7 +14,7 @@ from labkit.inference.likelihood import FrameData
 from labkit.target import CellTarget
 from labkit.types import Floats
 
-OPTICS = Optics(0.55, 0.45, 8.0, 4.8, 4.8, (4, 6, 8))
+OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=8.0, pitch_um=4.8, active_um=4.8, noll=(4, 6, 8))
 CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
 CORNERS = np.array([[8.3, 9.1], [8.0, 29.7], [28.8, 29.9], [29.1, 9.4]])
 FRAME = (38, 40)

@@ -1,0 +1,135 @@
+"""A wavefront from photographs in memory: no session, no folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, Observation, cut_around, sees_target_only
+from labkit.analysis.wavefronts import LocalFit, Task, as_wavefront, fit_task
+from labkit.arrays import mask_array, positive, real_array
+from labkit.errors import DataError
+from labkit.finder.find_target import find_target, grey_image
+from labkit.imaging.model import Optics
+from labkit.imaging.warp import Pose
+from labkit.inference.fisher_scoring import NoisePrior
+from labkit.inference.fit import canonical
+from labkit.inference.likelihood import FrameData, low_orders
+from labkit.raw.mosaic import MONO, pattern_of, places_of
+from labkit.results import Wavefront
+from labkit.target import Target
+from labkit.types import Bools, Floats
+
+GIVEN_NOISE_STD = 0.05  # relative, of a gain and a read variance that the caller gives: both are fitted from there
+
+
+def fit_image(
+    counts: ArrayLike,
+    target: Target,
+    optics: Optics,
+    *,
+    cfa_pattern: str = "mono",
+    channel: str = "M",
+    mask: ArrayLike | None = None,
+    corners_px: ArrayLike | None = None,
+    mm_per_pixel: float | None = None,
+    gain: float | None = None,
+    read_noise: float | None = None,
+) -> Wavefront:
+    """The wavefront of one colour, from photographs of a target at one range, its light and its pose estimated with it.
+
+    counts: (rows, columns) or (frames, rows, columns), the black level removed, nothing demosaiced. cfa_pattern: "mono", or of
+    the 2 × 2 cell row by row, such as "RGGB", whose colour `channel` is fitted. mask: of the same shape, True where a pixel is
+    good. corners_px: (4, 2) [row, column] of the target's corners, or (frames, 4, 2), if they need not be searched for.
+    mm_per_pixel: on the target, about, if it is known. gain: counts per electron; read_noise: counts; estimated from these
+    frames alone where they are not given. There are no flats: uneven light is estimated to low order.
+
+    Of a wavefront and its twin, which look the same, the one is returned whose largest even mode is positive. Raises
+    ValueError for arrays of other shapes, TargetError where the target is not in a frame, DataError where too little of it is.
+
+    >>> target = labkit.open_target("sierpinski:order=4,size_mm=15.6")
+    >>> w = labkit.fit_image(counts, target, optics)
+    """
+    images = _frames("counts", counts)
+    good = (
+        np.ones(images.shape, bool)
+        if mask is None
+        else mask_array("mask", np.reshape(mask, images.shape), images.shape)
+    )
+    pattern = pattern_of(cfa_pattern)
+    places = ((0, 0),) if pattern == MONO else places_of(pattern, channel)
+    every = 1 if pattern == MONO else 2
+    corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
+    rows, columns = cut_around(corners, images.shape[1:])
+    poses = [Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners]
+    frames = []
+    for image, usable, pose in zip(images[:, rows, columns], good[:, rows, columns], poses, strict=True):
+        used = _of_channel(image.shape, places, every) & usable
+        frames.append(_frame(image, used if target.surround is not None else used & sees_target_only(pose, used.shape)))
+    observation = Observation(
+        range_mm=None,
+        measured_range_mm=None,
+        channel=channel,
+        names=(),
+        frames=tuple(frames),
+        poses=tuple(poses),
+        noise=_noise(images, gain, read_noise),
+        places=places,
+        period=every,
+        origin_px=(rows.start, columns.start),
+    )
+    task = Task(optics, target, observation)
+    return as_wavefront(LocalFit(task, canonical(fit_task(task))))
+
+
+def _frames(name: str, counts: ArrayLike) -> Floats:
+    """(frames, rows, columns) of one frame or several."""
+    shape = np.shape(counts)
+    if len(shape) not in (2, 3):
+        raise ValueError(f"{name} has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)")
+    images = real_array(name, counts, None, "counts")
+    return images if len(shape) == 3 else images[None]
+
+
+def _corners(
+    images: Floats,
+    pattern: Sequence[str],
+    target: Target,
+    given: ArrayLike | None,
+    mm_per_pixel: float | None,
+) -> list[Floats]:
+    """(4, 2) in each frame, as given or searched for."""
+    if given is not None:
+        corners = np.asarray(given, float)
+        corners = np.broadcast_to(corners, (len(images), *corners.shape[-2:]))
+        return list(real_array("corners_px", corners, (len(images), 4, 2), "pixels"))
+    return [find_target(grey_image(image, tuple(pattern)), target, mm_per_pixel=mm_per_pixel) for image in images]
+
+
+def _of_channel(shape: Sequence[int], places: Sequence[tuple[int, int]], every: int) -> Bools:
+    used = np.zeros(tuple(shape), bool)
+    for row, column in places:
+        used[row::every, column::every] = True
+    return used
+
+
+def _frame(image: Floats, used: Bools) -> FrameData:
+    if not used.any():
+        raise DataError("no usable pixel on the target: look at mask and corners_px")
+    one = np.ones(image.shape)
+    return FrameData(image, used, one, 0 * one, departures=low_orders(*image.shape))
+
+
+def _noise(images: Floats, gain: float | None, read_noise: float | None) -> NoisePrior:
+    """What the caller knows of the noise, wide open where it is nothing."""
+    white = float(np.percentile(images, 99.5))
+    if white <= 0:
+        raise DataError(f"counts up to {white:g} are no photograph: give them with the black level removed")
+    return NoisePrior(
+        white / ELECTRONS_AT_WHITE if gain is None else positive("gain", gain, "counts per electron"),
+        UNKNOWN_NOISE_STD if gain is None else GIVEN_NOISE_STD,
+        max(1.0, (white / 4000) ** 2) if read_noise is None else positive("read_noise", read_noise, "counts") ** 2,
+        UNKNOWN_NOISE_STD if read_noise is None else GIVEN_NOISE_STD,
+    )
