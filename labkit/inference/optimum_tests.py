@@ -103,14 +103,11 @@ class PsfBasis:
         half = self.directions.shape[1] // 2
         reach = int(half / step)
         at = np.arange(-reach, reach + 1) * step + half
-        pixel = np.sinc(torus.row_frequency * model.blur.active_um) * np.sinc(
-            torus.column_frequency * model.blur.active_um
-        )
         centre = torus.shift(reach * torus.spacing_um)
         return [
             torus.half_spectrum_of_window(map_coordinates(d, np.meshgrid(at, at, indexing="ij"), order=3))
             * centre
-            * pixel
+            * model.blur.pixel
             for d in self.directions
         ]
 
@@ -215,8 +212,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     torus, pupil = model.blur.torus, model.blur.pupil
     (frame,) = problem.frames
     spectrum = model.scene.spectra([state.poses[0]])[0]
-    pixel = np.sinc(torus.row_frequency * model.blur.active_um) * np.sinc(torus.column_frequency * model.blur.active_um)
-    spectrum = spectrum * pixel * state.scales[0]
+    spectrum = spectrum * model.blur.pixel * state.scales[0]
     step_um = SPACING_AIRY * pupil.wavelength_um * pupil.f_number
     places = np.arange(-half_width, half_width + 1) * step_um
     down = [np.exp(-2j * np.pi * torus.row_frequency * y) for y in places]
