@@ -120,6 +120,13 @@ def optics(noll: tuple[int, ...]) -> Optics:
 
 
 @cache
+def upright() -> Pose:
+    """Near all poses of such pictures."""
+    corners = (FRAME - 1) / 2 + np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * SIDE_PX / 2
+    return Pose.from_corners(corners, carpet().size_mm)
+
+
+@cache
 def forward_model(noll: tuple[int, ...]) -> ForwardModel:
     """The estimator's own model of such pictures."""
-    return ForwardModel.build(optics(noll), carpet(), (FRAME, FRAME))
+    return ForwardModel.build(optics(noll), carpet(), (FRAME, FRAME), upright())

@@ -134,11 +134,10 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
 
 def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
     """Gradient and information over all fitted parameters, with the basis's first of all, as if they were modes."""
-    used, poses = [f.used for f in problem.frames], list(state.poses)
+    used, drawing = [f.used for f in problem.frames], problem.draw(state)
     torus, embedded = problem.model.blur.torus, []
-    for seen, spectrum, u in zip(
-        problem.model.evaluate(state.waves, poses, used), problem.model.scene.spectra(poses), used, strict=True
-    ):
+    evaluations = problem.model.evaluate(state.waves, drawing, used)
+    for seen, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
         departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
         embedded.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
     return problem.assembled(state, embedded)[:2]
@@ -211,7 +210,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     model = problem.model
     torus, pupil = model.blur.torus, model.blur.pupil
     (frame,) = problem.frames
-    spectrum = model.scene.spectra([state.poses[0]])[0]
+    (spectrum,) = problem.draw(state).spectra
     spectrum = spectrum * model.blur.pixel * state.scales[0]
     step_um = SPACING_AIRY * pupil.wavelength_um * pupil.f_number
     places = np.arange(-half_width, half_width + 1) * step_um
