@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import labkit.inference
-from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves
+from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves, upright
 from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
 from labkit.inference.bounds import expected
@@ -20,7 +20,7 @@ WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 
 def main() -> None:
     """Climb from random starts in noise-free pictures of random wavefronts; keep what ends elsewhere."""
-    model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), window_airy=NEAR_WINDOW)
+    model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), upright(), window_airy=NEAR_WINDOW)
     cases = []
     for seed in range(WAVEFRONTS):
         rng = np.random.default_rng([SEED, seed])

@@ -216,7 +216,7 @@ def _bound(
         waves[0] = defocus if abs(defocus) > 0.01 else 0.01
     noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
     state = State(waves, (pose,), np.array([electrons]), np.zeros(1), noise.centre)
-    problem = Problem(ForwardModel.build(optics, target, (edge, edge)), (frame,), noise)
+    problem = Problem(ForwardModel.build(optics, target, (edge, edge), pose), (frame,), noise)
     bound = bound_of(fisher_information(problem, state, len(noll)), parameter_names(state, noll))
     return bound, 1 / np.sqrt(frames)
 

@@ -45,13 +45,14 @@ def work(task: Task) -> Answer:
     trial = draw_trial(rng, noll=task.noll)
     fit = trial.fit(rng)
     problem, modes = trial.problem, len(task.noll)
+    drawing = problem.draw(trial.state(trial.waves))
 
     def height(waves: Floats) -> float:
         state = trial.state(waves)
-        return -problem.objective(state, problem.relative(state))
+        return -problem.objective(state, problem.relative(state, drawing))
 
     def slope(waves: Floats) -> Floats:
-        return -problem.scores(trial.state(waves), by_waves=True)[0][:modes]
+        return -problem.scores(trial.state(waves), drawing, by_waves=True)[0][:modes]
 
     goal = height(trial.waves) + FOUND
     began = perf_counter()

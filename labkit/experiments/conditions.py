@@ -1,7 +1,7 @@
 """The conditions of thesis §3.8: an order-5 carpet on 106 x 106 pixels, 2.5 times undersampled, 2.05e5 photons a pixel."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 
@@ -59,9 +59,9 @@ class Trial:
         twin = waves * twin_signs(self.noll)
         return np.asarray(min((waves - self.waves, twin - self.waves), key=np.linalg.norm))
 
-    @cached_property
+    @property
     def bound(self) -> float:
-        """Cramér-Rao bound of the wavefront, all modes together, at the truth; waves RMS."""
+        """Cramér-Rao bound of the wavefront, all modes together, at the truth; waves RMS. Computed anew each time."""
         there = self.state(self.waves)
         bound = bound_of(fisher_information(self.problem, there, 6), parameter_names(there, self.noll))
         return float(np.linalg.norm(bound.std[: len(self.noll)]))
@@ -127,6 +127,13 @@ def optics(noll: tuple[int, ...]) -> Optics:
 
 
 @cache
+def upright() -> Pose:
+    """Near all poses of such pictures."""
+    corners = (FRAME - 1) / 2 + np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * SIDE_PX / 2
+    return Pose.from_corners(corners, carpet().size_mm)
+
+
+@cache
 def forward_model(noll: tuple[int, ...]) -> ForwardModel:
     """The estimator's own model of such pictures."""
-    return ForwardModel.build(optics(noll), carpet(), (FRAME, FRAME))
+    return ForwardModel.build(optics(noll), carpet(), (FRAME, FRAME), upright())

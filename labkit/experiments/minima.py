@@ -42,10 +42,11 @@ def work(seed: int) -> Answer:
 def quasi_newton(trial: Trial, start: Floats) -> Floats:
     """SciPy's L-BFGS-B on the likelihood of the wavefront, all else at the truth."""
     problem, modes = trial.problem, len(trial.noll)
+    drawing = problem.draw(trial.state(start))
 
     def lowered(waves: Floats) -> tuple[float, Floats]:
         state = trial.state(waves)
-        gradient, _, scores, _ = problem.scores(state, by_waves=True)
+        gradient, _, scores, _ = problem.scores(state, drawing, by_waves=True)
         return -scores[0].log_likelihood, -gradient[:modes]
 
     return np.asarray(minimize(lowered, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x)

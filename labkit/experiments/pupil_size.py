@@ -1,6 +1,7 @@
 """Accuracy of PSFs against the number of samples across the pupil: thesis Appendix F, Figures F.1 to F.3."""
 
 import numpy as np
+import scipy.fft
 from matplotlib.figure import Figure
 
 from labkit.experiments.conditions import random_waves
@@ -12,17 +13,27 @@ NOLL = tuple(range(4, 11))  # the thesis's seven modes
 AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
 
 
-def psf_of(diameter: int, waves: Floats, shaded: bool) -> Floats:
-    """(65, 65) PSF, four samples to lambda N, of a pupil so many samples across."""
-    spacing = AIRY_UM / 4
-    size = 4 * diameter  # radius = size * spacing / (2 lambda N)
-    pupil = Pupil(0.55, 0.55, 8.0, spacing, size, NOLL)
-    if not shaded:
-        rough = pupil.amplitude > 0.5
-        pupil.__dict__["amplitude"] = rough.astype(float)
-    half = size // 2
-    psf = pupil.psf(waves)[half - 2 * WIDTH : half + 2 * WIDTH + 1, half - 2 * WIDTH : half + 2 * WIDTH + 1]
-    return np.asarray(psf)
+def pupil_of(diameter: int) -> Pupil:
+    """So many samples across, its PSF with four samples to lambda N: radius = size * spacing / (2 lambda N)."""
+    return Pupil(0.55, 0.55, 8.0, AIRY_UM / 4, 4 * diameter, NOLL)
+
+
+def psf_of(diameter: int, waves: Floats) -> Floats:
+    """(65, 65) PSF, four samples to lambda N, of a shaded pupil so many samples across."""
+    return _middle(pupil_of(diameter).psf(waves))
+
+
+def binary_psf_of(diameter: int) -> Floats:
+    """The same of a binary pupil without wavefront: each of its samples lies in or out."""
+    pupil = pupil_of(diameter)
+    inside = (pupil.amplitude > 0.5).astype(float)
+    field = scipy.fft.fftshift(scipy.fft.fft2(inside, (pupil.size, pupil.size)))
+    return _middle(np.abs(field) ** 2 / (np.pi * pupil.radius**2 * pupil.size**2))
+
+
+def _middle(psf: Floats) -> Floats:
+    half = psf.shape[0] // 2
+    return np.asarray(psf[half - 2 * WIDTH : half + 2 * WIDTH + 1, half - 2 * WIDTH : half + 2 * WIDTH + 1])
 
 
 def run(setting: Setting) -> Outcome:
@@ -33,13 +44,13 @@ def run(setting: Setting) -> Outcome:
     finest = 401 if setting.quick else 1025
     zero = np.zeros(len(NOLL))
     waves = [random_waves(rng, len(NOLL), 1e-3) for _ in range(directions)]
-    around = psf_of(129, zero, True)
-    varied = np.array([np.abs(psf_of(129, w, True) - around).sum() for w in waves])
+    around = psf_of(129, zero)
+    varied = np.array([np.abs(psf_of(129, w) - around).sum() for w in waves])
     setting.progress(1, 2, "variation")
-    truth = psf_of(finest, zero, True)
+    truth = psf_of(finest, zero)
     rows = []
     for diameter in diameters:
-        shaded, binary = (np.abs(psf_of(diameter, zero, kind) - truth).sum() for kind in (True, False))
+        shaded, binary = (np.abs(psf - truth).sum() for psf in (psf_of(diameter, zero), binary_psf_of(diameter)))
         rows.append({"diameter": diameter, "shaded_error": float(shaded), "binary_error": float(binary)})
     setting.progress(2, 2, "pupils")
     at = rows[-1] if setting.quick else next(row for row in rows if row["diameter"] == 225)

@@ -38,7 +38,7 @@ class Task:
 
 def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[Bound]:
     """Of all parameters, for each read noise in counts: the trial's wavefront, pose and light with another target."""
-    model = ForwardModel.build(optics(trial.noll), target, (FRAME, FRAME))
+    model = ForwardModel.build(optics(trial.noll), target, (FRAME, FRAME), trial.pose)
     found = []
     for read_noise in read_noises:
         noise = NoisePrior(GAIN, NOISE_STD, read_noise**2, NOISE_STD)

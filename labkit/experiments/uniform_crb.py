@@ -30,7 +30,7 @@ def work(task: tuple[float, int]) -> Answer:
     times, seed = task
     trial = draw_trial(np.random.default_rng([36, seed]))
     seen_as = replace(optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2)
-    model = ForwardModel.build(seen_as, carpet(), (FRAME, FRAME))
+    model = ForwardModel.build(seen_as, carpet(), (FRAME, FRAME), trial.pose)
     state = trial.state(trial.waves)
     problem = Problem(model, (trial.frame,), trial.noise)
     bound = bound_of(fisher_information(problem, state, 6), parameter_names(state, trial.noll))

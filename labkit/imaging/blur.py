@@ -1,8 +1,7 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +15,7 @@ class Blur:
     """Lens and pixel.
 
     pupil: its PSF's spacing is the torus's, or a whole fraction of it. active_um: width of the pixel's active square,
-    whatever the sampling period.
+    whatever the sampling period. pixel: half plane of that square's transfer function.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
@@ -26,35 +25,30 @@ class Blur:
     torus: Torus
     pupil: Pupil
     active_um: float
+    pixel: Floats = field(init=False, repr=False, compare=False)
+    _finer: int = field(init=False, repr=False, compare=False)
+    _centred_pixel: Complexes = field(init=False, repr=False, compare=False)
+    _perfect: Floats = field(init=False, repr=False, compare=False)
+    _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
-    @cached_property
-    def _finer(self) -> int:
-        ratio = self.torus.spacing_um / self.pupil.spacing_um
+    def __post_init__(self) -> None:
+        torus, pupil = self.torus, self.pupil
+        ratio = torus.spacing_um / pupil.spacing_um
         if abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
-                f"the torus's spacing, {self.torus.spacing_um:g} um, is no multiple of the PSF's, {self.pupil.spacing_um:g} um"
+                f"the torus's spacing, {torus.spacing_um:g} um, is no multiple of the PSF's, {pupil.spacing_um:g} um"
             )
-        return round(ratio)
-
-    @cached_property
-    def _pixel(self) -> Floats:
-        return np.asarray(
-            np.sinc(self.torus.row_frequency * self.active_um) * np.sinc(self.torus.column_frequency * self.active_um)
-        )
-
-    @cached_property
-    def _centred_pixel(self) -> Complexes:
-        """The pixel's transfer, with the PSF's centre moved from the middle of its window to the origin."""
-        return self._pixel * self.torus.shift(self.pupil.size // 2 * self.pupil.spacing_um)
-
-    @cached_property
-    def _perfect(self) -> Floats:
-        cutoff = 1 / (self.pupil.wavelength_um * self.pupil.f_number)
-        return diffraction_mtf(np.hypot(self.torus.row_frequency, self.torus.column_frequency) / cutoff) * self._pixel
-
-    @cached_property
-    def _perfect_psf(self) -> Floats:
-        return self.pupil.psf(np.zeros(len(self.pupil.noll)))
+        pixel = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
+        to_cutoff = pupil.wavelength_um * pupil.f_number
+        perfect = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * to_cutoff) * pixel
+        for name, value in (
+            ("pixel", pixel),
+            ("_finer", round(ratio)),
+            ("_centred_pixel", pixel * torus.shift(pupil.size // 2 * pupil.spacing_um)),
+            ("_perfect", perfect),
+            ("_perfect_psf", pupil.psf(np.zeros(len(pupil.noll)))),
+        ):
+            object.__setattr__(self, name, value)
 
     def transfer(self, waves: Floats) -> Complexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""

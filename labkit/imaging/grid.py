@@ -1,8 +1,7 @@
 """The torus that an image is modelled on, and how its spectrum folds when pixels sample it (thesis 2.61-2.69)."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.fft
@@ -17,6 +16,7 @@ class Torus:
     pixels: (rows, columns) of the torus, in pixels; the frame stands at `margin` in it, the rest is guard band.
     oversampling: fine samples to a pixel along each axis. pitch_um: of the pixels.
     band_limit_per_um: no image holds more than this; below the fine grid's Nyquist frequency.
+    row_frequency: (half rows, 1) cycles/um, from 0 up to the band limit; column_frequency: (1, fine columns), in FFT order.
 
     Spectra are kept as half planes: row frequencies from 0 up to the band limit, all column frequencies in FFT order; real
     images have no more. A whole ratio makes sampling the plain folding of the spectrum, so that neither a Nyquist bin nor a
@@ -29,6 +29,8 @@ class Torus:
     oversampling: int
     pitch_um: float
     band_limit_per_um: float
+    row_frequency: Floats = field(init=False, repr=False, compare=False)
+    column_frequency: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.band_limit_per_um <= self.oversampling / (2 * self.pitch_um):
@@ -37,6 +39,13 @@ class Torus:
             )
         if any(m + f > p for m, f, p in zip(self.margin, self.frame, self.pixels, strict=True)):
             raise ValueError(f"a frame of {self.frame} pixels at {self.margin} does not fit a torus of {self.pixels}")
+        count = min(self.fine[0] // 2, int(self.band_limit_per_um * self.fine[0] * self.spacing_um) + 1)
+        rows, columns = (
+            scipy.fft.rfftfreq(self.fine[0], self.spacing_um),
+            scipy.fft.fftfreq(self.fine[1], self.spacing_um),
+        )
+        object.__setattr__(self, "row_frequency", np.asarray(rows[:count, None]))
+        object.__setattr__(self, "column_frequency", np.asarray(columns[None, :]))
 
     @classmethod
     def around(cls, frame: tuple[int, int], guard_px: int, pitch_um: float, band_limit_per_um: float) -> "Torus":
@@ -55,17 +64,6 @@ class Torus:
     def spacing_um(self) -> float:
         """Of the fine grid."""
         return self.pitch_um / self.oversampling
-
-    @cached_property
-    def row_frequency(self) -> Floats:
-        """(half rows, 1) cycles/um, from 0 up to the band limit."""
-        count = min(self.fine[0] // 2, int(self.band_limit_per_um * self.fine[0] * self.spacing_um) + 1)
-        return np.asarray(scipy.fft.rfftfreq(self.fine[0], self.spacing_um)[:count, None])
-
-    @cached_property
-    def column_frequency(self) -> Floats:
-        """(1, fine columns) cycles/um, in FFT order."""
-        return np.asarray(scipy.fft.fftfreq(self.fine[1], self.spacing_um)[None, :])
 
     def half_spectrum(self, image: Floats) -> Complexes:
         """Half plane of the DFT of a fine image."""

@@ -1,6 +1,7 @@
 """Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import scipy.fft
 from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
-from labkit.imaging.scene import Scene
+from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.psf import Pupil
 from labkit.target import Target
@@ -72,12 +73,14 @@ class ForwardModel:
         optics: Optics,
         target: Target,
         frame: tuple[int, int],
+        reference: Pose,
         *,
         band: float = 1.0,
         window_airy: float = WINDOW_AIRY,
     ) -> "ForwardModel":
         """A model of frames of a size, (rows, columns).
 
+        reference: the target's pose in such frames, its scale right to 5 %; see `Scene`.
         band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
         window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
         the wavefront.
@@ -91,52 +94,57 @@ class ForwardModel:
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
         size = min(size, min(torus.fine) * finer)
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
-        return cls(Scene(torus, target, band * cutoff), Blur(torus, pupil, optics.active_um))
+        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um))
 
-    def means(self, waves: Floats, poses: list[Pose], used: list[Bools]) -> list[Floats]:
+    def draw(self, poses: Sequence[Pose]) -> Drawing:
+        """The target from the frames' poses: what `means` and `evaluate` blur."""
+        return self.scene.draw(poses)
+
+    def means(self, waves: Floats, drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
-        self._checked(poses, used)
+        self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
         return [
             self._sample(spectrum * transfer, u, self.scene.surround)
-            for spectrum, u in zip(self.scene.spectra(poses), used, strict=True)
+            for spectrum, u in zip(drawing.spectra, used, strict=True)
         ]
 
     def evaluate(
-        self, waves: Floats, poses: list[Pose], used: list[Bools], *, by_waves: bool = True
+        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, by_waves: bool = True
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
         by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.
         """
-        self._checked(poses, used)
+        self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
         spread = self.blur.spread(transfer)
-        spectra = self.scene.spectra(poses)
         product = np.empty_like(transfer)  # fresh memory for each costs as much as the multiplication
         slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
         for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
-            for spectrum, u, out in zip(spectra, used, slopes, strict=True):
+            for spectrum, u, out in zip(drawing.spectra, used, slopes, strict=True):
                 out[mode] = self._sample(np.multiply(spectrum, slope, out=product), u)
         results = []
-        for spectrum, pose, u, by_mode in zip(spectra, poses, used, slopes, strict=True):
+        for spectrum, pose, u, by_mode in zip(drawing.spectra, drawing.poses, used, slopes, strict=True):
             mean = self._sample(spectrum * transfer, u, self.scene.surround)
             results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
         return results
 
-    def departures(self, psfs: Floats, pose: Pose, used: Bools) -> Floats:
-        """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean."""
-        (spectrum,) = self.scene.spectra([pose])
+    def departures(self, psfs: Floats, drawing: Drawing, used: Bools) -> Floats:
+        """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
+        (spectrum,) = drawing.spectra
         return np.array([self._sample(spectrum * self.blur.departure(psf), used) for psf in psfs])
 
-    def slopes(self, waves: Floats, pose: Pose, used: Bools, only: slice) -> Floats:
-        """(modes, pixels) derivatives by some of the modes, for those who cannot hold all at once."""
-        (spectrum,) = self.scene.spectra([pose])
+    def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
+        """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
+        (spectrum,) = drawing.spectra
         return np.array([self._sample(spectrum * s, used) for s in self.blur.transfer_jacobian(waves, only)])
 
-    def _checked(self, poses: list[Pose], used: list[Bools]) -> None:
-        if len(poses) != len(used):
-            raise ValueError(f"poses, used: {len(poses)} poses and {len(used)} masks; each frame needs one of both")
+    def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
+        if len(drawing.poses) != len(used):
+            raise ValueError(
+                f"poses, used: {len(drawing.poses)} poses and {len(used)} masks; each frame needs one of both"
+            )
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 

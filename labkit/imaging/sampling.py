@@ -1,8 +1,7 @@
 """Sampling of periodic band-limited signals at any rate, up or down: the operator S (thesis 2.61-2.69, Figure 5.3)."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.fft
@@ -24,6 +23,7 @@ class Sampling:
 
     source: tuple[int, ...]
     result: tuple[int, ...]
+    _folds: tuple[scipy.sparse.csr_array, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name, sizes in (("source", self.source), ("result", self.result)):
@@ -31,10 +31,8 @@ class Sampling:
                 raise ValueError(f"{name}: positive whole numbers of samples are needed, not {sizes}")
         if len(self.source) != len(self.result):
             raise ValueError(f"source {self.source} and result {self.result} (samples) differ in their number of axes")
-
-    @cached_property
-    def _folds(self) -> list[scipy.sparse.csr_array]:
-        return [_fold(n, m) for n, m in zip(self.source, self.result, strict=True)]
+        folds = tuple(_fold(n, m) for n, m in zip(self.source, self.result, strict=True))
+        object.__setattr__(self, "_folds", folds)
 
     def apply(self, signal: Floats) -> Floats:
         """The signal (*source) on the other grid, (*result). Thesis (2.68)."""

@@ -41,7 +41,8 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     for k, (frame, detector) in enumerate(zip(problem.frames, state.detectors(), strict=True)):
         own = np.concatenate([np.arange(PER_FRAME) + modes + k * PER_FRAME, np.arange(size - common, size - NOISE)])
         noise = np.array([size - 2, size - 1])
-        (seen,) = problem.model.evaluate(state.waves, [state.poses[k]], [frame.used], by_waves=False)
+        drawing = problem.model.draw([state.poses[k]])
+        (seen,) = problem.model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
         of = slopes(seen, frame, detector)
         both, cross, square = of.weights()
         total[np.ix_(own, own)] += of.of_mean * both @ of.of_mean.T
@@ -49,13 +50,13 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
         total[np.ix_(noise, noise)] += of.of_variance * square @ of.of_variance.T
         factor = detector.scale * frame.light(detector.unevenness)
         for i, rows in enumerate(blocks):
-            here = problem.model.slopes(state.waves, state.poses[k], frame.used, rows) * factor
+            here = problem.model.slopes(state.waves, drawing, frame.used, rows) * factor
             at = np.arange(rows.start, rows.stop)
             total[np.ix_(at, at)] += here * both @ here.T
             _add(total, at, own, here * both @ of.of_mean.T)
             _add(total, at, noise, here * cross @ of.of_variance.T)
             for columns in blocks[i + 1 :]:
-                there = problem.model.slopes(state.waves, state.poses[k], frame.used, columns) * factor
+                there = problem.model.slopes(state.waves, drawing, frame.used, columns) * factor
                 _add(total, at, np.arange(columns.start, columns.stop), here * both @ there.T)
     total[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
     return total

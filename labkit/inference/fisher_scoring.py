@@ -8,6 +8,7 @@ import scipy.linalg
 
 from labkit.arrays import positive, real_array
 from labkit.imaging.model import Evaluation, ForwardModel
+from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.identifiability import inverse
 from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
@@ -106,20 +107,25 @@ class Problem:
     frames: tuple[FrameData, ...]
     noise: NoisePrior
 
-    def relative(self, state: State) -> list[Floats]:
-        """Relative images (pixels,) of the frames."""
-        return self.model.means(state.waves, list(state.poses), [f.used for f in self.frames])
+    def draw(self, state: State) -> Drawing:
+        """The target at a state's poses: whoever asks for more than one thing there hands it on, for time's sake alone."""
+        return self.model.draw(state.poses)
+
+    def relative(self, state: State, drawing: Drawing | None = None) -> list[Floats]:
+        """Relative images (pixels,) of the frames. drawing: at the state's poses, if it is at hand."""
+        return self.model.means(state.waves, drawing or self.draw(state), [f.used for f in self.frames])
 
     def objective(self, state: State, relative: Sequence[Floats]) -> float:
         """Log-likelihood of everything measured, that of the noise's calibration included."""
         total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
         return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
 
-    def scores(self, state: State, *, by_waves: bool) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
-        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and the frames' own."""
-        evaluations = self.model.evaluate(
-            state.waves, list(state.poses), [f.used for f in self.frames], by_waves=by_waves
-        )
+    def scores(
+        self, state: State, drawing: Drawing | None = None, *, by_waves: bool
+    ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
+        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's."""
+        used = [f.used for f in self.frames]
+        evaluations = self.model.evaluate(state.waves, drawing or self.draw(state), used, by_waves=by_waves)
         return *self.assembled(state, evaluations), evaluations
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
@@ -169,14 +175,15 @@ def maximize(
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
         trial = state.moved(step)
-        value = problem.objective(trial, problem.relative(trial)) if _sane(trial, start) else -np.inf
+        drawing = problem.draw(trial) if _sane(trial, start) else None
+        value = -np.inf if drawing is None else problem.objective(trial, problem.relative(trial, drawing))
         if not value > best:
             converged = _length(step, information) < tolerance
             damping = max(damping, 1e-4) * 8
             continue
         converged = _length(step, information) < tolerance and damping <= 1e-2
         state, best, damping = trial, value, damping / 8
-        gradient, information, scores, _ = problem.scores(state, by_waves=free_waves)
+        gradient, information, scores, _ = problem.scores(state, drawing, by_waves=free_waves)
         steps += 1
     chi2 = sum(s.chi2 for s in scores) / sum(s.pixels for s in scores)
     return Solution(state, best, information, chi2, steps, converged)

@@ -92,9 +92,9 @@ def fit_wavefront(
     What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
-    whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape), tuple(frames), noise)
+    whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape, poses[0]), tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
-    sketches = Sketches(optics, target, frames[0], noise)
+    sketches = Sketches(optics, target, frames[0], poses[0], noise)
     search = Search(whole, sketches, poses, first, rng, max_starts, progress)
     record = search.run([replace(first, waves=np.asarray(waves, float)) for waves in starts])
     return _as_fit(record, optics.noll, perf_counter() - began)

@@ -103,14 +103,11 @@ class PsfBasis:
         half = self.directions.shape[1] // 2
         reach = int(half / step)
         at = np.arange(-reach, reach + 1) * step + half
-        pixel = np.sinc(torus.row_frequency * model.blur.active_um) * np.sinc(
-            torus.column_frequency * model.blur.active_um
-        )
         centre = torus.shift(reach * torus.spacing_um)
         return [
             torus.half_spectrum_of_window(map_coordinates(d, np.meshgrid(at, at, indexing="ij"), order=3))
             * centre
-            * pixel
+            * model.blur.pixel
             for d in self.directions
         ]
 
@@ -137,11 +134,10 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
 
 def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
     """Gradient and information over all fitted parameters, with the basis's first of all, as if they were modes."""
-    used, poses = [f.used for f in problem.frames], list(state.poses)
+    used, drawing = [f.used for f in problem.frames], problem.draw(state)
     torus, embedded = problem.model.blur.torus, []
-    for seen, spectrum, u in zip(
-        problem.model.evaluate(state.waves, poses, used), problem.model.scene.spectra(poses), used, strict=True
-    ):
+    evaluations = problem.model.evaluate(state.waves, drawing, used)
+    for seen, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
         departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
         embedded.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
     return problem.assembled(state, embedded)[:2]
@@ -214,9 +210,8 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     model = problem.model
     torus, pupil = model.blur.torus, model.blur.pupil
     (frame,) = problem.frames
-    spectrum = model.scene.spectra([state.poses[0]])[0]
-    pixel = np.sinc(torus.row_frequency * model.blur.active_um) * np.sinc(torus.column_frequency * model.blur.active_um)
-    spectrum = spectrum * pixel * state.scales[0]
+    (spectrum,) = problem.draw(state).spectra
+    spectrum = spectrum * model.blur.pixel * state.scales[0]
     step_um = SPACING_AIRY * pupil.wavelength_um * pupil.f_number
     places = np.arange(-half_width, half_width + 1) * step_um
     down = [np.exp(-2j * np.pi * torus.row_frequency * y) for y in places]

@@ -109,13 +109,14 @@ class PhaseRetrieval:
         """From a state whose pose and light are about right."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, LOBES * optics.airy_um / optics.pitch_um)
-        model = ForwardModel.build(tilted, target, frame.counts.shape, band=band, window_airy=WINDOW_AIRY)
-        used, poses = [frame.used], list(state.poses[:1])
+        pose, used = state.poses[0], [frame.used]
+        model = ForwardModel.build(tilted, target, frame.counts.shape, pose, band=band, window_airy=WINDOW_AIRY)
+        drawing = model.draw([pose])
         waves = np.append(np.zeros(len(TILTS)), state.waves)
-        (perfect,), (relative,) = model.means(0 * waves, poses, used), model.means(waves, poses, used)
+        (perfect,), (relative,) = model.means(0 * waves, drawing, used), model.means(waves, drawing, used)
         size = model.blur.pupil.size
         components = _components(model.blur.pupil)[0].astype(np.float64).reshape(-1, size, size)
-        pictures = model.departures(components, poses[0], frame.used)
+        pictures = model.departures(components, drawing, frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
         columns = frame.light(detector.unevenness) * np.array([*pictures, perfect, np.ones_like(perfect)])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
+from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.likelihood import FrameData
 from labkit.target import Target
@@ -23,7 +24,7 @@ NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0
 
 @dataclass
 class Sketches:
-    """Quick problems of one frame: part of the band or a PSF's window no wider than needed.
+    """Quick problems of one frame: part of the band, or a PSF's window no wider than needed. pose: of the target, about.
 
     Each is made when it is first wanted, and kept; it depends on nothing but its band and its window.
     """
@@ -31,6 +32,7 @@ class Sketches:
     optics: Optics
     target: Target
     frame: FrameData
+    pose: Pose
     noise: NoisePrior
     _made: dict[tuple[float, float], Problem] = field(default_factory=dict, repr=False)
 
@@ -49,7 +51,7 @@ class Sketches:
         key = band, NEAR_WINDOW if self.near(state) else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
-            model = ForwardModel.build(self.optics, self.target, shape, band=band, window_airy=key[1])
+            model = ForwardModel.build(self.optics, self.target, shape, self.pose, band=band, window_airy=key[1])
             self._made[key] = Problem(model, (self.frame,), self.noise)
         return self._made[key]
 
@@ -62,10 +64,15 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
     scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
     light, counts = frame.illumination[frame.used], frame.counts[frame.used]
     values, swept, best = list(DEFOCUS_WAVES), list[tuple[float, State]](), np.inf
+    problem = sketches.problem(start, sketches.band)
+    drawing = problem.draw(start)
     while values:
         value = values.pop(0)
         state = replace(start, waves=np.append(value * scale, np.zeros(start.waves.size - 1)))
-        (relative,) = sketches.problem(state, sketches.band).relative(state)
+        if problem is not sketches.problem(state, sketches.band):
+            problem = sketches.problem(state, sketches.band)
+            drawing = problem.draw(start)
+        (relative,) = problem.relative(state, drawing)
         columns = np.stack([light * relative, light], axis=1)
         levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
         misfit = float(np.sum((columns @ levels - counts) ** 2))

@@ -7,8 +7,7 @@ which changes the sign of every odd mode.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -27,6 +26,7 @@ class Pupil:
     wavelength_um, reference_um: of the light, and the one that wavefronts are counted in.
     f_number: of the beam that reaches the sensor. spacing_um: of the PSF. size: samples along a side of the PSF's window.
     noll: the modes of the wavefront.
+    amplitude: (n, n) shaded aperture, its centre in the middle. modes: (modes, n, n) Zernike polynomials on its samples.
 
     Sampling the pupil folds what lies beyond the window back into it; `Blur` mends that.
     """
@@ -37,6 +37,9 @@ class Pupil:
     spacing_um: float
     size: int
     noll: tuple[int, ...]
+    amplitude: Floats = field(init=False, repr=False, compare=False)
+    modes: Floats = field(init=False, repr=False, compare=False)
+    _offsets: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("wavelength_um", "reference_um"):
@@ -47,28 +50,18 @@ class Pupil:
             raise ValueError(
                 f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
             )
+        half = int(np.ceil(self.radius)) + 1
+        offsets = np.arange(-half, half + 1.0)
+        y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
+        rho, theta = np.hypot(x, y), np.arctan2(y, x)
+        object.__setattr__(self, "_offsets", offsets)
+        object.__setattr__(self, "amplitude", disc_area(offsets, self.radius))
+        object.__setattr__(self, "modes", np.stack([zernike(j, rho, theta) for j in self.noll]))
 
     @property
     def radius(self) -> float:
         """Of the pupil, in samples."""
         return self.size * self.spacing_um / (2 * self.wavelength_um * self.f_number)
-
-    @cached_property
-    def _offsets(self) -> Floats:
-        half = int(np.ceil(self.radius)) + 1
-        return np.arange(-half, half + 1.0)
-
-    @cached_property
-    def amplitude(self) -> Floats:
-        """(n, n) shaded aperture; the centre in the middle."""
-        return disc_area(self._offsets, self.radius)
-
-    @cached_property
-    def modes(self) -> Floats:
-        """(modes, n, n) Zernike polynomials on the samples of `amplitude`."""
-        y, x = self._offsets[:, None] / self.radius, self._offsets[None, :] / self.radius
-        rho, theta = np.hypot(x, y), np.arctan2(y, x)
-        return np.stack([zernike(j, rho, theta) for j in self.noll])
 
     def _to_image(self, pupil: Complexes) -> Complexes:
         """Transform onto the PSF's window, its centre in the middle; the scale is left to the normalisation."""

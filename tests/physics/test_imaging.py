@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import labkit.imaging.scene
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import Pupil
 from labkit.target import CellTarget
@@ -18,16 +16,17 @@ from labkit.types import Floats
 from .brute_force import CARPET, CORNERS, FRAME, OPTICS, WAVES, brute_force_mean, points_seen
 
 USED = np.ones(FRAME, bool)
+POSE = Pose.from_corners(CORNERS, CARPET.size_mm)
 
 
 @pytest.fixture(scope="module")
 def model() -> ForwardModel:
-    return ForwardModel.build(OPTICS, CARPET, FRAME)
+    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE)
 
 
 @pytest.fixture
 def pose() -> Pose:
-    return Pose.from_corners(CORNERS, CARPET.size_mm)
+    return POSE
 
 
 def test_sampling_is_point_evaluation_of_a_band_limited_image() -> None:
@@ -76,7 +75,7 @@ def test_the_motion_of_points_is_its_finite_difference(pose: Pose) -> None:
 
 
 def test_a_drawn_target_has_the_means_of_a_raster_of_points(model: ForwardModel, pose: Pose) -> None:
-    scene = Scene(model.scene.torus, CARPET, model.scene.cutoff_per_um)
+    scene = model.scene
     many, (top, left) = scene.torus.oversampling, scene.torus.margin
     fine = np.roll(scene.image(pose), (-top * many + many // 2, -left * many + many // 2), axis=(0, 1))
     ours = fine[: 54 * many, : 56 * many].reshape(54, many, 56, many).mean(axis=(1, 3))
@@ -91,7 +90,7 @@ def area_of_white() -> float:
 
 
 def test_the_mean_is_that_of_a_brute_force_simulation(model: ForwardModel, pose: Pose) -> None:
-    ours = model.means(WAVES, [pose], [USED])[0].reshape(FRAME)
+    ours = model.means(WAVES, model.draw([pose]), [USED])[0].reshape(FRAME)
     difference = ours - brute_force_mean()
     # its raster of points errs by up to 1/48 of a pixel along an edge, and its window folds the halo beyond 73 lambda N
     # back: 0.0027 at most and 0.00024 RMS were measured
@@ -101,8 +100,8 @@ def test_the_mean_is_that_of_a_brute_force_simulation(model: ForwardModel, pose:
 
 def test_a_uniform_scene_stays_uniform(pose: Pose) -> None:
     white = CellTarget(np.ones((1, 1)), (30.0, 30.0), 1.0)
-    one = ForwardModel.build(OPTICS, white, (20, 24))
-    np.testing.assert_allclose(one.means(WAVES, [pose], [np.ones((20, 24), bool)])[0], 1.0, atol=1e-9)
+    one = ForwardModel.build(OPTICS, white, (20, 24), pose)
+    np.testing.assert_allclose(one.means(WAVES, one.draw([pose]), [np.ones((20, 24), bool)])[0], 1.0, atol=1e-9)
     # the PSF's light beyond its window is what both wavefronts share; the rest must cancel
     assert one.blur.transfer(WAVES)[0, 0] == pytest.approx(1.0, abs=1e-3)
 
@@ -115,21 +114,18 @@ def test_the_blur_of_a_perfect_lens_has_the_published_mtf(nu: float, mtf: float)
 
 
 def test_derivatives_by_the_wavefront_are_finite_differences(model: ForwardModel, pose: Pose) -> None:
-    slopes = model.evaluate(WAVES, [pose], [USED])[0].by_waves
+    slopes = model.evaluate(WAVES, model.draw([pose]), [USED])[0].by_waves
     for k, step in enumerate(1e-4 * np.eye(WAVES.size)):
-        high, low = (model.means(WAVES + s, [pose], [USED])[0] for s in (step, -step))
+        high, low = (model.means(WAVES + s, model.draw([pose]), [USED])[0] for s in (step, -step))
         # the third derivative, about (4 pi)^3, over 6, times 1e-8
         assert np.abs(slopes[k] - (high - low) / 2e-4).max() < 1e-5 * np.abs(slopes).max()
 
 
-def test_derivatives_by_the_pose_are_finite_differences(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> None:
-    # at the usual 2 the splines' own ripple moves with the pose and puts 0.4 % into the difference, not the slope
-    monkeypatch.setattr(labkit.imaging.scene, "SUPERSAMPLING", 4.0)
-    model = ForwardModel.build(OPTICS, CARPET, FRAME)
-    slopes = model.evaluate(WAVES, [pose], [USED], by_waves=False)[0].by_pose
+def test_derivatives_by_the_pose_are_finite_differences(model: ForwardModel, pose: Pose) -> None:
+    slopes = model.evaluate(WAVES, model.draw([pose]), [USED], by_waves=False)[0].by_pose
     size = np.array([1e-3] * 6 + [1e-3 / 30] * 2)  # v6 and v7 move a corner by as many pixels times 40
     for k, step in enumerate(np.diag(size)):
-        high, low = (model.means(WAVES, [pose.moved(s)], [USED])[0] for s in (step, -step))
+        high, low = (model.means(WAVES, model.draw([pose.moved(s)]), [USED])[0] for s in (step, -step))
         difference = (high - low) / (2 * size[k])
         # perspective is exact up to the square of blur over distance, about 1e-3
         assert np.abs(slopes[k] - difference).max() < 3e-3 * np.abs(slopes[k]).max()

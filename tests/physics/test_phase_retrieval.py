@@ -49,9 +49,10 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
     """Misfits of two wavefronts differ as the sums of squares do that the forward model leaves at the same pose."""
     state, rng = trial.state(trial.waves), np.random.default_rng(2)
     small = prepared(trial, state)
-    model = ForwardModel.build(optics(NOLL), carpet(), trial.frame.counts.shape)
+    model = ForwardModel.build(optics(NOLL), carpet(), trial.frame.counts.shape, trial.pose)
+    drawing = model.draw([trial.pose])
     counts, detector = trial.frame.counts[trial.frame.used], state.detectors()[0]
-    (there,) = model.means(trial.waves, [trial.pose], [trial.frame.used])
+    (there,) = model.means(trial.waves, drawing, [trial.frame.used])
     variance = predict(there, trial.frame, detector)[1]
 
     def squares(waves: np.ndarray) -> tuple[float, float]:
@@ -59,7 +60,7 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
         departure = components @ (small.pupil.psf(np.append([0, 0], waves)) - perfect).ravel()
         light = np.append(state.scales, state.ambients)
         mine = np.sum((small.factor @ np.append(state.scales * departure, light) - small.data) ** 2)
-        (relative,) = model.means(waves, [trial.pose], [trial.frame.used])
+        (relative,) = model.means(waves, drawing, [trial.frame.used])
         mean = predict(relative, trial.frame, detector)[0]
         return float(mine), float(np.sum((counts - mean) ** 2 / variance))
 

@@ -20,6 +20,11 @@ def carpet(order: int) -> CellTarget:
     return CellTarget(cells, (2.0, 2.0))
 
 
+def upright(half: float, centre: float = 44.0) -> Pose:
+    """Half its side, and where its centre stands along both axes: pixels."""
+    return Pose.from_corners(np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * half + centre, (2.0, 2.0))
+
+
 def spectrum_of_cells(torus: Torus, target: CellTarget, centre: float, half: float) -> Complexes:
     """Half plane of the transform of cells that lie along rows and columns. centre, half side: pixels."""
     count = len(target.cells)
@@ -32,15 +37,30 @@ def spectrum_of_cells(torus: Torus, target: CellTarget, centre: float, half: flo
     return np.asarray(along_rows @ target.cells @ along_columns.T)
 
 
+# the second torus's Nyquist frequency is hardly more than the cutoff: what the raster holds beyond folds back
+@pytest.mark.parametrize("pitch_um", [5.5, 4.399])
 @pytest.mark.parametrize(("half", "centre"), [(30.0, 44.37), (29.93, 44.0)])
-def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(half: float, centre: float) -> None:
-    torus = Torus.around(FRAME, 40, PITCH_UM, 1 / AIRY_UM)
+@pytest.mark.parametrize("reference", [0.95, 1.0, 1.05])
+def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(
+    reference: float, half: float, centre: float, pitch_um: float
+) -> None:
+    torus = Torus.around(FRAME, 40, pitch_um, 1 / AIRY_UM)
     target = carpet(5)
-    corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * half + centre
-    (drawn,) = Scene(torus, target, 1 / AIRY_UM).spectra([Pose.from_corners(corners, target.size_mm)])
+    (drawn,) = Scene(torus, target, 1 / AIRY_UM, upright(half * reference)).draw([upright(half, centre)]).spectra
     blur = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * AIRY_UM)
-    blur = blur * np.sinc(torus.row_frequency * PITCH_UM) * np.sinc(torus.column_frequency * PITCH_UM)
+    blur = blur * np.sinc(torus.row_frequency * pitch_um) * np.sinc(torus.column_frequency * pitch_um)
     ours = torus.sample(drawn * blur)
     exact = torus.sample(spectrum_of_cells(torus, target, centre, half) * blur)
-    # the noise of a pixel of 25,000 electrons is 6e-3 of white, of the mean of 10,000 of them 6e-5
-    assert np.std(ours - exact) < 6e-5
+    # the noise of a pixel of 25,000 electrons is 6e-3 of white, of the mean of 10,000 of them 6e-5; measured are 2.4e-6 to
+    # 6e-6, and 1.5e-5 in the second torus where the reference is the larger
+    assert np.std(ours - exact) < (1.2e-5 if reference <= 1 else 3e-5)
+
+
+def test_a_drawing_does_not_know_what_was_drawn_before() -> None:
+    torus, target = Torus.around(FRAME, 40, PITCH_UM, 1 / AIRY_UM), carpet(3)
+    here, elsewhere = upright(30.0), upright(32.1)
+    scene, fresh = (Scene(torus, target, 1 / AIRY_UM, here) for _ in range(2))
+    first, _, again = (scene.draw([pose]).spectra[0] for pose in (here, elsewhere, here))
+    np.testing.assert_array_equal(again, first)
+    fresh.draw([elsewhere])
+    np.testing.assert_array_equal(fresh.draw([here]).spectra[0], first)

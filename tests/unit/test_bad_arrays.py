@@ -39,8 +39,9 @@ PUPIL = Pupil(0.55, 0.45, 8.0, 2.2, 32, (4, 6))
 CELLS = CellTarget(np.eye(3), (2.0, 2.0))
 EDGE = SlantedEdge(2.0, 5.0)
 LENS = ThinLens(70.0, 2.8)
-MODEL = ForwardModel.build(OPTICS, CELLS, (12, 14), window_airy=16.0)
 POSE = Pose.from_corners(np.array([[2.0, 2], [2, 9], [9, 9], [9, 2]]), (2.0, 2.0))
+MODEL = ForwardModel.build(OPTICS, CELLS, (12, 14), POSE, window_airy=16.0)
+DRAWING = MODEL.draw([POSE])
 NOISE = NoisePrior(0.5, 0.01, 4.0, 0.02)
 ONE, USED = np.ones((12, 14)), np.ones((12, 14), bool)
 FRAME = FrameData(ONE, USED, ONE, 0 * ONE)
@@ -58,8 +59,8 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "psf_hessian": ("waves", np.ones(2), lambda v: list(PUPIL.psf_hessian(v))),
     "pose": ("v", POSE.v, lambda v: Pose(v, (1.0, 1.0))),
     "corners": ("corners_px", POSE.corners_px(), lambda v: Pose.from_corners(v, (2.0, 2.0))),
-    "means waves": ("waves", np.zeros(2), lambda v: MODEL.means(v, [POSE], [USED])),
-    "evaluate waves": ("waves", np.zeros(2), lambda v: MODEL.evaluate(v, [POSE], [USED])),
+    "means waves": ("waves", np.zeros(2), lambda v: MODEL.means(v, DRAWING, [USED])),
+    "evaluate waves": ("waves", np.zeros(2), lambda v: MODEL.evaluate(v, DRAWING, [USED])),
     "cells y": ("y_mm", np.ones(3), lambda v: CELLS.sample(v, np.ones(2), 1.0)),
     "cells x": ("x_mm", np.ones(3), lambda v: CELLS.sample(np.ones(2), v, 1.0)),
     "edge y": ("y_mm", np.ones(3), lambda v: EDGE.sample(v, np.ones(2), 1.0)),
@@ -147,8 +148,8 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
             lambda: FrameData(ONE[0], USED, ONE, ONE),
             r"counts has shape \(14,\); \(rows, columns\) is needed \(counts\)",
         ),
-        (lambda: MODEL.means(np.zeros(2), [POSE], [USED[:5]]), r"used has shape \(5, 14\)"),
-        (lambda: MODEL.evaluate(np.zeros(2), [POSE, POSE], [USED]), "2 poses and 1 masks"),
+        (lambda: MODEL.means(np.zeros(2), DRAWING, [USED[:5]]), r"used has shape \(5, 14\)"),
+        (lambda: MODEL.evaluate(np.zeros(2), MODEL.draw([POSE, POSE]), [USED]), "2 poses and 1 masks"),
         (lambda: maximize(PROBLEM, replace(STATE, waves=np.zeros(3))), r"waves has shape \(3,\); \(2,\) is needed"),
         (lambda: predict(np.ones(5), FRAME, Detector(1, 0, 1, 1)), r"relative has shape \(5,\); \(168,\) is needed"),
         (lambda: judge(PROBLEM, STATE, []), "0 images .* for 1 frames"),
