@@ -10,11 +10,10 @@ from typing import Any, get_args
 from pydantic import AfterValidator, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from labkit.errors import shown
 from labkit.plan.fields import Allowed
 
 Step = int | str
-LONGEST = 60
-"""Characters of a value that a message repeats."""
 
 
 def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
@@ -60,12 +59,6 @@ def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, 
         return "[channel] is one table: write [[channel]], with double brackets, once for each channel"
     meant = plain_number(value) if isinstance(value, str) else None
     return f"{where} = {shown(value)}: {reason}" + (f"; write {meant}" if meant else "")
-
-
-def shown(value: Any) -> str:
-    """A value as a message repeats it, cut short."""
-    text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def _whole_field(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> tuple[tuple[Step, ...], Any]:
