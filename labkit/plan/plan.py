@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
 from labkit.plan.fields import problem, repeated
-from labkit.plan.messages import message
 from labkit.plan.tables import (
     CameraSettings,
     Channel,
@@ -62,15 +61,6 @@ class Plan(Table):
     def parse(cls, text: str, folder: Path | str = ".") -> Plan:
         """The plan in TOML; a target's file is relative to `folder`. Raises PlanError."""
         return cls.from_tables(read_tables(text), folder)
-
-    @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Plan:
-        """The plan in dicts and lists such as TOML gives; a target's file is relative to `folder`. Raises PlanError."""
-        tables = plain(tables)
-        try:
-            return cls.model_validate(tables, context={"folder": Path(folder)})
-        except ValidationError as error:
-            raise PlanError(message(error, cls, tables)) from None
 
     def replace(self, **tables: Any) -> Plan:
         """Another plan, in which some tables are changed; it is checked as a file is.

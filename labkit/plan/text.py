@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from labkit.errors import PlanError, shown
-from labkit.plan.messages import plain_number
+from labkit.errors import LONGEST, PlanError, shown
+from labkit.plan.messages import dotted, plain_number
 
 DEEPEST = 6
 """Tables and lists in one another: corners stand three deep, and what is deeper is no plan."""
@@ -42,7 +42,7 @@ def read_tables(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise PlanError(f"not TOML: {error}{_line_of(str(error), text)}") from error
+        raise PlanError(f"not TOML: {_place(str(error), text)}") from error
     except ValueError as error:  # Python converts no more than 4,300 digits
         raise PlanError("not TOML: an integer of more than 64 bits") from error
     except RecursionError:
@@ -66,13 +66,13 @@ def plain(value: Any, *where: str) -> Any:
     where: the keys that lead to it. Raises PlanError for integers of more than 64 bits and for what is too deep.
     """
     if len(where) > DEEPEST:
-        raise PlanError(f"{'.'.join(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
+        raise PlanError(f"{dotted(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
     match value:
         case None | bool() | str():
             return value
         case Integral():
             if not -(2**63) <= int(value) < 2**63:
-                raise PlanError(f"{'.'.join(where)}: an integer of more than 64 bits")
+                raise PlanError(f"{dotted(where)}: an integer of more than 64 bits")
             return int(value)
         case Real():
             return float(value)
@@ -87,15 +87,17 @@ def plain(value: Any, *where: str) -> Any:
     return value
 
 
-def _line_of(words: str, text: str) -> str:
-    """The line that an error of tomllib names, and what may be meant there."""
-    at = re.search(r"at line (\d+)", words)
+def _place(words: str, text: str) -> str:
+    """An error of tomllib, the line that it names, and what may be meant there."""
+    at = re.search(r" \(at line (\d+),[^)]*\)$", words)
     lines = text.split("\n")
     if not at or int(at[1]) > len(lines):
-        return ""
+        return words
     line = lines[int(at[1]) - 1].strip()
     meant = plain_number(line.partition("=")[2].partition("#")[0])
-    return f": {shown(line)}" + (f"; write {meant}" if meant else "")
+    reason = words[: at.start()]  # it may repeat a key, however long
+    cut = reason if len(reason) <= 2 * LONGEST else f"{reason[: 2 * LONGEST]}..."
+    return f"{cut}{at[0]}: {shown(line)}" + (f"; write {meant}" if meant else "")
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:
