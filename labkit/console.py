@@ -14,6 +14,7 @@ import segno
 from rich.console import Console as Terminal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from labkit.errors import printable
 from labkit.types import Progress as Report
 
 
@@ -40,7 +41,7 @@ class Console:
     def warn(self, text: str) -> None:
         """A line on stderr that does not stop anything: not with --quiet."""
         if not self.quiet:
-            print(f"labkit: warning: {text}", file=sys.stderr)
+            print(f"labkit: warning: {printable(text)}", file=sys.stderr)
 
     def link(self, what: str, url: str) -> None:
         """A page to open, on stderr; with its QR code on a terminal. Not with --quiet."""
@@ -73,13 +74,13 @@ class Console:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[step]}"),
+            TextColumn("{task.fields[step]}", markup=False),  # it repeats the names of files
         )
         with Progress(*columns, console=terminal, transient=True) as bar:
             task = bar.add_task(doing, total=None, step="")
             self.bar = bar
             try:
-                yield lambda done, total, step: bar.update(task, completed=done, total=total, step=step)
+                yield lambda done, total, step: bar.update(task, completed=done, total=total, step=printable(step))
             finally:
                 self.bar = None
 
@@ -97,5 +98,5 @@ class Console:
 
 
 def error_line(text: object) -> None:
-    """One line on stderr, whatever the message holds."""
-    print(f"labkit: {' '.join(str(text).split())}", file=sys.stderr)
+    """One line on stderr that a terminal can print, whatever the message holds."""
+    print(f"labkit: {printable(' '.join(str(text).split()))}", file=sys.stderr)

@@ -16,11 +16,17 @@ LabkitError                 something failed: one line, exit status 1
     └── DisplayError
 """
 
+LONGEST = 60
+"""Characters of a value that a message repeats."""
+
 
 class LabkitError(Exception):
-    """Base of everything labkit raises on purpose."""
+    """Base of everything labkit raises on purpose; its message is printable whatever file or device it repeats."""
 
     exit_status = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class InputError(LabkitError):
@@ -75,3 +81,14 @@ class RailLimitError(RailError):
 
 class DisplayError(DeviceError):
     """The display failed, or did not confirm what it shows."""
+
+
+def printable(text: str) -> str:
+    """The text with everything that does not print, such as control characters, escaped as in Python."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+def shown(value: object) -> str:
+    """A value as a message repeats it: as Python writes it, cut short."""
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

@@ -1,8 +1,4 @@
-"""A target as a file to print or to show: PNG or PDF at its true size.
-
-For the command line: ``labkit target render SPEC FILE`` is ``render_file(open_target(read_spec(SPEC)), FILE, dpi=...)``
-(or ``pixels=...``), then print the returned `Rendering.notes`, one a line.
-"""
+"""A target as a file to print or to show: PNG or PDF at its true size."""
 
 from __future__ import annotations
 
@@ -14,11 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import ValidationError
 
-from labkit.errors import TargetError
+from labkit.errors import PlanError, TargetError
 from labkit.files import write_atomically
-from labkit.plan import TargetSpec, load_plan
+from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, Target
 
 MM_PER_INCH = 25.4
@@ -43,7 +38,7 @@ def read_spec(text: str) -> TargetSpec:
     Raises PlanError for a bad plan, TargetError for anything else that is not understood.
     """
     if text.endswith(".toml"):
-        return load_plan(Path(text)).target
+        return Plan.load(text).target
     kind, _, listed = text.partition(":")
     fields: dict[str, object] = {"kind": kind}
     for item in filter(None, listed.split(",")):
@@ -52,11 +47,9 @@ def read_spec(text: str) -> TargetSpec:
             raise TargetError(f"target {text!r}: {item!r} is not name=value; {EXAMPLE}")
         fields[name.strip()] = _number_or_text(value.strip())
     try:
-        return TargetSpec.model_validate(fields)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = "".join(f"{part}: " for part in first["loc"])
-        raise TargetError(f"target {text!r}: {where}{first['msg']}; {EXAMPLE}") from error
+        return TargetSpec.from_tables(fields)
+    except PlanError as error:
+        raise TargetError(f"target {text!r}: {error}; {EXAMPLE}") from error
 
 
 def _number_or_text(value: str) -> int | float | str:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
-from labkit.errors import TargetError
+from labkit.errors import InputError, TargetError
+from labkit.images.files import read_picture
 from labkit.target import SURROUNDS, CellTarget
 from labkit.types import Floats
 
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
+
+MOST_PIXELS = 2**26
+"""67 million, half a gigabyte of radiances: a carpet of the highest order has 43 million cells."""
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
@@ -29,22 +31,19 @@ def open_target(spec: TargetSpec) -> CellTarget:
 
 
 def read_radiance(path: Path) -> Floats:
-    """(rows, cols) relative radiance 0..1 of a grey picture: full scale of its bit depth (or PGM maximum) is 1."""
+    """(rows, cols) relative radiance 0..1 of a grey picture: full scale of its bit depth (or PGM maximum) is 1.
+
+    A picture in colours whose three numbers are the same everywhere is grey. Raises TargetError.
+    """
     try:
-        content = path.read_bytes()
+        picture = read_picture(path, MOST_PIXELS)
     except OSError as error:
         raise TargetError(f"target picture {path}: {error.strerror}") from error
-    picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
-    if picture is None or picture.dtype not in (np.uint8, np.uint16):
-        raise TargetError(f"target picture {path}: not a readable 8- or 16-bit PNG, PGM or TIFF")
-    if picture.ndim == 3:
-        if picture.shape[2] != 3 or np.any(picture != picture[..., :1]):
-            raise TargetError(f"target picture {path}: it has colours or transparency; it must be grey")
-        picture = picture[..., 0]
-    return np.asarray(picture, dtype=np.float64) / _full_scale(content, picture.dtype.itemsize)
-
-
-def _full_scale(content: bytes, item_bytes: int) -> float:
-    """The value that means radiance 1; a PGM states its own (cv2 leaves its values as they are)."""
-    header = re.match(rb"P[25](?:\s+|#[^\n]*\n)+\d+(?:\s+|#[^\n]*\n)+\d+(?:\s+|#[^\n]*\n)+(\d+)\s", content)
-    return float(header[1]) if header else float(256**item_bytes - 1)
+    except InputError as error:
+        raise TargetError(f"target picture {path}: {error}") from error
+    numbers = picture.numbers
+    if numbers.ndim == 3:
+        if np.any(numbers != numbers[..., :1]):
+            raise TargetError(f"target picture {path}: has colours; it must be grey")
+        numbers = numbers[..., 0]
+    return numbers / float(picture.white)

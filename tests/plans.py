@@ -24,6 +24,8 @@ PORTRAIT: Tables = {
 }
 """The lens and sensor of the thesis, before a target that is small enough to be fitted fast."""
 
+RED_AND_GREEN: Tables = {"channel": [{"name": "R", "wavelength_nm": 650.0}, {"name": "G", "wavelength_nm": 550.0}]}
+
 IPAD: Tables = {"panel": "ipad-9.7-retina", "pixel_pitch_mm": None, "pixels": None}
 """Of [display], in place of a small panel."""
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, get_args
 
 from pydantic import AfterValidator, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from labkit.errors import LONGEST, shown
 from labkit.plan.fields import Allowed
 
 Step = int | str
-LONGEST = 60
-"""Characters of a value that a message repeats."""
 
 
 def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
@@ -35,6 +34,12 @@ def plain_number(text: str) -> str | None:
         return engraved[1].replace(",", ".")
     comma = re.fullmatch(r"\s*([+-]?\d{1,9}),(\d{1,9})\s*", text)
     return f"{comma[1]}.{comma[2]}" if comma else None
+
+
+def dotted(steps: Iterable[Step]) -> str:
+    """Keys as TOML writes them, long ones cut short."""
+    keys = [str(step) for step in steps]
+    return ".".join(key if len(key) <= LONGEST else f"{key[: LONGEST - 3]}..." for key in keys)
 
 
 def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
@@ -62,12 +67,6 @@ def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, 
     return f"{where} = {shown(value)}: {reason}" + (f"; write {meant}" if meant else "")
 
 
-def shown(value: Any) -> str:
-    """A value as a message repeats it, cut short."""
-    text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
-
-
 def _whole_field(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> tuple[tuple[Step, ...], Any]:
     """A location without the places in a list that a field holds, and the field's value; None where it is missing."""
     value: Any = tables
@@ -84,13 +83,13 @@ def _whole_field(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> tuple[tupl
 def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
     """A location in the plan's words; a channel goes by its name, or by its number where that is what is wrong."""
     if len(loc) < 2 or not isinstance(loc[1], int):
-        return ".".join(str(step) for step in loc)
+        return dotted(loc)
     channel = tables["channel"][loc[1]]
     name = channel.get("name") if isinstance(channel, Mapping) else None
     if loc[2:] == ("name",) and name is not None:
         return "channel.name"
-    which = f'channel "{name}"' if isinstance(name, str) else f"[[channel]] number {loc[1] + 1}"
-    return ".".join([which, *(str(step) for step in loc[2:])])
+    named = isinstance(name, str) and len(name) <= LONGEST
+    return dotted([f'channel "{name}"' if named else f"[[channel]] number {loc[1] + 1}", *loc[2:]])
 
 
 def _model_at(loc: tuple[Step, ...], model: type[BaseModel]) -> type[BaseModel]:

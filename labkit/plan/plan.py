@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
 from labkit.plan.fields import problem, repeated
-from labkit.plan.messages import message
 from labkit.plan.tables import (
     CameraSettings,
     Channel,
@@ -25,6 +24,12 @@ from labkit.plan.tables import (
 from labkit.plan.text import plain, read_tables, read_text, write_tables
 
 REFERENCE_NM = 450.0
+
+COLOURS = ("R", "G", "B")
+"""What LibRaw names the colours of a camera's filter array."""
+
+COLOUR_WORDS = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
+"""Names, in small letters, that cannot be meant for anything else."""
 
 
 class Plan(Table):
@@ -56,15 +61,6 @@ class Plan(Table):
     def parse(cls, text: str, folder: Path | str = ".") -> Plan:
         """The plan in TOML; a target's file is relative to `folder`. Raises PlanError."""
         return cls.from_tables(read_tables(text), folder)
-
-    @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Plan:
-        """The plan in dicts and lists such as TOML gives; a target's file is relative to `folder`. Raises PlanError."""
-        tables = plain(tables)
-        try:
-            return cls.model_validate(tables, context={"folder": Path(folder)})
-        except ValidationError as error:
-            raise PlanError(message(error, cls, tables)) from None
 
     def replace(self, **tables: Any) -> Plan:
         """Another plan, in which some tables are changed; it is checked as a file is.
@@ -104,11 +100,19 @@ class Plan(Table):
         pattern = self.sensor.cfa_pattern
         for name in repeated(names):
             yield f'channel.name = "{name}" stands twice: allowed is each name once'
-        if pattern == "mono" and len(names) > 1:
-            yield f'{len(names)} [[channel]] tables: allowed is exactly one for cfa_pattern = "mono"'
+        if pattern == "mono":
+            if len(names) > 1:
+                yield f'{len(names)} [[channel]] tables: allowed is exactly one for cfa_pattern = "mono"'
+            return
+        # files that state their own filter array may be mono, whose one channel has any name
+        alone = pattern is None and len(names) == 1
+        colours, words = COLOURS, "R, G or B; the one channel of a mono sensor has any name"
+        if pattern is not None:
+            colours, words = tuple(pattern), f'a colour of cfa_pattern = "{pattern}"'
         for name in names:
-            if pattern not in (None, "mono") and name not in str(pattern):
-                yield f'channel.name = "{name}": allowed is a colour of cfa_pattern = "{pattern}"'
+            if name not in colours and (name.lower() in COLOUR_WORDS or not alone):
+                meant = COLOUR_WORDS.get(name.lower())
+                yield f'channel.name = "{name}": allowed is {words}' + (f"; did you mean {meant}?" if meant else "")
 
     def _range_problems(self) -> Iterator[str]:
         focal_mm = self.lens.focal_length_mm

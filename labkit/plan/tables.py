@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
+from labkit.errors import PlanError
 from labkit.plan.fields import (
     Address,
     Allowed,
@@ -22,6 +34,8 @@ from labkit.plan.fields import (
     problem,
     repeated,
 )
+from labkit.plan.messages import message
+from labkit.plan.text import plain
 
 LAST_NOLL = 66
 """The last Zernike mode that can be asked for: all of the tenth radial order."""
@@ -37,6 +51,18 @@ class Table(BaseModel):
     """A table of the plan: frozen, and unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @classmethod
+    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Self:
+        """Of dicts and lists such as TOML gives; a target's file is relative to `folder`.
+
+        Raises PlanError, one line that names every field that is wrong.
+        """
+        tables = plain(tables)
+        try:
+            return cls.model_validate(tables, context={"folder": Path(folder)})
+        except ValidationError as error:
+            raise PlanError(message(error, cls, tables)) from None
 
 
 class Lens(Table):
@@ -114,7 +140,7 @@ class TargetSpec(Table):
         if key is not None and getattr(self, key) is None:
             raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
         checked = (info.context or {}).get("files") != "unchecked"  # a plan that is only read about needs no picture
-        if checked and self.file is not None and not self.file.is_file():
+        if checked and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')
         return self
 

@@ -12,11 +12,16 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from labkit.errors import PlanError
-from labkit.plan.messages import plain_number, shown
+from labkit.errors import LONGEST, PlanError, shown
+from labkit.plan.messages import dotted, plain_number
 
 DEEPEST = 6
 """Tables and lists in one another: corners stand three deep, and what is deeper is no plan."""
+
+TOO_DEEP = "not TOML that can be read: lists or tables too deep in one another"
+
+LONG_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){64}")
+"""A dotted key: tomllib takes minutes for one of 20,000 parts."""
 
 
 def read_text(path: Path) -> str:
@@ -32,14 +37,16 @@ def read_text(path: Path) -> str:
 def read_tables(text: str) -> dict[str, Any]:
     """The tables in TOML. Raises PlanError that names the line."""
     text = text.removeprefix("\ufeff")
+    if LONG_KEY.search(text):
+        raise PlanError(TOO_DEEP)
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise PlanError(f"not TOML: {error}{_line_of(str(error), text)}") from error
+        raise PlanError(f"not TOML: {_place(str(error), text)}") from error
     except ValueError as error:  # Python converts no more than 4,300 digits
         raise PlanError("not TOML: an integer of more than 64 bits") from error
     except RecursionError:
-        raise PlanError("not TOML that can be read: lists or tables too deep in one another") from None
+        raise PlanError(TOO_DEEP) from None
 
 
 def write_tables(tables: Mapping[str, Any]) -> str:
@@ -59,13 +66,13 @@ def plain(value: Any, *where: str) -> Any:
     where: the keys that lead to it. Raises PlanError for integers of more than 64 bits and for what is too deep.
     """
     if len(where) > DEEPEST:
-        raise PlanError(f"{'.'.join(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
+        raise PlanError(f"{dotted(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
     match value:
         case None | bool() | str():
             return value
         case Integral():
             if not -(2**63) <= int(value) < 2**63:
-                raise PlanError(f"{'.'.join(where)}: an integer of more than 64 bits")
+                raise PlanError(f"{dotted(where)}: an integer of more than 64 bits")
             return int(value)
         case Real():
             return float(value)
@@ -80,15 +87,17 @@ def plain(value: Any, *where: str) -> Any:
     return value
 
 
-def _line_of(words: str, text: str) -> str:
-    """The line that an error of tomllib names, and what may be meant there."""
-    at = re.search(r"at line (\d+)", words)
+def _place(words: str, text: str) -> str:
+    """An error of tomllib, the line that it names, and what may be meant there."""
+    at = re.search(r" \(at line (\d+),[^)]*\)$", words)
     lines = text.split("\n")
     if not at or int(at[1]) > len(lines):
-        return ""
+        return words
     line = lines[int(at[1]) - 1].strip()
     meant = plain_number(line.partition("=")[2].partition("#")[0])
-    return f": {shown(line)}" + (f"; write {meant}" if meant else "")
+    reason = words[: at.start()]  # it may repeat a key, however long
+    cut = reason if len(reason) <= 2 * LONGEST else f"{reason[: 2 * LONGEST]}..."
+    return f"{cut}{at[0]}: {shown(line)}" + (f"; write {meant}" if meant else "")
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:

@@ -1,7 +1,7 @@
 """Photographs read from files. Nothing is demosaiced.
 
-Raw files go through LibRaw and say everything of themselves. TIFF, PNG and PGM files hold bare numbers: the plan says
-their filter pattern, black and white level. The type is told from the content, not from the name.
+Raw files go through LibRaw and state their filter pattern, black and white level. TIFF, PNG and PGM files hold bare numbers:
+the plan states these. The type of a file is recognised by its content, not by its name.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ DAMAGE = ("data corrupted", "Unexpected end of file")
 def read_raw(path: Path, sensor: Sensor) -> Mosaic:
     """The mosaic in a file.
 
-    sensor says what the file does not. Raises RawError, naming file and cause, for a file that is missing, truncated,
-    no photograph, already in colours, or says otherwise than `sensor`.
+    sensor: what the file does not state. Raises RawError, naming file and cause, for a file that is missing, truncated,
+    no photograph, already in colours, or states otherwise than `sensor`.
     """
     try:
         container = recognise(path)
@@ -41,9 +41,9 @@ def _read_libraw(path: Path, container: Container) -> Mosaic:
             with rawpy.imread(str(path)) as raw:
                 mosaic = _mosaic_of(raw, container)
         except rawpy.LibRawError as error:
-            said = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+            reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
             cause = "is truncated or damaged" if isinstance(error, rawpy.LibRawIOError) else "is no raw photograph"
-            raise RawError(f"{cause} ({said})") from error
+            raise RawError(f"{cause} ({reason})") from error
     if any(words in line for words in DAMAGE for line in chatter):
         raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
     return mosaic
@@ -77,14 +77,14 @@ def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
 
 
 def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
-    counts = read_numbers(path, container)
+    counts = read_numbers(path)
     needed = {
         "cfa_pattern": '"RGGB" or "mono"',
         "black_level": "the count of no light",
         "white_level": "the count of saturation",
     }
     if missing := [f"{key} ({words})" for key, words in needed.items() if getattr(sensor, key) is None]:
-        raise RawError(f"a {container.kind.upper()} file does not say these; add to [sensor]: {', '.join(missing)}")
+        raise RawError(f"a {container.kind.upper()} file does not state these; add to [sensor]: {', '.join(missing)}")
     assert sensor.cfa_pattern is not None
     assert sensor.black_level is not None
     assert sensor.white_level is not None
@@ -103,12 +103,14 @@ def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
 
 
 def _refuse_contradiction(mosaic: Mosaic, sensor: Sensor) -> None:
-    """Raise RawError where the file and the plan both say something, and not the same."""
+    """Raise RawError where the file and the plan both state something, and not the same."""
     file = {"cfa_pattern": {mosaic.cfa}, "black_level": {*mosaic.black.ravel()}, "white_level": {mosaic.white}}
     wrong = [
-        f"sensor.{key} = {getattr(sensor, key)} but the file says {', '.join(str(value) for value in sorted(values))}"
+        f"sensor.{key} = {getattr(sensor, key)} but the file has {', '.join(str(value) for value in sorted(values))}"
         for key, values in file.items()
         if getattr(sensor, key) is not None and values != {getattr(sensor, key)}
     ]
     if wrong:
-        raise RawError(f"contradicts the plan: {'; '.join(wrong)}; leave out of [sensor] what the files say themselves")
+        raise RawError(
+            f"contradicts the plan: {'; '.join(wrong)}; leave out of [sensor] what the files state themselves"
+        )

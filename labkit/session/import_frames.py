@@ -8,22 +8,30 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections import Counter
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from labkit.errors import DataError, InputError, RawError
+from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import sync_folder
-from labkit.plan import Plan, load_plan
+from labkit.plan import Plan
+from labkit.plan.messages import plain_number
+from labkit.plan.text import read_text
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import difference, exposure_problem
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.session.session import Session, refuse_existing
 from labkit.target import open_target
-from labkit.types import FRAME_KINDS, FrameKind, Progress
+from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 
 COLUMNS = ("file", "kind", "range_mm")
+
+MOST_PROBLEMS = 20
+"""That one line names."""
+
+LONGEST_PATH = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,25 +46,23 @@ class Row:
     further: dict[str, str]
 
 
-def import_frames(
-    csv_path: Path, plan_path: Path, session_folder: Path, progress: Progress = lambda done, total, step: None
-) -> Session:
+def import_frames(csv_path: Path, plan_path: Path, session_folder: Path, progress: Progress = no_progress) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
     Returns the session, open to read.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.
     """
-    plan = load_plan(plan_path)
+    plan = Plan.load(plan_path)
     open_target(plan.target)
     refuse_existing(session_folder)
     rows = read_rows(csv_path, plan)
-    mosaics = _check_photographs(csv_path, rows, plan, progress)
+    exposures = _check_photographs(csv_path, rows, plan, progress)
     beside = session_folder.parent / f".{session_folder.name}.{os.getpid()}.import"
     try:
-        with Session.create(beside, plan_path.read_text(encoding="utf-8"), plan_path.parent) as session:
+        with Session.create(beside, read_text(plan_path), plan_path.parent) as session:
             names = _names(rows)
-            for done, (row, name, (exposure_s, iso)) in enumerate(zip(rows, names, mosaics, strict=True)):
+            for done, (row, name, (exposure_s, iso)) in enumerate(zip(rows, names, exposures, strict=True)):
                 progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
                 meta: dict[str, Any] = {"exposure_s": exposure_s, "iso": iso, "origin": row.file}
                 if row.further:
@@ -72,10 +78,11 @@ def import_frames(
 
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
     """The rows of a CSV, checked against the plan. Raises DataError with every problem in one line."""
+    header, lines = _read_cells(csv_path)
     rows, problems = [], []
-    for line, cells in _read_cells(csv_path):
+    for line, cells in lines:
         try:
-            rows.append(_row(csv_path.parent, line, cells, plan))
+            rows.append(_row(csv_path.parent, line, header, cells, plan))
         except InputError as error:
             problems.append(f"line {line}: {error}")
     first_line: dict[Path, int] = {}
@@ -84,41 +91,56 @@ def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
             problems.append(f"line {row.line}: {row.file} stands in line {first} already")
     if not problems and not any(row.kind == "target" for row in rows):
         problems.append("no photograph of kind target: at least one is needed")
-    if problems:
-        raise DataError(f"{csv_path}: {'; '.join(problems)}")
+    _refuse(csv_path, problems)
     return rows
 
 
-def _read_cells(csv_path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+def _refuse(csv_path: Path, problems: list[str]) -> None:
+    """Raise DataError with the problems, if there are any, in one line."""
+    if problems:
+        more = [f"and {len(problems) - MOST_PROBLEMS} more problems"] if len(problems) > MOST_PROBLEMS else []
+        raise DataError(f"{csv_path}: {'; '.join(problems[:MOST_PROBLEMS] + more)}")
+
+
+def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The header, and number and cells of each line that is not empty; separated by commas, or else by semicolons."""
     try:
         text = csv_path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DataError(f"{csv_path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{csv_path}: not UTF-8 at byte {error.start}") from error
-    reader = csv.reader(io.StringIO(text, newline=""))
-    header = [name.strip() for name in next(reader, [])]
+    first = text.partition("\n")[0]
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=";" if "," not in first else ",", strict=True)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except csv.Error as error:
+        raise DataError(f"{csv_path}: line {reader.line_num}: not CSV: {error}") from error
     if missing := [name for name in COLUMNS if name not in header]:
-        raise DataError(f"{csv_path}: the header lacks {', '.join(missing)}; it must hold {','.join(COLUMNS)}")
-    if len(set(header)) < len(header):
-        raise DataError(f"{csv_path}: a column stands twice in the header: {','.join(header)}")
-    for cells in reader:
-        if any(cell.strip() for cell in cells):
-            padded = [*cells, *[""] * (len(header) - len(cells))]
-            yield reader.line_num, dict(zip(header, (cell.strip() for cell in padded), strict=False))
+        words = f"it must hold {','.join(COLUMNS)}, with commas or semicolons between"
+        raise DataError(f"{csv_path}: the header lacks {', '.join(missing)}; {words}")
+    if twice := [name for name, times in Counter(header).items() if times > 1 and name]:
+        raise DataError(f"{csv_path}: a column stands twice in the header: {shown(twice[0])}")
+    return header, [(line, cells) for line, cells in lines if any(cells)]
 
 
-def _row(folder: Path, line: int, cells: dict[str, str], plan: Plan) -> Row:
-    kind = cells["kind"]
+def _row(folder: Path, line: int, header: list[str], cells: list[str], plan: Plan) -> Row:
+    if any(cells[len(header) :]):
+        raise DataError(
+            f"{len(cells)} cells, but the header has {len(header)}: put quotes around text with a separator"
+        )
+    cell = dict(zip_longest(header, cells[: len(header)], fillvalue=""))
+    kind = cell["kind"]
     if kind not in FRAME_KINDS:
-        raise DataError(f"kind {kind!r}: allowed is {', '.join(FRAME_KINDS)}")
+        raise DataError(f"kind {shown(kind)}: allowed is {', '.join(FRAME_KINDS)}")
     return Row(
         line=line,
-        file=cells["file"],
-        path=_inside(folder, cells["file"]),
+        file=cell["file"],
+        path=_inside(folder, cell["file"]),
         kind=kind,
-        range_mm=_range(cells["range_mm"], plan),
-        further={name: cell for name, cell in cells.items() if name not in COLUMNS},
+        range_mm=_range(cell["range_mm"], plan),
+        further={name: text for name, text in cell.items() if name and name not in COLUMNS},
     )
 
 
@@ -126,12 +148,14 @@ def _inside(folder: Path, file: str) -> Path:
     """The real path of a file that must lie in the folder, links followed."""
     if not file:
         raise DataError("file is empty")
+    if len(file) > LONGEST_PATH:
+        raise DataError(f"file {shown(file)}: a path of {len(file)} characters; allowed are {LONGEST_PATH}")
     try:
         path = (folder / file).resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise DataError(f"file {file!r} is no usable path ({error})") from error
+        raise DataError(f"file {shown(file)} is no usable path ({error})") from error
     if not path.is_relative_to(folder.resolve()):
-        raise DataError(f"file {file!r} lies outside the CSV's folder; move it into {folder.resolve()}")
+        raise DataError(f"file {shown(file)} lies outside the CSV's folder; move it into {folder.resolve()}")
     return path
 
 
@@ -145,7 +169,8 @@ def _range(text: str, plan: Plan) -> float | None:
         range_mm = math.nan
     if not (math.isfinite(range_mm) and range_mm > focal_mm):
         words = f"allowed is nothing, or a number above the focal length, {focal_mm:g} mm"
-        raise DataError(f"range_mm {text!r}: {words}")
+        meant = plain_number(text)
+        raise DataError(f"range_mm {shown(text)}: {words}" + (f"; write {meant}" if meant else ""))
     return range_mm
 
 
@@ -153,8 +178,8 @@ def _check_photographs(
     csv_path: Path, rows: list[Row], plan: Plan, progress: Progress
 ) -> list[tuple[float | None, int | None]]:
     """Decode every photograph; (exposure_s, iso) of each. Raises DataError with every problem in one line."""
-    found: list[tuple[float | None, int | None]] = []
-    problems = []
+    exposures: list[tuple[float | None, int | None]] = []
+    problems: list[str] = []
     first: Mosaic | None = None
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
@@ -170,10 +195,9 @@ def _check_photographs(
         problem = difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
         if problem:
             problems.append(f"{row.file} {problem}")
-        found.append((mosaic.exposure_s, mosaic.iso))
-    if problems:
-        raise DataError(f"{csv_path}: {'; '.join(problems)}")
-    return found
+        exposures.append((mosaic.exposure_s, mosaic.iso))
+    _refuse(csv_path, problems)
+    return exposures
 
 
 def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
@@ -185,7 +209,7 @@ def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
 
 
 def _names(rows: list[Row]) -> list[str]:
-    """A name in frames/ for each row: its file's own where possible, safe and different from all others."""
+    """A name in frames/ for each row: its file's name where possible, safe and different from all others."""
     names: list[str] = []
     taken: set[str] = set()
     for row in rows:

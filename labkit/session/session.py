@@ -269,7 +269,7 @@ def begin(plan_path: Path, folder: Path, resume: bool) -> Session:
     Until its first photograph a session takes up what has changed in the plan; a preflight may ask for that. Raises
     SessionError where a session is there unasked, PlanError where its photographs were taken by another plan.
     """
-    plan, text = load_plan(plan_path), plan_path.read_text(encoding="utf-8")
+    plan, text = load_plan(plan_path), plan_path.read_text(encoding="utf-8-sig")
     if not resume or not (folder / JOURNAL).exists():
         return Session.create(folder, text, plan_path.parent)
     with ExitStack() as on_failure:

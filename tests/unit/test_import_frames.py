@@ -9,29 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.errors import InputError, SessionError, TargetError
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session, verify
+from tests.plans import PORTRAIT, RED_AND_GREEN, plan_text
 
 WriteDng = Callable[..., Path]
 
-PLAN = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-[sensor]
-pixel_pitch_um = 4.78
-[[channel]]
-name = "R"
-wavelength_nm = 650.0
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-[target]
-kind = "sierpinski"
-order = 3
-size_mm = 46.8
-"""
+PLAN = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 3, "size_mm": 46.8}})
 BLACK, WHITE, NOISE = 600, 16383, 3.0
 SIZE = (126, 158)
 
@@ -66,17 +52,19 @@ class Folder:
         counts = picture(kind, len(self.rows)) if counts is None else counts
         return self.write_dng(self.path / file, counts, black=BLACK, white=WHITE, **dng)
 
-    def run(self) -> Session:
-        (self.path / "plan.toml").write_text(self.plan)
-        (self.path / "frames.csv").write_text("file,kind,range_mm\n" + "\n".join(self.rows) + "\n")
+    def run(self, csv: str | None = None, encoding: str = "utf-8") -> Session:
+        """Import the rows, or a CSV as it is given."""
+        csv = "file,kind,range_mm\n" + "\n".join(self.rows) + "\n" if csv is None else csv
+        (self.path / "plan.toml").write_text(self.plan, encoding)
+        (self.path / "frames.csv").write_text(csv, encoding)
         return import_frames(self.path / "frames.csv", self.path / "plan.toml", self.session)
 
-    def refusal(self, kind: type[InputError] = InputError) -> str:
+    def refusal(self, kind: type[InputError] = InputError, csv: str | None = None) -> str:
         """The one-line message; nothing has been made, not even the folder above the session."""
         with pytest.raises(kind) as caught:
-            self.run()
+            self.run(csv)
         assert not self.session.parent.exists()
-        assert "\n" not in str(caught.value)
+        assert str(caught.value).isprintable()
         return str(caught.value)
 
 
@@ -114,11 +102,40 @@ def test_a_camera_never_met_is_imported_with_its_own_phase_depth_levels_and_orie
 
 
 def test_further_columns_are_kept(folder: Folder) -> None:
-    (folder.path / "plan.toml").write_text(PLAN)
-    text = "﻿kind,file,lens,range_mm\n target , target.dng ,Nikkor 70,3000\n"
-    (folder.path / "frames.csv").write_text(text, encoding="utf-8")
-    session = import_frames(folder.path / "frames.csv", folder.path / "plan.toml", folder.session)
+    session = folder.run("kind,file,lens,range_mm,\n target , target.dng ,Nikkor 70,3000,\n")
     assert session.frames[0].meta["columns"] == {"lens": "Nikkor 70"}
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(folder: Folder, separator: str) -> None:
+    session = folder.run("file,kind,range_mm\r\ntarget.dng,target,3000\r\n".replace(",", separator), "utf-8-sig")
+    assert (session.frames[0].file, session.frames[0].range_mm) == ("target.dng", 3000.0)
+    assert session.plan == Plan.parse(PLAN)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (f"{'a' * 140_000},target,3000", "line 2: not CSV: field larger than field limit (131072)"),
+        (f"{'a' * 100_000},target,3000", "line 2: file 'aaaa"),
+        ('"target.dng,target,3000', "not CSV: unexpected end of data"),
+        ("target.dng,target,3000,70, wide", "line 2: 5 cells, but the header has 3: put quotes around"),
+        ("target\x1b[2J\0.dng,target,3000", "line 2: file 'target\\x1b[2J\\x00.dng' is no usable path"),
+        ('target.dng,target,"3000,5"', "range_mm '3000,5': allowed is nothing, or a number above the focal length"),
+        ('target.dng,target,"3000,5"', "70 mm; write 3000.5"),
+    ],
+    ids=lambda value: value[:30],
+)
+def test_a_row_that_no_spreadsheet_would_write_is_named(folder: Folder, row: str, words: str) -> None:
+    message = folder.refusal(csv=f"file,kind,range_mm\n{row}\n")
+    assert words in message
+    assert len(message) < 400
+
+
+def test_of_very_many_wrong_rows_the_first_are_named(folder: Folder) -> None:
+    message = folder.refusal(csv="file,kind,range_mm\n" + "x.dng,potato,\n" * 1000)
+    assert message.count("potato") == 20
+    assert message.endswith("; and 980 more problems")
 
 
 def test_names_are_made_safe_and_different(folder: Folder) -> None:
@@ -158,7 +175,7 @@ def test_a_wrong_row_is_named_with_its_line(folder: Folder, row: str, words: str
     assert words in message
 
 
-def test_all_wrong_rows_are_told_at_once(folder: Folder) -> None:
+def test_all_wrong_rows_are_named_at_once(folder: Folder) -> None:
     folder.rows += ["../x.dng,target,3000", "target.dng,target,1"]
     message = folder.refusal()
     assert "line 5" in message
@@ -166,10 +183,7 @@ def test_all_wrong_rows_are_told_at_once(folder: Folder) -> None:
 
 
 def test_a_csv_without_the_header_says_what_it_must_hold(folder: Folder) -> None:
-    (folder.path / "plan.toml").write_text(PLAN)
-    (folder.path / "frames.csv").write_text("target.dng,target,3000\n")
-    with pytest.raises(InputError, match="must hold file,kind,range_mm"):
-        import_frames(folder.path / "frames.csv", folder.path / "plan.toml", folder.session)
+    assert "must hold file,kind,range_mm" in folder.refusal(csv="target.dng,target,3000\n")
 
 
 def test_a_csv_without_a_target_is_refused(folder: Folder) -> None:
@@ -177,7 +191,7 @@ def test_a_csv_without_a_target_is_refused(folder: Folder) -> None:
     assert "at least one is needed" in folder.refusal()
 
 
-def test_a_missing_and_a_truncated_photograph_are_both_told(folder: Folder) -> None:
+def test_a_missing_and_a_truncated_photograph_are_both_named(folder: Folder) -> None:
     (folder.path / "flat.dng").unlink()
     target = folder.path / "target.dng"
     target.write_bytes(target.read_bytes()[:9000])
@@ -241,8 +255,8 @@ def test_a_dark_frame_that_has_seen_light_is_refused(folder: Folder) -> None:
 
 
 def test_a_channel_that_the_camera_lacks_is_refused(folder: Folder) -> None:
-    folder.plan = PLAN.replace('"R"', '"E"')
-    assert "has no channel E: its filter array is RGGB" in folder.refusal()
+    folder.plan = plan_text(PORTRAIT, {"channel": [{"name": "mono", "wavelength_nm": 550.0}]})
+    assert "has no channel mono: its filter array is RGGB" in folder.refusal()
 
 
 def test_a_target_that_cannot_be_made_is_refused(folder: Folder) -> None:

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 ROOMS = [
     ["types", "errors", "uncertain"],
-    ["files", "arrays"],
+    ["files", "arrays", "images"],
     ["plan"],
     ["target"],
     ["target_file"],
@@ -108,6 +108,7 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> Non
         None,
         "arrays",
         "errors",
+        "images",
         "plan",
         "target",
         "targets",

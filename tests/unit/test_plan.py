@@ -5,48 +5,18 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import PlanError
-from labkit.plan import Plan, load_plan, parse_plan
+from labkit.plan import Plan
+from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
-LEAST = """
-[lens]
-focal_length_mm = 70.0
-f_number = 2.8
-
-[sensor]
-pixel_pitch_um = 4.78
-
-[[channel]]
-name = "R"
-wavelength_nm = 650.0
-
-[[channel]]
-name = "G"
-wavelength_nm = 550.0
-
-[target]
-kind = "sierpinski"
-order = 5
-size_mm = 46.8
-"""
-
-CAPTURE = """
-[camera]
-address = "gphoto2:usb:001,004"
-exposure_s = 0.02
-
-[rail]
-address = "grbl:/dev/ttyUSB0"
-ranges_mm = [3000, 3200, 3300]
-range_at_zero_mm = 2950.0
-
-[display]
-address = "web://0.0.0.0:8642"
-panel = "ipad-9.7-retina"
-"""
+LEAST = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 5, "size_mm": 46.8}})
+CAPTURE = plan_text(
+    simulated([3000, 3200, 3300], 2950.0),
+    {"display": IPAD, "camera": {"address": "gphoto2:usb:001,004"}, "rail": {"address": "grbl:/dev/ttyUSB0"}},
+)
 
 
 def parse(text: str) -> Plan:
-    return parse_plan(text, Path("/nowhere"))
+    return Plan.parse(text, "/nowhere")
 
 
 def refusal(old: str, new: str, text: str = LEAST + CAPTURE) -> str:
@@ -55,7 +25,7 @@ def refusal(old: str, new: str, text: str = LEAST + CAPTURE) -> str:
     with pytest.raises(PlanError) as caught:
         parse(text.replace(old, new, 1))
     message = str(caught.value)
-    assert "\n" not in message
+    assert message.isprintable()
     return message
 
 
@@ -100,11 +70,23 @@ def test_a_capture_plan_keeps_addresses_and_ranges() -> None:
         ("= 4.78", '= 4.78\ncfa_pattern = "RYYB"', ['channel.name = "G"', "RYYB"]),
         ("= 4.78", "= 4.78\nblack_level = 600\nwhite_level = 255", ["sensor.white_level = 255", "600"]),
         ('name = "G"', 'name = "R"', ['channel.name = "R"', "each name once"]),
+        ('name = "G"', 'name = "red"', ['channel.name = "red": allowed is R, G or B', "did you mean R?"]),
+        ('name = "G"', 'name = "E"', ['channel.name = "E": allowed is R, G or B']),
+        ("= 4.78", '= 4.78\ncfa_pattern = "GGRG"\n[[channel]]\nname = "GG"\nwavelength_nm = 1e3', ['"GG": allowed']),
+        ("wavelength_nm = 550.0", "wavelength_nm = 5", ['channel "G".wavelength_nm = 5: allowed is a number, 100']),
+        ('name = "G"', "", ["[[channel]] number 2.name is missing"]),
+        ('name = "G"', "name = 7", ["channel.name = 7: allowed is"]),
         ("[3000, 3200, 3300]", "[3000, 60]", ["rail.ranges_mm has 60 mm", "more than the focal length, 70 mm"]),
         ("[3000, 3200, 3300]", "[3000, 3000]", ["rail.ranges_mm", "3000 twice"]),
         ("[3000, 3200, 3300]", "[]", ["rail.ranges_mm = []", "one or more"]),
         ("grbl:/dev", "/dev", ["rail.address = '/dev/ttyUSB0'", "grbl:/dev/ttyUSB0"]),
         ('panel = "ipad-9.7-retina"', "pixel_pitch_mm = 0.1", ["display.pixel_pitch_mm and pixels"]),
+        (
+            "[3000, 3200, 3300]",
+            '[3000, "far"]',
+            ["rail.ranges_mm = [3000, 'far']: allowed is one or more ranges in mm"],
+        ),
+        ('panel = "ipad-9.7-retina"', 'panel = "\\u001b[2J"', ["display.panel = '\\x1b[2J': allowed is printable"]),
         ("= 2950.0", "= 2950.0\ndirection = 0", ["rail.direction = 0", "1 or -1"]),
     ],
 )
@@ -114,7 +96,7 @@ def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed(old: str, new
         assert word in message
 
 
-def test_every_problem_is_told_at_once() -> None:
+def test_every_problem_is_named_at_once() -> None:
     message = refusal("f_number = 2.8", "f_number = 0", LEAST.replace("4.78", "-1"))
     assert "lens.f_number" in message
     assert "sensor.pixel_pitch_um" in message
@@ -128,9 +110,77 @@ def test_a_target_file_is_relative_to_the_plan(tmp_path: Path) -> None:
     (tmp_path / "pattern.pgm").write_bytes(b"P5 1 1 255\n\x80")
     plan_path = tmp_path / "plan.toml"
     plan_path.write_text(LEAST.replace('"sierpinski"', '"image"\nfile = "pattern.pgm"'))
-    assert load_plan(plan_path).target.file == tmp_path / "pattern.pgm"
+    assert Plan.load(plan_path).target.file == tmp_path / "pattern.pgm"
 
 
 def test_a_missing_plan_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=r"absent\.toml: No such file"):
-        load_plan(tmp_path / "absent.toml")
+        Plan.load(tmp_path / "absent.toml")
+
+
+@pytest.mark.parametrize("names", ["R", "G", "mono", "L"])
+def test_a_lone_channel_is_a_colour_or_that_of_a_mono_sensor(names: str) -> None:
+    assert Plan.parse(plan_text(PORTRAIT, {"channel": [{"name": names, "wavelength_nm": 550.0}]})).channel
+
+
+@pytest.mark.parametrize("name", ["red", "r", "Green", "blue"])
+def test_a_lone_channel_named_like_a_colour_is_refused_unless_the_sensor_is_mono(name: str) -> None:
+    channel = {"channel": [{"name": name, "wavelength_nm": 550.0}]}
+    with pytest.raises(PlanError, match=f"did you mean {name[0].upper()}"):
+        Plan.parse(plan_text(PORTRAIT, channel))
+    assert Plan.parse(plan_text(PORTRAIT, channel, {"sensor": {"cfa_pattern": "mono"}})).channel[0].name == name
+
+
+def test_one_pair_of_brackets_too_few_is_what_the_message_says() -> None:
+    one = plan_text(PORTRAIT).replace("[[channel]]", "[channel]")
+    with pytest.raises(PlanError, match=r"write \[\[channel\]\], with double brackets, once for each channel$"):
+        Plan.parse(one)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("f_number = 2.8", "f_number = f/2.8", ["line 3", "f_number = f/2.8", "; write 2.8"]),
+        ("f_number = 2.8", 'f_number = "f/2.8"', ["lens.f_number = 'f/2.8': allowed is a number", "; write 2.8"]),
+        ("f_number = 2.8", "f_number = 2,8", ["f_number = 2,8", "; write 2.8"]),
+        ("exposure_s = 0.02", "exposure_s = 1/50  # s", ["exposure_s = 1/50", "; write 0.02"]),
+        ("exposure_s = 0.02", 'exposure_s = "1/50"', ["camera.exposure_s = '1/50': allowed is", "; write 0.02"]),
+    ],
+)
+def test_numbers_as_engraved_are_given_as_they_should_be_written(old: str, new: str, words: list[str]) -> None:
+    message = refusal(old, new)
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        (f"f_number = {'9' * 5000}", "not TOML: an integer of more than 64 bits"),
+        (f"f_number = 0x{'f' * 5000}", "lens.f_number: an integer of more than 64 bits"),
+        (f"f_number = {'[' * 20000}", "too deep in one another"),
+        (f"f_number = {'[' * 30}{']' * 30}", "lens.f_number: lists or tables more than 6 deep"),
+        (f"f_number{'.a' * 20} = 1", "lens.f_number: lists or tables more than 6 deep"),
+        (f"f_number{'.a' * 20000} = 1", "too deep in one another"),
+        (f"f_number = '{'a' * 100_000}'", "'aaa"),
+        ('"\\u001b[31m" = 1', r"lens.\x1b[31m is no known key"),
+        ("\0", "not TOML"),
+    ],
+    ids=lambda value: value[:20],
+)
+def test_no_number_no_depth_and_no_letter_ends_in_more_than_a_short_printable_line(new: str, words: str) -> None:
+    message = refusal("f_number = 2.8", new)
+    assert words in message
+    assert len(message) < 300
+
+
+def test_a_byte_order_mark_is_no_part_of_the_plan(tmp_path: Path) -> None:
+    plan_path = tmp_path / "plan.toml"
+    plan_path.write_text(LEAST, encoding="utf-8-sig")
+    assert Plan.load(plan_path) == Plan.parse("\ufeff" + LEAST) == parse(LEAST)
+
+
+def test_a_plan_that_is_no_text_says_where(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_bytes(b"[lens]\n\xff")
+    with pytest.raises(PlanError, match=r"plan\.toml: not UTF-8 at byte 7"):
+        Plan.load(tmp_path / "plan.toml")

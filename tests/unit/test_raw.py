@@ -1,4 +1,4 @@
-"""Photographs to mosaics: what the file says is what comes out, and what cannot be used says so in one line."""
+"""Photographs to mosaics: what the file states is what comes out, and what cannot be used is named in one line."""
 
 import os
 from collections.abc import Callable
@@ -86,7 +86,7 @@ def test_camera_and_exposure_come_from_the_tags(
     assert mosaic.exposure_s == pytest.approx(0.008, rel=1e-6)
 
 
-def test_the_type_is_told_from_the_content(tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]) -> None:
+def test_the_type_is_recognised_by_the_content(tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]) -> None:
     path = write_dng(tmp_path / "DSC_0001.JPG", counts)
     np.testing.assert_array_equal(read_raw(path, SILENT).counts, counts)
 
@@ -141,7 +141,7 @@ def test_a_plan_that_contradicts_the_file_is_refused(
     wrong = {"cfa_pattern": "BGGR", "black_level": 0.0, "white_level": 15520.0}
     right = {"cfa_pattern": "RGGB", "black_level": 600.0, "white_level": 16383.0}
     sensor = Sensor(pixel_pitch_um=5.0).model_validate({"pixel_pitch_um": 5.0, **right, key: wrong[key]})
-    assert f"sensor.{key} = {wrong[key]} but the file says {right[key]}" in refusal(path, sensor, capfd)
+    assert f"sensor.{key} = {wrong[key]} but the file has {right[key]}" in refusal(path, sensor, capfd)
     np.testing.assert_array_equal(
         read_raw(path, Sensor.model_validate({"pixel_pitch_um": 5.0, **right})).counts, counts
     )

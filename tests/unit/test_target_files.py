@@ -16,6 +16,7 @@ from labkit.target import CellTarget, open_target
 from labkit.target_file import read_spec, render_file
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
+from tests.plans import PORTRAIT, plan_text
 
 
 def test_a_carpet_has_the_published_number_of_white_cells() -> None:
@@ -70,8 +71,8 @@ def colour_picture(path: Path) -> None:
     ("make", "says"),
     [
         (lambda path: None, "No such file"),
-        (lambda path: path.write_bytes(b""), "not a readable"),
-        (lambda path: path.write_text("a letter"), "not a readable"),
+        (lambda path: path.write_bytes(b""), "is empty"),
+        (lambda path: path.write_text("a letter"), "is no PNG, PGM or TIFF"),
         (colour_picture, "must be grey"),
     ],
 )
@@ -109,10 +110,7 @@ def test_a_pdf_page_is_as_large_as_the_target(tmp_path: Path) -> None:
 
 def test_a_plan_names_a_target_too(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
-    plan.write_text(
-        "[lens]\nfocal_length_mm = 70.0\nf_number = 2.8\n[sensor]\npixel_pitch_um = 4.78\n"
-        '[[channel]]\nname = "G"\nwavelength_nm = 550.0\n[target]\nkind = "sierpinski"\norder = 4\nsize_mm = 30.0\n'
-    )
+    plan.write_text(plan_text(PORTRAIT))
     assert read_spec(str(plan)).order == 4
 
 
@@ -122,6 +120,17 @@ def test_a_plan_names_a_target_too(tmp_path: Path) -> None:
 def test_a_bad_description_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(TargetError, match=r"an example: sierpinski:order=5,size_mm=46\.8"):
         read_spec(text)
+
+
+def test_a_misspelt_name_is_named_before_what_is_missing() -> None:
+    with pytest.raises(TargetError, match=r"'sierpinski:ordre=5': ordre is no known key; did you mean order\?"):
+        read_spec("sierpinski:ordre=5")
+
+
+def test_a_picture_of_more_than_can_be_drawn_is_refused_by_its_declared_size(tmp_path: Path) -> None:
+    (tmp_path / "picture.pgm").write_bytes(b"P5 8193 8193 255\n")
+    with pytest.raises(TargetError, match="declares 8193 × 8193 pixels: allowed are 67 million in all"):
+        read_radiance(tmp_path / "picture.pgm")
 
 
 def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:

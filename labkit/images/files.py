@@ -1,0 +1,247 @@
+"""Grey pictures in PNG, PGM and TIFF files: the numbers as they are stored.
+
+The format is that of a file's first bytes, whatever its name. Declared sizes are looked at first. Numbers that stand in a file
+as they are, are read here; what has to be decompressed is decoded in a process of its own (`labkit.images.decoder`),
+with limits of memory and time: a damaged file ends in a message, quickly.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import zlib
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from labkit.errors import InputError, shown
+from labkit.images import decoder
+
+Numbers = NDArray[np.uint8] | NDArray[np.uint16]
+Format = Literal["png", "pgm", "tiff"]
+
+MOST_PIXELS = 2**28
+"""Of any picture: the largest sensors have 150 million."""
+
+MOST_PER_SIDE = 2**16
+
+DECODER_MEMORY_BYTES = 2**29
+"""Allowed to the decoder beside four times what the picture itself takes; Python and Pillow take 0.1 GB of it."""
+
+DECODER_SECONDS = 5
+"""Allowed to the decoder beside a second for each 2 million pixels; it takes 20 to 50 ms for a million."""
+
+UNDER_LOAD = 12
+"""The decoder's seconds are of its processor; by the clock they may be this many times as long."""
+
+PNG = b"\x89PNG\r\n\x1a\n"
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+SPACE = rb"(?:\s|#[^\n]*\n)+"
+PGM = re.compile(rb"P([25])" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})\s")
+
+PNG_NEEDED = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
+"""Chunks that the decoder gets: texts and profiles, which may swell to any size, are left out."""
+
+ADAM7 = ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1))
+"""Passes of an interlaced PNG: first row, first column, steps down and right."""
+
+GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
+MIN_IS_WHITE, UNCOMPRESSED = 0, 1
+DAMAGED = "is truncated or damaged"
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """(rows, cols) numbers, or (rows, cols, 3) where a file says that it has colours; bits: of each, as stored;
+    white: the number of full scale."""
+
+    numbers: Numbers
+    bits: int
+    white: int
+
+
+def format_of(head: bytes) -> Format | None:
+    """The format of a file that begins with these bytes, four or more; None for any other."""
+    if head.startswith(PNG[:4]):
+        return "png"
+    if head.startswith((b"P2", b"P5")):
+        return "pgm"
+    return "tiff" if head.startswith(TIFF) else None
+
+
+def read_picture(path: Path, most_pixels: int = MOST_PIXELS) -> Picture:
+    """The picture in a PNG, PGM or TIFF file.
+
+    Raises OSError where it cannot be read, and InputError, whose message leaves out the file's name, for one that is
+    damaged, that declares more than `most_pixels`, or that is no picture of 8 or 16 bit in grey, or of 8 bit in colours.
+    """
+    with path.open("rb") as file:
+        head = file.read(len(PNG))
+    match format_of(head):
+        case "png":
+            return _read_png(path.read_bytes(), most_pixels)
+        case "pgm":
+            return _read_pgm(path.read_bytes(), most_pixels)
+        case "tiff":
+            return _read_tiff(path, most_pixels)
+    raise InputError("is no PNG, PGM or TIFF" if head else "is empty")
+
+
+def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
+    """Raise InputError if a page's data would lie beyond the end of the file, `size` bytes."""
+    pages = [page for page in tiff.pages if isinstance(page, tifffile.TiffPage)]
+    for page in pages:
+        pages += [sub for sub in page.pages or () if isinstance(sub, tifffile.TiffPage)]
+        end = max((at + count for at, count in zip(page.dataoffsets, page.databytecounts, strict=False)), default=0)
+        if end > size:
+            raise InputError(f"is truncated: {size} bytes, but its tags say at least {end}")
+
+
+def _check_size(shape: tuple[int, ...], most_pixels: int) -> None:
+    """Raise InputError for a declared size, (rows, columns) or more, that is not allowed."""
+    words = " × ".join(map(str, shape))
+    if not all(1 <= side <= MOST_PER_SIDE for side in shape[:2]):
+        raise InputError(f"declares {words} pixels: allowed are 1 to {MOST_PER_SIDE} a side")
+    if prod(shape[:2]) > most_pixels:
+        raise InputError(f"declares {words} pixels: allowed are {most_pixels / 1e6:.0f} million in all")
+
+
+def _read_png(content: bytes, most_pixels: int) -> Picture:
+    chunks = _png_chunks(content)
+    header = chunks[0][1]
+    cols, rows, bits, colours = int.from_bytes(header[:4]), int.from_bytes(header[4:8]), header[8], header[9]
+    _check_size((rows, cols), most_pixels)
+    if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(name == b"tRNS" for name, _, _ in chunks):
+        raise InputError("has colours or transparency that cannot be used: allowed is grey")
+    if colours != GREY and bits > 8:
+        raise InputError(f"has colours of {bits} bit: allowed is grey")
+    _check_pixels(header, b"".join(data for name, data, _ in chunks if name == b"IDAT"))
+    needed = b"".join(whole for name, _, whole in chunks if name in PNG_NEEDED)
+    numbers = _decode("PNG", PNG + needed, (rows, cols) if colours == GREY else (rows, cols, 3), max(bits, 8))
+    return Picture(numbers, bits, int(np.iinfo(numbers.dtype).max))
+
+
+def _png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
+    """(name, data, whole) of each chunk. Raises InputError unless all are there and fit their checksums."""
+    at, name = len(PNG), b""
+    chunks: list[tuple[bytes, bytes, bytes]] = []
+    while name != b"IEND":
+        length, name = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]
+        end = at + 8 + length
+        if len(content) < end + 4 or zlib.crc32(content[at + 4 : end]) != int.from_bytes(content[end : end + 4]):
+            raise InputError(DAMAGED)
+        chunks.append((name, content[at + 8 : end], content[at : end + 4]))
+        at = end + 4
+    if chunks[0][0] != b"IHDR" or len(chunks[0][1]) != 13 or not content.startswith(PNG):
+        raise InputError(DAMAGED)
+    return chunks
+
+
+def _check_pixels(header: bytes, compressed: bytes) -> None:
+    """Raise InputError where a PNG holds fewer pixels than its header declares: Pillow would make the rest black."""
+    cols, rows, bits = int.from_bytes(header[:4]), int.from_bytes(header[4:8]), header[8] * (1, 0, 3, 1)[header[9]]
+    passes = ADAM7 if header[12] else ((0, 0, 1, 1),)
+    sizes = [(-(-(rows - top) // down), -(-(cols - left) // right)) for top, left, down, right in passes]
+    needed = sum(high * (1 + -(-wide * bits // 8)) for high, wide in sizes if high > 0 and wide > 0)
+    stream, there = zlib.decompressobj(), 0
+    try:
+        while there < needed and (part := stream.decompress(compressed, 1 << 20)):
+            there, compressed = there + len(part), stream.unconsumed_tail
+    except zlib.error as error:
+        raise InputError(f"{DAMAGED} ({error})") from error
+    if there < needed:
+        raise InputError(f"is truncated: {there} of {needed} bytes are there")
+
+
+def _read_pgm(content: bytes, most_pixels: int) -> Picture:
+    header = PGM.match(content)
+    if not header:
+        raise InputError("is a damaged PGM: its header cannot be read")
+    cols, rows, most = (int(number) for number in header.groups()[1:])
+    _check_size((rows, cols), most_pixels)
+    if not 1 <= most <= 65535:
+        raise InputError(f"has a largest number of {most}: allowed is 1 to 65535")
+    dtype = np.dtype(np.uint8 if most < 256 else np.uint16)
+    if header[1] == b"5":
+        there, needed = len(content) - header.end(), rows * cols * dtype.itemsize
+        if there < needed:
+            raise InputError(f"is truncated: {there} of {needed} bytes are there")
+        numbers = np.frombuffer(content, dtype.newbyteorder(">"), rows * cols, header.end())
+    else:
+        numbers = _plain_numbers(content[header.end() :], rows * cols)
+    if numbers.max() > most:
+        raise InputError(f"{DAMAGED}: it holds {numbers.max():g}, its header says {most} at most")
+    return Picture(numbers.astype(dtype).reshape(rows, cols), 8 * dtype.itemsize, most)
+
+
+def _plain_numbers(text: bytes, needed: int) -> NDArray[np.float64]:
+    """The first numbers of a PGM that is written in digits."""
+    if wrong := re.search(rb"[^\d\s]|\d{6}", text):
+        raise InputError(f"{DAMAGED}: {shown(wrong[0])} stands among its numbers")
+    numbers = np.fromstring(text, np.float64, sep=" ") if text.strip() else np.zeros(0)
+    if numbers.size < needed:
+        raise InputError(f"is truncated: {numbers.size} of {needed} numbers are there")
+    return numbers[:needed]
+
+
+def _read_tiff(path: Path, most_pixels: int) -> Picture:
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            page = tiff.pages.first
+            _check_tiff(tiff, page, most_pixels)
+            bits = int(page.bitspersample)
+            if page.compression != UNCOMPRESSED:
+                return Picture(_decode("TIFF", path.read_bytes(), page.shape, bits), bits, 2**bits - 1)
+            check_strips(tiff, path.stat().st_size)
+            if sum(page.databytecounts) < page.nbytes:
+                raise InputError(f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there")
+            return Picture(page.asarray(), bits, 2**bits - 1)
+    except (InputError, OSError):
+        raise
+    except Exception as error:  # tifffile lets through whatever a damaged tag happens to break
+        raise InputError(f"{DAMAGED} ({shown(str(error))})") from error
+
+
+def _check_tiff(tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int) -> None:
+    """Raise InputError for what a TIFF declares, as far as it is not allowed."""
+    if len(page.shape) < 2:
+        raise InputError(DAMAGED)
+    _check_size(page.shape, most_pixels)
+    if page.photometric == MIN_IS_WHITE:
+        raise InputError("counts darkness (MinIsWhite): allowed are numbers that grow with light")
+    if len(tiff.pages) > 1:
+        raise InputError(f"holds {len(tiff.pages)} pictures: allowed is one")
+    if page.dtype not in (np.uint8, np.uint16) or page.bitspersample not in (8, 16):
+        what = f"{page.bitspersample} bit" if page.dtype in (np.uint8, np.uint16) else str(page.dtype)
+        raise InputError(f"holds {what} numbers: allowed are 8 and 16 bit integers")
+    if page.shape[2:] not in ((), (3,)) or (page.ndim == 3 and page.bitspersample != 8):
+        raise InputError(f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey")
+
+
+def _decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
+    """The numbers of a picture that the decoder is sure to end with. Raises InputError."""
+    expected = prod(shape) * bits // 8
+    memory = DECODER_MEMORY_BYTES + 4 * expected + 2 * len(content)
+    seconds = DECODER_SECONDS + prod(shape) // 2_000_000
+    command = [sys.executable, "-P", decoder.__file__, name, str(memory), str(seconds)]
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, timeout=UNDER_LOAD * seconds)
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{DAMAGED}: it takes longer than {UNDER_LOAD * seconds} s to decode") from None
+    if done.returncode < 0:
+        raise InputError(f"{DAMAGED}: its decoder ended by signal {-done.returncode}, after {seconds} s at most")
+    if done.returncode:
+        words = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        raise InputError(f"{DAMAGED} ({shown(words)})")
+    mode, _, data = done.stdout.partition(b"\n")
+    dtype = np.dtype(decoder.TYPES[mode.decode()])
+    if len(data) != expected or 8 * dtype.itemsize != bits:
+        raise InputError(f"{DAMAGED}: {len(data)} of {expected} bytes came out of it")
+    decoded: Any = np.frombuffer(data, dtype).astype(dtype.newbyteorder("=")).reshape(shape)
+    return decoded

@@ -1,0 +1,121 @@
+"""Damaged files of every kind that is read: each is taken, or refused in one short printable line."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from labkit.errors import InputError
+from labkit.images.files import read_picture
+from labkit.plan import Plan
+from labkit.session.import_frames import Row, read_rows
+from tests.mutations import NASTY, mutated
+from tests.plans import PORTRAIT, RED_AND_GREEN, plan_text, simulated
+
+PLAN = plan_text(PORTRAIT, RED_AND_GREEN, simulated([3000, 3200.5], 2950.0))
+ROWS = (
+    'file,kind,range_mm,lens\ntarget.dng,target,3000,"70, wide"\nflat 1.dng,flat,3000.5,\na/dark.dng,dark,,\n'
+    "b/bias.dng;bias;;\n"
+)
+TOML = (*NASTY, b"=", b"[", b"[[", b".a" * 50, b"{", b"'''", b"0x" + b"f" * 5000, b"f/2.8", b"[lens]\n", b"channel")
+CSV = (*NASTY, b",", b";", b"'", b"a" * 140_000, b"file", b"kind", b"/", b"target", b"1_0")
+
+
+def refusals(damaged: Iterable[bytes], read: Callable[[bytes], object]) -> list[str]:
+    """What is said of the inputs that are refused; whatever else goes wrong with one is raised."""
+    messages = []
+    for content in damaged:
+        try:
+            read(content)
+        except InputError as error:
+            messages.append(str(error))
+    return messages
+
+
+def read_plan(content: bytes) -> None:
+    """A plan that is taken reads back the same."""
+    plan = Plan.parse(content.decode("utf-8", errors="replace"))
+    assert Plan.parse(plan.to_toml()) == plan
+
+
+def rows_in(folder: Path) -> Callable[[bytes], object]:
+    """Reads the rows of a CSV in that folder."""
+    plan = Plan.parse(PLAN)
+
+    def read(content: bytes) -> list[Row]:
+        (folder / "frames.csv").write_bytes(content)
+        return read_rows(folder / "frames.csv", plan)
+
+    return read
+
+
+def check(messages: list[str], inputs: int) -> None:
+    """Damage is mostly found, not always: some of it makes another good file."""
+    assert inputs / 2 < len(messages) < inputs
+    assert [message for message in messages if not message.isprintable() or len(message) > 4000] == []
+
+
+def pictures() -> dict[str, bytes]:
+    """A small picture in each format; the PNG's checksums are of no use against damage that a program did."""
+    numbers = np.random.default_rng(1).integers(0, 65536, (24, 31)).astype(np.uint16)
+    packed, plain = BytesIO(), BytesIO()
+    Image.fromarray(numbers).save(packed, format="tiff", compression="tiff_lzw")
+    tifffile.imwrite(plain, numbers)
+    return {
+        "png": cv2.imencode(".png", numbers)[1].tobytes(),
+        "pgm": b"P5\n31 24\n65535\n" + numbers.tobytes(),
+        "digits": b"P2\n31 24\n65535\n" + " ".join(map(str, numbers.ravel())).encode(),
+        "tiff": plain.getvalue(),
+        "packed": packed.getvalue(),
+    }
+
+
+def mended(png: bytes) -> bytes:
+    """A damaged PNG with checksums that fit the damage, as far as its chunks can be followed."""
+    at, whole = 8, png[:8]
+    while at + 12 <= len(png):
+        end = at + 8 + int.from_bytes(png[at : at + 4])
+        whole += png[at:end] + zlib.crc32(png[at + 4 : end]).to_bytes(4)
+        at = end + 4
+    return whole
+
+
+def picture_in(folder: Path) -> Callable[[bytes], object]:
+    """Reads a picture in that folder, of at most 100 kB: nothing that is damaged grows."""
+
+    def read(content: bytes) -> None:
+        (folder / "picture").write_bytes(content)
+        assert read_picture(folder / "picture", 25_000).numbers.nbytes < 100_000
+
+    return read
+
+
+def test_damaged_plans_are_taken_or_refused_in_one_line() -> None:
+    check(refusals(mutated(PLAN.encode(), 400, tokens=TOML, seed=1), read_plan), 400)
+
+
+def test_damaged_csvs_are_taken_or_refused_in_one_line(tmp_path: Path) -> None:
+    check(refusals(mutated(ROWS.encode(), 400, tokens=CSV, seed=2), rows_in(tmp_path)), 400)
+
+
+@pytest.mark.parametrize("name", ["pgm", "digits", "tiff"])
+def test_damaged_pictures_are_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    messages = refusals(mutated(pictures()[name], 300, seed=3), picture_in(tmp_path))
+    assert len(messages) > 50  # a number that is changed is another number
+    assert [message for message in messages if not message.isprintable() or len(message) > 300] == []
+
+
+@pytest.mark.parametrize("name", ["png", "packed"])
+def test_damaged_pictures_that_reach_the_decoder_are_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    damaged = mutated(pictures()[name], 25, seed=4)
+    messages = refusals(map(mended, damaged) if name == "png" else damaged, picture_in(tmp_path))
+    assert len(messages) > 5
+    assert [message for message in messages if not message.isprintable() or len(message) > 300] == []
