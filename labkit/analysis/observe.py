@@ -17,7 +17,8 @@ from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import MONO, Mosaic
-from labkit.session.session import Frame, Session
+from labkit.session.frame import Frame
+from labkit.session.session import Session
 from labkit.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
 

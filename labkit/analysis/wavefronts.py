@@ -17,7 +17,8 @@ from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residua
 from labkit.optics.lens import ThinLens
 from labkit.optics.zernike import is_even
 from labkit.plan import Plan
-from labkit.session.session import Session, altered
+from labkit.session.session import Session
+from labkit.session.verify import altered
 from labkit.target import Target, open_target
 from labkit.types import Floats, Progress
 

@@ -18,7 +18,7 @@ from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
 from labkit.plan import Plan
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import Frame
+from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32
 
 Cut = tuple[slice, slice]

@@ -33,7 +33,7 @@ from labkit.files import writing
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import Session
+from labkit.session.session import EXPOSING, Session
 from labkit.types import Progress
 
 Result = TypeVar("Result")
@@ -41,7 +41,7 @@ Result = TypeVar("Result")
 Ask = Callable[[str], object]
 """Asks a person to do something, and returns when it is done."""
 
-EXPOSING, REJECTED = ".exposing", "rejected"
+REJECTED = "rejected"
 
 TRIES = 3
 """How often a device may fail at one step before the capture stops."""

@@ -55,14 +55,16 @@ def import_(
 def verify(ctx: typer.Context, session: SessionPath) -> None:
     """Check every frame against its checksum, and the journal against the folder."""
     from labkit.session.session import Session
-    from labkit.session.session import verify as find_problems
+    from labkit.session.verify import remarks
+    from labkit.session.verify import verify as find_problems
 
     console: Console = ctx.obj
     opened = Session.open(session)
     problems = find_problems(opened)
-    for warning in opened.warnings:
-        console.warn(warning)
-    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems})
+    notes = [*opened.warnings, *remarks(opened)]
+    for note in notes:
+        console.warn(note)
+    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems, "remarks": notes})
     if problems:
         raise LabkitError(f"{session}: {'; '.join(problems)}")
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
@@ -106,7 +108,8 @@ def report(ctx: typer.Context, session: SessionPath) -> None:
     from labkit.session.session import Session
 
     console: Console = ctx.obj
-    made = write_report(Session.open(session).results_folder())
+    opened = Session.open(session)
+    made = write_report(opened.results_folder(), opened.plan)
     console.say(f"report: {made}")
     console.answer({"report": str(made)})
 

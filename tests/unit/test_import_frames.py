@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from labkit.errors import InputError, SessionError, TargetError
 from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
-from labkit.session.session import Session, verify
+from labkit.session.session import Session
+from labkit.session.verify import verify
 
 WriteDng = Callable[..., Path]
 
