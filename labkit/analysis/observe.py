@@ -1,4 +1,4 @@
-"""What a session's frames say, ready to be fitted: corrected, the target found, cut to what matters."""
+"""A session's frames, ready to be fitted: corrected, the target found, cut to what matters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

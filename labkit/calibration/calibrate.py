@@ -29,7 +29,7 @@ WHOLE: Cut = (slice(0, None), slice(0, None))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """All that a session's darks and flats say, on the full raw grid of the sensor.
+    """All that a session's darks and flats show, on the full raw grid of the sensor.
 
     offset: counts without light, None = as each file states; illumination: for each range that has flats, NaN where they
     are unlit; response: relative to neighbours, with its posterior standard deviation (relative too); usable: neither
