@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from labkit.errors import InputError, SessionError
 
@@ -16,7 +17,7 @@ from labkit.errors import InputError, SessionError
 def write_atomically(path: Path, content: bytes) -> None:
     """Write `content` to `path`, replacing what is there; a crash leaves the old file or the new one.
 
-    Raises InputError where the disk does not let us.
+    Raises InputError where it cannot be written.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
@@ -33,7 +34,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What the system says against writing `path`, as an InputError that names it."""
+    """An error of the system in writing `path` becomes an InputError that names it."""
     try:
         yield
     except OSError as error:
@@ -43,7 +44,7 @@ def writing(path: Path) -> Iterator[None]:
 def copy_durably(source: Path, target: Path) -> str:
     """Copy a file, sync it, and return the SHA-256 of what was written, in hexadecimal.
 
-    Raises InputError where the disk does not let us.
+    Raises InputError where it cannot be written.
     """
     with source.open("rb") as reader, writing(target), target.open("wb") as writer:
         shutil.copyfileobj(reader, writer, 1 << 20)
@@ -59,7 +60,7 @@ def sha256_of(path: Path) -> str:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable. Raises InputError where the disk does not let us."""
+    """Make the names in a folder durable. Raises InputError where it cannot be written."""
     with writing(folder):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -68,8 +69,23 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def checksum_problem(path: Path, sha256: str) -> str | None:
+    """What is wrong with a file that should have that SHA-256, in words that name it; None if it is as it should be."""
+    if not path.is_file():
+        return f"{path}: missing"
+    try:
+        return None if sha256_of(path) == sha256 else f"{path}: does not fit its checksum: it was altered or is damaged"
+    except OSError as error:
+        return f"{path}: cannot be read: {error.strerror}"
+
+
+def is_name(name: Any) -> bool:
+    """Whether it is a string that is safe as a file name anywhere."""
+    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name) is not None
+
+
 def check_name(name: str) -> str:
     """`name` if it is safe as a file name anywhere. Raises SessionError otherwise."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name):
+    if not is_name(name):
         raise SessionError(f"name {name!r}: allowed is letters, digits, '.', '_' and '-', 200 at most, no '.' first")
     return name

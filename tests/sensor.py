@@ -9,7 +9,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from labkit.session.session import Frame, Session
+from labkit.session.frame import Frame
+from labkit.session.session import Session
 from labkit.types import Floats, FrameKind
 from tests.plans import PORTRAIT, Tables, plan_text
 

@@ -15,7 +15,8 @@ from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
-from labkit.session.session import Session, altered
+from labkit.session.session import Session
+from labkit.session.verify import altered
 from labkit.target import open_target
 from labkit.types import Progress, no_progress
 

@@ -1,4 +1,4 @@
-"""What a session's frames say, ready to be fitted: corrected, the target found, cut to what matters."""
+"""A session's frames, ready to be fitted: corrected, the target found, cut to what matters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,8 @@ from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.results.model import same_range
-from labkit.session.session import Frame, Session
+from labkit.session.frame import Frame
+from labkit.session.session import Session
 from labkit.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
 

@@ -18,7 +18,7 @@ from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
 from labkit.plan import Plan
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import Frame
+from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32
 
 Cut = tuple[slice, slice]
@@ -29,7 +29,7 @@ WHOLE: Cut = (slice(0, None), slice(0, None))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """All that a session's darks and flats say, on the full raw grid of the sensor.
+    """All that a session's darks and flats show, on the full raw grid of the sensor.
 
     offset: counts without light, None = as each file states; illumination: for each range that has flats, NaN where they
     are unlit; response: relative to neighbours, with its posterior standard deviation (relative too); usable: neither

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from labkit.calibration.masters import clipped_mean, outliers, planes_of, shrunk
 from labkit.calibration.photon_transfer import OUTLIER_PROBABILITY, ROUNDING_VARIANCE, Scatter
 from labkit.calibration.stack import Stack
-from labkit.session.session import Frame
+from labkit.session.frame import Frame
 from labkit.types import Bools, Floats32
 
 

@@ -24,7 +24,7 @@ OUTLIER_PROBABILITY = 1e-6
 
 FLOOR_SHARE = 0.03
 """Without darks: prior standard deviation of the variance at no light, as a share of that in the brightest flats. One
-level of light alone cannot tell the two apart."""
+level of light alone does not separate the two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,10 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Gain (counts per electron) and read noise (counts, without the rounding) with standard errors; None = unknown."""
+    """Gain (counts per electron) and read noise (counts, without the rounding to whole counts, whose variance is 1/12).
+
+    gain_std, read_noise_std: standard errors in the same units, absolute. None = unknown.
+    """
 
     gain: float | None
     gain_std: float | None
@@ -68,7 +71,7 @@ def photon_transfer(flats: Iterable[Scatter], darks: Iterable[Scatter] = ()) -> 
     """Gain and read noise from flats of one channel (any number of levels) and from darks.
 
     Weighted least squares of variance on signal, each pixel by its own expected scatter, pooled over all groups.
-    Without flats the gain is None; without darks the read noise is what the flats' different levels tell of it, None if
+    Without flats the gain is None; without darks the read noise is what the flats' different levels show of it, None if
     that is less than three standard errors.
     """
     light, dark = [*flats], [*darks]

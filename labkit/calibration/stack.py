@@ -12,7 +12,7 @@ from labkit.errors import DataError
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import Frame
+from labkit.session.frame import Frame
 from labkit.types import Bools, Counts, Floats, Floats32
 
 SATURATION_MARGIN = 0.01

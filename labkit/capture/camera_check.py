@@ -31,7 +31,7 @@ channel = [{{ name = "G", wavelength_nm = 550.0 }}]
 address = "{address}"
 exposure_s = 0.01
 """
-"""A plan that says nothing but where the camera is."""
+"""A plan that holds nothing but where the camera is."""
 
 BLOCKS = 8
 """Noise is looked for in 8 × 8 parts of a photograph."""
@@ -39,7 +39,7 @@ BLOCKS = 8
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """A camera and the plan it was opened with; planned: whether that says how to expose and what stands before it."""
+    """A camera and the plan it was opened with; planned: whether that states how to expose and what stands before it."""
 
     camera: Camera
     plan: Plan
@@ -62,7 +62,7 @@ class FrameReport:
     """A test photograph: how the camera exposed, how light and sharp it is, and what to look at by hand.
 
     edge_px: pixels over which its sharpest edges rise; blur_px: diameter of the blur circle on the plan's target; each
-    None where there is nothing to tell it from; target: in words.
+    None where nothing shows it; target: in words.
     """
 
     exposure_s: float
@@ -104,7 +104,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    blur, words = None, "not looked for: give a plan that says what it is"
+    blur, words = None, "not looked for: give a plan that describes it"
     try:
         grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
         if alone.planned:

@@ -12,39 +12,26 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from labkit.capture.preflight import Hands, preflight
+from labkit.capture.log import CaptureLog
+from labkit.capture.patient import PatientDevices
+from labkit.capture.preflight import preflight
 from labkit.capture.sequence import Shot, bench_settings, missing, picture_for, shots
 from labkit.devices.context import Devices
 from labkit.devices.panel_image import PanelPicture
-from labkit.devices.protocols import Attentive, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
-from labkit.errors import (
-    DataError,
-    DeviceError,
-    DisplayError,
-    InputError,
-    LabkitError,
-    PlanError,
-    RailLimitError,
-    RawError,
-)
-from labkit.files import writing
+from labkit.devices.protocols import Picture, RawFrame
+from labkit.errors import DataError, DeviceError, InputError, LabkitError, PlanError, RawError
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import Session
-from labkit.types import Progress
-
-Result = TypeVar("Result")
+from labkit.session.session import EXPOSING, Session
+from labkit.types import Progress, no_progress
 
 Ask = Callable[[str], object]
 """Asks a person to do something, and returns when it is done."""
 
-EXPOSING, REJECTED = ".exposing", "rejected"
-
-TRIES = 3
-"""How often a device may fail at one step before the capture stops."""
+REJECTED = "rejected"
 
 
 def capture(
@@ -58,46 +45,43 @@ def capture(
 ) -> None:
     """Take every photograph that the session still lacks. The session is open to append.
 
-    ask: how to ask a person for the lens cap, where the camera has none of its own; warn: is told what only a person can
-    check; check: look first whether all is right (`preflight`). Device trouble is tried again
+    ask: how to ask a person for the lens cap, where the camera has none of its own; warn: is called with what only a
+    person can check; check: look first whether all is right (`preflight`). Device trouble is tried again
     up to three times. Raises DeviceError, DataError for a photograph that is useless (kept in SESSION/rejected),
     TargetError, RawError, PlanError; whatever is raised, Ctrl-C too, calling it again goes on from there.
     """
+    total = len(shots(session.plan))
+    done = total - len(missing(session))
+    log = CaptureLog(session, devices.observers, progress or no_progress, done, total)
     try:
-        _Capture(session, devices, progress, ask).run(check, warn)
+        _Capture(session, devices, log, ask).run(check, warn)
     except KeyboardInterrupt:
         with suppress(DeviceError):  # homing, at the next start, mends a rail that did not even stop
             devices.rail.stop()
-        session.log("interrupted")
-        _tell(devices, "interrupted")
+        log.note("interrupted")
         raise
     except LabkitError as error:
-        _tell(devices, "stopped", error=str(error))
+        log.show("stopped", error=str(error))
         raise
     finally:
         shutil.rmtree(session.folder / EXPOSING, ignore_errors=True)
 
 
 class _Capture:
-    """One run: the devices, and what is known of where they stand."""
+    """One run: what is taken, in which order, and what is kept."""
 
-    def __init__(self, session: Session, devices: Devices, progress: Progress | None, ask: Ask | None) -> None:
+    def __init__(self, session: Session, devices: Devices, log: CaptureLog, ask: Ask | None) -> None:
         self._session = session
         self._devices = devices
-        self._progress = progress
+        self._log = log
         self._ask = ask
-        self._camera, self._rail = bench_settings(session.plan)
-        self._total = len(shots(session.plan))
-        self._done = 0
+        self._patient = PatientDevices(session.plan, devices, log, session.folder / EXPOSING)
         self._first: Mosaic | None = None
-        self._latest: Mosaic | None = None
-        self._standing: tuple[float, dict[str, Any]] | None = None
 
     def run(self, check: bool, warn: Callable[[str], None] | None) -> None:
         todo = missing(self._session)
         if not todo:
             return
-        self._done = self._total - len(todo)
         target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
@@ -105,78 +89,44 @@ class _Capture:
         stops = list(dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None))
         if darks:
             self._refuse_uncapped()
-        self._note("began", missing=len(todo), total=self._total, shown_size_mm=target.size_mm)
+        self._log.note("began", missing=len(todo), total=self._log.total, shown_size_mm=target.size_mm)
         if check:
             self._look_round(target, stops, len(todo), warn)
         else:
-            self._ready_camera_patiently()
+            self._patient.ready()
             if stops:
-                self._home()
+                self._patient.home()
         self._take_darks(darks)
         for range_mm in stops:
             here = [shot for shot in todo if shot.range_mm == range_mm]
-            self._go_to(range_mm)
+            self._patient.go_to(range_mm)
             self._take("white", [shot for shot in here if shot.kind == "flat"])
             self._take(target.grey, [shot for shot in here if shot.kind == "target"])
-        self._note("complete")
+        self._log.note("complete")
 
     def _look_round(
         self, target: PanelPicture, stops: list[float], frames: int, warn: Callable[[str], None] | None
     ) -> None:
         """The preflight; ends where the capture begins, if that is at an end of the rail."""
         ends = sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0]) if stops else []
-        found = preflight(
+        findings = preflight(
             self._session.plan,
-            self._devices,
-            Hands(self._ready_camera_patiently, self._home, self._go_to, self._show, self._photograph_to_look_at),
+            self._patient,
+            self._log,
             picture=target,
             ends_mm=ends,
             frames=frames,
             folder=self._session.folder,
         )
-        if warn and found.by_hand:
-            warn(f"check by hand: {'; '.join(found.by_hand)}")
-        self._note(
+        if warn and findings.by_hand:
+            warn(f"check by hand: {'; '.join(findings.by_hand)}")
+        self._log.note(
             "preflight",
-            problems=[str(error) for error in found.problems],
-            by_hand=found.by_hand,
-            measured=found.measured,
+            problems=[str(error) for error in findings.problems],
+            by_hand=findings.by_hand,
+            measured=findings.measured,
         )
-        found.raise_problems()
-
-    def _photograph_to_look_at(self, name: str, picture: Picture) -> tuple[Path, Mosaic]:
-        self._step(f"taking {name}")
-        path = self._photograph(picture, Shot(name, "target", None)).path
-        return path, read_raw(path, self._session.plan.sensor)
-
-    def _home(self) -> None:
-        self._step("homing the rail")
-        self._try("rail", self._devices.rail.home, lambda: None)
-
-    def _ready_camera_patiently(self) -> None:
-        self._step("setting the camera")
-        self._try("camera", self._ready_camera, lambda: None)
-
-    def _ready_camera(self) -> None:
-        """Find the camera, again if it had dropped off, and set it."""
-        info = self._devices.camera.identify()
-        self._devices.camera.configure(ExposureSettings(self._camera.exposure_s, self._camera.iso))
-        self._note("camera", model=info.model, serial=info.serial, driver=info.driver)
-
-    def _go_to(self, range_mm: float) -> dict[str, Any]:
-        """Move and settle, unless it stands there; what is to be noted of the place."""
-        if self._standing is not None and self._standing[0] == range_mm:
-            return self._standing[1]
-        self._standing = None
-        self._step(f"moving to {range_mm:g} mm")
-        rail, asked_mm = self._devices.rail, self._rail.position_mm(range_mm)
-        at_mm = self._try("rail", lambda: rail.move_to(asked_mm), rail.home)
-        self._devices.wait(self._rail.settle_s)
-        measured_mm = self._rail.range_mm(at_mm)
-        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6)}
-        self._note("moved", range_mm=range_mm, **meta)
-        self._standing = range_mm, meta
-        return meta
+        findings.raise_problems()
 
     def _take_darks(self, todo: list[Shot]) -> None:
         if not todo:
@@ -185,138 +135,59 @@ class _Capture:
         try:
             self._take("black", todo)
         except BaseException:
-            if isinstance(self._devices.camera, Coverable):  # but no trouble waits for a person
-                self._devices.camera.cover(False)
+            self._patient.cover(False)  # but no trouble waits for a person
             raise
         self._cover(False)
 
     def _cover(self, closed: bool) -> None:
-        camera = self._devices.camera
-        if isinstance(camera, Coverable):
-            camera.cover(closed)
+        if self._patient.can_cover:
+            self._patient.cover(closed)
         elif self._ask is not None:
             self._ask("Put the cap on the lens" if closed else "Take the cap off the lens")
 
     def _refuse_uncapped(self) -> None:
-        if self._ask is None and not isinstance(self._devices.camera, Coverable):
+        if self._ask is None and not self._patient.can_cover:
+            camera, _ = bench_settings(self._session.plan)
             raise PlanError(
-                f"camera.darks = {self._camera.darks}: dark frames need someone to cap the lens; "
+                f"camera.darks = {camera.darks}: dark frames need someone to cap the lens; "
                 f"run this at a terminal or with --monitor, or set camera.darks = 0"
             )
 
     def _take(self, picture: Picture, todo: list[Shot]) -> None:
         if not todo:
             return
-        self._step("showing " + (picture if isinstance(picture, str) else "the target"))
-        self._show(picture)
+        self._log.step("showing " + (picture if isinstance(picture, str) else "the target"))
+        self._patient.show(picture)
         for shot in todo:
-            self._step(f"taking {shot.name}")
-            self._keep(*self._photograph_in_place(picture, shot), shot)
-
-    def _show(self, picture: Picture) -> None:
-        self._try("display", lambda: self._devices.display.show(picture), lambda: None)
-
-    def _photograph_in_place(self, picture: Picture, shot: Shot) -> tuple[RawFrame, dict[str, Any]]:
-        """Photograph at the shot's range, again if the rail did not stay there; what is to be noted of the place as well."""
-        if shot.range_mm is None:
-            return self._photograph(picture, shot), {}
-        rail = self._devices.rail
-        for attempt in range(1, TRIES + 1):
-            meta = self._go_to(shot.range_mm)
-            raw = self._photograph(picture, shot)
-            try:
-                if isinstance(rail, Steadfast):
-                    rail.check_still()
-                return raw, meta
-            except DeviceError as error:
-                self._standing = None
-                self._note("trouble", device="rail", attempt=attempt, error=f"after {shot.name}: {error}")
-                if attempt == TRIES:
-                    raise
-        raise AssertionError("unreachable: the last attempt returns or raises")
-
-    def _photograph(self, picture: Picture, shot: Shot) -> RawFrame:
-        """Expose, again if the display lost its picture meanwhile."""
-        display = self._devices.display
-        for attempt in range(1, TRIES + 1):
-            raw = self._try("camera", lambda: self._expose(shot), self._ready_camera)
-            if not isinstance(display, Attentive) or self._try("display", display.undisturbed, lambda: None):
-                return raw
-            self._note("trouble", device="display", attempt=attempt, error=f"lost its picture during {shot.name}")
-            self._show(picture)
-        raise DisplayError(f"the display lost its picture during {shot.name}, {TRIES} times in a row; look at it")
-
-    def _note(self, event: str, **fields: Any) -> None:
-        """Into the journal, and to who looks on."""
-        self._session.log(event, **fields)
-        _tell(self._devices, event, **fields)
-
-    def _step(self, doing: str) -> None:
-        """A step begins, unless someone holds it back."""
-        if self._progress:
-            self._progress(self._done, self._total, doing)
-        _tell(self._devices, "doing", what=doing)
-        for observer in self._devices.observers:
-            observer.may_go_on()
-
-    def _expose(self, shot: Shot) -> RawFrame:
-        """Into a folder that is thrown away: only a whole photograph gets into the session."""
-        folder = self._session.folder / EXPOSING
-        shutil.rmtree(folder, ignore_errors=True)
-        with writing(folder):
-            folder.mkdir()
-        return self._devices.camera.expose(folder / shot.name)
+            self._log.step(f"taking {shot.name}")
+            self._keep(*self._patient.photograph_in_place(picture, shot), shot)
 
     def _keep(self, raw: RawFrame, meta: dict[str, Any], shot: Shot) -> None:
         """Commit a photograph, or put it aside and raise if it is useless."""
-        if problem := self._problem(raw.path, shot):
+        try:
+            mosaic = self._checked(raw.path, shot)
+        except InputError as problem:
             aside = _set_aside(raw.path, self._session.folder / REJECTED)
-            self._note("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
-            raise problem
+            self._log.note("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
+            raise
         meta = {**raw.meta, **meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
-        self._done += 1
-        if self._progress:
-            self._progress(self._done, self._total, shot.name)
-        for observer in self._devices.observers:
-            assert self._latest is not None
-            observer.took(shot.name, shot.kind, shot.range_mm, self._latest, self._done, self._total)
+        self._log.took(shot, mosaic)
 
-    def _problem(self, path: Path, shot: Shot) -> InputError | None:
-        """Why a photograph is useless, as the error to raise; None if it is good."""
+    def _checked(self, path: Path, shot: Shot) -> Mosaic:
+        """A photograph, decoded. Raises RawError or DataError for one that is useless."""
         plan = self._session.plan
-        what = f"{shot.name}, just taken,"
-        try:
-            mosaic = self._latest = read_raw(path, plan.sensor)
-            problem = exposure_problem(mosaic, shot.kind, (channel.name for channel in plan.channel))
-        except RawError as error:
-            return error
+        mosaic = read_raw(path, plan.sensor)
+        problem = exposure_problem(mosaic, shot.kind, (channel.name for channel in plan.channel))
         first = self._first = self._first or mosaic
         if _likeness(mosaic) != _likeness(first):
-            return RawError(f"{what} is {_likeness(mosaic)}; the session's frames are {_likeness(first)}")
+            raise RawError(
+                f"{shot.name}, just taken, is {_likeness(mosaic)}; the session's frames are {_likeness(first)}"
+            )
         if problem:
-            return DataError(f"{what} {problem} ({self._camera.exposure_s:g} s was set)")
-        return None
-
-    def _try(self, device: str, action: Callable[[], Result], recover: Callable[[], object]) -> Result:
-        """Do something with a device; on trouble recover and do it again, a bounded number of times."""
-        for attempt in range(1, TRIES + 1):
-            try:
-                if attempt > 1:
-                    recover()
-                return action()
-            except RailLimitError:
-                raise
-            except DeviceError as error:
-                self._note("trouble", device=device, attempt=attempt, error=str(error))
-                if attempt == TRIES:
-                    raise
-        raise AssertionError("unreachable: the last attempt returns or raises")
-
-
-def _tell(devices: Devices, event: str, **fields: Any) -> None:
-    for observer in devices.observers:
-        observer.noted(event, **fields)
+            camera, _ = bench_settings(plan)
+            raise DataError(f"{shot.name}, just taken, {problem} ({camera.exposure_s:g} s was set)")
+        return mosaic
 
 
 def _likeness(mosaic: Mosaic) -> str:

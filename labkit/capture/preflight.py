@@ -1,6 +1,6 @@
-"""Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is said at once.
+"""Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is named at once.
 
-Devices, context on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
+Devices, room on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
 light right, is the target wholly in the frame, is it sharp enough to be fitted? Test photographs are not kept.
 """
 
@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from labkit.devices.context import Devices
+from labkit.capture.log import CaptureLog
+from labkit.capture.patient import PatientDevices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
@@ -24,6 +25,7 @@ from labkit.finder.sharpness import blur_px
 from labkit.inference.sketch import FARTHEST_WAVES
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
 from labkit.plan import Plan
+from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
@@ -34,20 +36,6 @@ SPARE_SHARE = 0.05
 """Of the room that photographs will take: kept free for journal and results."""
 
 PV_PER_RMS = float(np.sqrt(12))
-
-
-@dataclass(frozen=True, slots=True)
-class Hands:
-    """What a capture does with its devices, each again on passing trouble; they raise LabkitError if it lasts.
-
-    photograph: takes the picture that is shown, under a name; the file and what is in it.
-    """
-
-    ready: Callable[[], object]
-    home: Callable[[], object]
-    go_to: Callable[[float], object]
-    show: Callable[[Picture], object]
-    photograph: Callable[[str, Picture], tuple[Path, Mosaic]]
 
 
 @dataclass(slots=True)
@@ -70,8 +58,14 @@ class Findings:
             self.problems.append(error)
             return None
 
+    def succeeds(self, action: Callable[[], object]) -> bool:
+        """Do it; whether it did not fail."""
+        before = len(self.problems)
+        self.tried(action)
+        return len(self.problems) == before
+
     def raise_problems(self) -> None:
-        """Raise the one problem, or one error that says them all; nothing if there is none."""
+        """Raise the problem, or a single error that lists several; nothing if there is none."""
         if len(self.problems) == 1:
             raise self.problems[0]
         if self.problems:
@@ -82,8 +76,8 @@ class Findings:
 
 def preflight(
     plan: Plan,
-    devices: Devices,
-    hands: Hands,
+    patient: PatientDevices,
+    log: CaptureLog,
     *,
     picture: PanelPicture,
     ends_mm: Sequence[float],
@@ -91,87 +85,96 @@ def preflight(
     folder: Path,
 ) -> Findings:
     """Look at everything once. ends_mm: the nearest and the farthest stop; frames: photographs to come, into `folder`."""
-    found = Findings()
-    ready = found.tried(lambda: hands.ready() or True)
-    for device in (devices.camera, devices.rail, devices.display):
-        _check(device, frames, found)
-    homed = found.tried(lambda: hands.home() or True) if ends_mm else None
+    findings = Findings()
+    look = _Look(plan, patient, log, findings)
+    ready = findings.succeeds(patient.ready)
+    for device in (patient.devices.camera, patient.devices.rail, patient.devices.display):
+        _check(device, frames, findings)
+    homed = bool(ends_mm) and findings.succeeds(patient.home)
     blurs_px: dict[float, float] = {}
     for range_mm in ends_mm:
-        there = homed and found.tried(partial(_go_to, hands, range_mm))
-        blur = _look(plan, hands, picture, range_mm, found) if there and ready and not found.dark else None
+        there = homed and findings.succeeds(partial(patient.go_to, range_mm))
+        blur = look.round(picture, range_mm) if there and ready and not findings.dark else None
         if blur is not None:
             blurs_px[range_mm] = blur
-    if "frame_bytes" in found.measured:
-        _check_disk(folder, frames, found)
-    found.problems += _focus_problems(plan, blurs_px)
-    return found
+    if "frame_bytes" in findings.measured:
+        _check_disk(folder, frames, findings)
+    findings.problems += _focus_problems(plan, blurs_px)
+    return findings
 
 
-def _go_to(hands: Hands, range_mm: float) -> bool:
-    hands.go_to(range_mm)
-    return True
-
-
-def _check(device: object, frames: int, found: Findings) -> None:
+def _check(device: object, frames: int, findings: Findings) -> None:
     if isinstance(device, Checkable):
-        check = found.tried(lambda: device.check(frames)) or Check()
-        found.problems += [DeviceError(problem) for problem in check.problems]
-        found.by_hand += check.by_hand
+        check = findings.tried(lambda: device.check(frames)) or Check()
+        findings.problems += [DeviceError(problem) for problem in check.problems]
+        findings.by_hand += check.by_hand
 
 
-def _look(plan: Plan, hands: Hands, picture: PanelPicture, range_mm: float, found: Findings) -> float | None:
-    """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
-    at = f"at {range_mm:g} mm"
-    white = _photograph(hands, f"preflight_{range_mm:.10g}_white", "white", found)
-    if white is not None and "exposure" not in found.measured:
-        problem = exposure_problem(white, "flat", (channel.name for channel in plan.channel))
-        found.measured["exposure"] = problem or "right"
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Test photographs, and what is in them."""
+
+    plan: Plan
+    patient: PatientDevices
+    log: CaptureLog
+    findings: Findings
+
+    def round(self, picture: PanelPicture, range_mm: float) -> float | None:
+        """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
+        white = self._photograph(f"preflight_{range_mm:.10g}_white", "white")
+        if white is not None and "exposure" not in self.findings.measured:
+            self._check_white(white, range_mm)
+        shown = self._photograph(f"preflight_{range_mm:.10g}_target", picture.grey)
+        return None if shown is None else self._blur_px(shown, range_mm)
+
+    def _check_white(self, white: Mosaic, range_mm: float) -> None:
+        problem = exposure_problem(white, "flat", (channel.name for channel in self.plan.channel))
+        self.findings.measured["exposure"] = problem or "right"
         if problem:
             hint = "; is the cap on the lens, the display dark?" if "black" in problem else ""
-            found.problems.append(DataError(f"a test photograph of white {at} {problem}{hint}"))
-    shown = _photograph(hands, f"preflight_{range_mm:.10g}_target", picture.grey, found)
-    if shown is None:
-        return None
-    target = open_target(plan.target)
-    given = plan.target.corners_px
-    scale = float(
-        ground_sample_mm(ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), range_mm, plan.sensor.pixel_pitch_um)
-    )
-    try:
-        grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
-        corners = np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
-    except TargetError as error:
-        found.problems.append(TargetError(f"{at}: {error}"))
-        return None
-    blur = blur_px(grey, target, corners)
-    margin = min(float(corners.min()), float(np.min(np.array(grey.shape) - 1 - corners)))
-    found.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
-    return blur
+            error = DataError(f"a test photograph of white at {range_mm:g} mm {problem}{hint}")
+            self.findings.problems.append(error)
 
+    def _blur_px(self, shown: Mosaic, range_mm: float) -> float | None:
+        plan, target = self.plan, open_target(self.plan.target)
+        given = plan.target.corners_px
+        lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+        scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
+        try:
+            grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
+            corners = np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
+        except TargetError as error:
+            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}"))
+            return None
+        blur = blur_px(grey, target, corners)
+        margin = min(float(corners.min()), float(np.min(np.array(grey.shape) - 1 - corners)))
+        self.findings.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
+        return blur
 
-def _photograph(hands: Hands, name: str, picture: Picture, found: Findings) -> Mosaic | None:
-    def take() -> Mosaic:
-        hands.show(picture)
-        path, mosaic = hands.photograph(name, picture)
-        found.measured["frame_bytes"] = path.stat().st_size
+    def _photograph(self, name: str, picture: Picture) -> Mosaic | None:
+        def take() -> Mosaic:
+            self.patient.show(picture)
+            self.log.step(f"taking {name}")
+            path = self.patient.photograph(picture, name).path
+            mosaic = read_raw(path, self.plan.sensor)
+            self.findings.measured["frame_bytes"] = path.stat().st_size
+            return mosaic
+
+        if self.findings.dark:
+            return None
+        mosaic = self.findings.tried(take)
+        self.findings.dark = mosaic is None and isinstance(self.findings.problems[-1], DeviceError)
         return mosaic
 
-    if found.dark:
-        return None
-    seen = found.tried(take)
-    found.dark = seen is None and isinstance(found.problems[-1], DeviceError)
-    return seen
 
-
-def _check_disk(folder: Path, frames: int, found: Findings) -> None:
-    needed, free = found.measured["frame_bytes"] * frames * (1 + SPARE_SHARE), shutil.disk_usage(folder).free
-    found.measured["free_bytes"] = free
+def _check_disk(folder: Path, frames: int, findings: Findings) -> None:
+    needed, free = findings.measured["frame_bytes"] * frames * (1 + SPARE_SHARE), shutil.disk_usage(folder).free
+    findings.measured["free_bytes"] = free
     if free < needed:
-        found.problems.append(
+        findings.problems.append(
             InputError(
                 f"{frames} photographs take {needed / 1e9:.2f} GB, and {free / 1e9:.2f} GB are free at {folder}: "
-                f"make context, or capture to another disk"
+                f"make room, or capture to another disk"
             )
         )
 

@@ -1,4 +1,4 @@
-"""What a plan asks of the bench: which photographs, at which places, of which picture."""
+"""What a plan needs of the bench: which photographs, at which places, of which picture."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ class Shot:
 
 
 def shots(plan: Plan) -> tuple[Shot, ...]:
-    """Every photograph that a plan asks for, in the order of taking. Raises PlanError without [camera] or [rail]."""
+    """Every photograph of a plan, in the order of taking. Raises PlanError without [camera] or [rail]."""
     camera, rail = bench_settings(plan)
-    found = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
+    every = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
     for range_mm in rail.ranges_mm:
-        found += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
-        found += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
-    return tuple(found)
+        every += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
+        every += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
+    return tuple(every)
 
 
 def missing(session: Session) -> tuple[Shot, ...]:
-    """What the session's plan asks for and its journal has not."""
+    """What the session's plan needs and its journal has not."""
     done = {Path(frame.file).stem for frame in session.frames}
     return tuple(shot for shot in shots(session.plan) if shot.name not in done)
 
 
 def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
-    """The target as the display will show it; to be asked before a session is begun.
+    """The target as the display will show it; made before a session is begun.
 
     Raises TargetError or PlanError for a plan that these devices cannot run: a target that does not fit the panel, a
     range that the rail does not reach.
@@ -58,7 +58,7 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
 
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
-    """Camera and rail of a plan. Raises PlanError for one that says nothing of them."""
+    """Camera and rail of a plan. Raises PlanError for one that lacks them."""
     if plan.camera is None or plan.rail is None:
         raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
     return plan.camera, plan.rail

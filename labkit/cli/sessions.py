@@ -56,14 +56,16 @@ def import_(
 def verify(ctx: typer.Context, session: SessionPath) -> None:
     """Check every frame against its checksum, and the journal against the folder."""
     from labkit.session.session import Session
-    from labkit.session.session import verify as find_problems
+    from labkit.session.verify import remarks
+    from labkit.session.verify import verify as find_problems
 
     console: Console = ctx.obj
     opened = Session.open(session)
     problems = find_problems(opened)
-    for warning in opened.warnings:
-        console.warn(warning)
-    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems})
+    notes = [*opened.warnings, *remarks(opened)]
+    for note in notes:
+        console.warn(note)
+    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems, "remarks": notes})
     if problems:
         raise LabkitError(f"{session}: {'; '.join(problems)}")
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
@@ -135,6 +137,7 @@ def report(
     from labkit.results import Results
 
     console: Console = ctx.obj
+    _ = Session.open(session).plan  # one that was altered is named before anything is reported
     made = write_report(Results.load(session, name))
     console.say(f"report: {made}")
     console.answer({"report": str(made)})

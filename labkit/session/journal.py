@@ -1,6 +1,7 @@
-"""The journal of a session: append-only, one JSON object a line, each line with its own checksum.
+"""The journal of a session: append-only, one JSON object a line, each with a checksum and with that of the line before.
 
-A line counts once it is whole and synced. The last line may be torn by a crash; any other damage is an error.
+A line counts once it is whole and synced. The last line may be torn by a crash; any other damage is an error. Lines of
+earlier labkits stand alone: they have no `after`, and only the last of them is tied to a line that has one.
 """
 
 from __future__ import annotations
@@ -10,76 +11,138 @@ import fcntl
 import hashlib
 import json
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from labkit.errors import SessionError
 from labkit.files import writing
 
 Event = dict[str, Any]
 
-
-def encode(event: Event) -> bytes:
-    """One journal line: the event and, as "check", the start of the SHA-256 of the rest."""
-    return _dumps({**event, "check": _check(event)}) + b"\n"
+RESERVED = ("event", "time", "after", "check")
+"""Fields of every line, which no event may use for something else."""
 
 
-def decode(line: bytes) -> Event | None:
-    """The event of a line without its newline, checked; None if the line is damaged."""
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A whole line: its event, its own checksum, and that of the line before; "" for the first one, None if unchained."""
+
+    event: Event
+    check: str
+    after: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """What a journal holds: events, the bytes of a torn last line, the checksum of the last whole one, and how many of
+    the first lines are not chained."""
+
+    events: tuple[Event, ...]
+    torn: bytes
+    last_check: str
+    unchained: int
+
+
+def encode(event: Event, after: str | None) -> tuple[bytes, str]:
+    """One journal line, and its "check": the start of the SHA-256 of the rest, "after" included."""
+    chained = event if after is None else {**event, "after": after}
+    check = hashlib.sha256(_dumps(chained)).hexdigest()[:16]
+    return _dumps({**chained, "check": check}) + b"\n", check
+
+
+def decode(line: bytes) -> Line | None:
+    """A line without its newline, checked to the byte; None if it is damaged."""
     try:
-        event = json.loads(line)
-    except ValueError:
+        event = json.loads(line.decode(), parse_constant=_refuse)
+        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+            return None
+        check, after = event.pop("check", None), event.pop("after", None)
+        whole = check is not None and encode(event, after) == (line + b"\n", check)
+    except (ValueError, RecursionError):  # no JSON, no UTF-8, no such character or number, or nested too deeply
         return None
-    if not isinstance(event, dict):
-        return None
-    check = event.pop("check", None)
-    return event if check == _check(event) and "event" in event else None
+    return Line(event, check, after) if whole else None
 
 
-def read_journal(path: Path) -> tuple[list[Event], bytes]:
-    """(events, torn): what a journal says, and the bytes of its torn last line, if any.
+def read_journal(path: Path) -> Journal:
+    """A journal, checked line by line and from each line to the next.
 
-    Raises SessionError if the file cannot be read, or a line other than the last is damaged.
+    Raises SessionError if the file cannot be read, a line other than the last is damaged, or lines are missing, doubled
+    or out of order.
     """
     try:
-        *lines, rest = path.read_bytes().split(b"\n")
+        *written, rest = path.read_bytes().split(b"\n")
     except OSError as error:
         raise SessionError(f"{path}: {error.strerror}") from error
-    events = [decode(line) for line in lines]
+    lines = [decode(line) for line in written]
     torn = rest
-    if not rest and events and events[-1] is None:
-        events.pop()
-        torn = lines[-1] + b"\n"
-    for number, event in enumerate(events, start=1):
-        if event is None:
+    if not rest and lines and lines[-1] is None:
+        lines.pop()
+        torn = written[-1] + b"\n"
+    whole: list[Line] = []
+    for number, line in enumerate(lines, start=1):
+        if line is None:
             raise SessionError(f"{path}: line {number} does not fit its checksum: it was altered or is damaged")
-    return [event for event in events if event is not None], torn
+        if not _follows(line, whole):
+            raise SessionError(
+                f"{path}: line {number} does not follow the one before: lines are missing, doubled or moved"
+            )
+        whole.append(line)
+    events = tuple(line.event for line in whole)
+    return Journal(events, torn, whole[-1].check if whole else "", sum(line.after is None for line in whole))
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether some process has the journal open to append."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
 
 
 class JournalWriter:
     """The one writer of a journal; the lock goes with the process, however it ends."""
 
     def __init__(self, path: Path) -> None:
-        """Open `path`, made if absent. Raises SessionError if another writer has it, InputError if it cannot be written."""
+        """Open `path`, made if absent, and read what it holds, as `journal`.
+
+        Raises SessionError if another writer has it or it is damaged, InputError if it cannot be written.
+        """
         with writing(path):
             self._file = path.open("ab", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.journal = read_journal(path)
         except BlockingIOError:
             self._file.close()
             raise SessionError(f"session {path.parent} is being written by another process; wait for it") from None
+        except BaseException:
+            self._file.close()
+            raise
+        self._last_check = self.journal.last_check
 
     def append(self, event: str, **fields: Any) -> Event:
-        """Write one event with the time of now; it is on the disk when this returns. Raises InputError if it cannot be."""
+        """Write one event with the time of now; it is on the disk when this returns.
+
+        Raises InputError if it cannot be, ValueError for a field whose name is reserved.
+        """
+        if wrong := [name for name in fields if name in RESERVED]:
+            raise ValueError(
+                f"fields {', '.join(wrong)} of event {event!r}: the journal itself uses {', '.join(RESERVED)}"
+            )
         entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
-        line = encode(entry)
+        line, check = encode(entry, self._last_check)
         with writing(Path(self._file.name)):
             written = self._file.write(line)
             if written != len(line):
                 self.drop_last(written)
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._file.fileno())
+        self._last_check = check
         return entry
 
     def drop_last(self, count: int) -> None:
@@ -92,8 +155,14 @@ class JournalWriter:
         self._file.close()
 
 
-def _check(event: Event) -> str:
-    return hashlib.sha256(_dumps(event)).hexdigest()[:16]
+def _follows(line: Line, before: Sequence[Line]) -> bool:
+    if line.after is None:  # as earlier labkits wrote them; never after one that is chained
+        return not before or before[-1].after is None
+    return line.after == (before[-1].check if before else "")
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no number of JSON")
 
 
 def _dumps(event: Event) -> bytes:

@@ -35,12 +35,12 @@ def plan_file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def make_context() -> ContextMaker:
+    return small_bench
+
+
+def small_bench(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> DeviceContext:
     """A context with the plan's bench in it, with faults, and with more or less light than the plan expects."""
-
-    def make(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> DeviceContext:
-        settings = settings_for(load_plan(plan_file), 7)
-        sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
-        bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
-        return DeviceContext({ADDRESS: bench}, bench.wait)
-
-    return make
+    settings = settings_for(load_plan(plan_file), 7)
+    sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
+    bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
+    return DeviceContext({ADDRESS: bench}, bench.wait)

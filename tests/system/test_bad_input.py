@@ -109,6 +109,18 @@ def test_a_journal_that_is_damaged_in_its_middle_is_refused_and_left_alone(
     assert contents(folder) == before
 
 
+@pytest.mark.parametrize("command", ["fit", "report", "resume"])
+def test_a_plan_that_was_edited_in_its_session_is_named_before_anything_is_done(
+    command: str, folder: Path, plan_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    stored = folder / "plan.toml"
+    stored.write_text(stored.read_text().replace("f_number = 8.0", "f_number = 8.1"))
+    before = contents(folder)
+    args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
+    assert f"{stored}: does not fit its checksum" in told(args, capfd)
+    assert contents(folder) == before
+
+
 def retaken(folder: Path, new: Path, swapped: dict[str, str]) -> Path:
     """The same session, some photographs with others in their place, rightly in its journal."""
     old = Session.open(folder)

@@ -24,7 +24,8 @@ from labkit.errors import (
 )
 from labkit.plan import load_plan
 from labkit.raw.decode import read_raw
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import verify
 
 from .conftest import ContextMaker
 

@@ -28,7 +28,8 @@ from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
 from labkit.errors import DeviceError, InputError, RailError
 from labkit.plan import load_plan
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import verify
 from labkit.types import Floats32
 from tests.plans import SMALL, plan_text, simulated
 

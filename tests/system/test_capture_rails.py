@@ -43,7 +43,8 @@ from labkit.drivers.simulated.controllers.zaber import ZaberController
 from labkit.drivers.zaber.rail import ZaberRail
 from labkit.errors import LabkitError
 from labkit.plan import parse_plan
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import verify
 from tests.plans import SMALL, plan_text, simulated
 
 DEVICES = simulated([2100, 2150, 2050], 1950.0)

@@ -10,7 +10,8 @@ import pytest
 from labkit.capture.capture import capture
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.controllers import grbl as grbl_simulator
-from labkit.session.session import begin, verify
+from labkit.session.session import begin
+from labkit.session.verify import verify
 
 from .conftest import ContextMaker
 

@@ -32,7 +32,8 @@ from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import DeviceError
 from labkit.plan import load_plan
 from labkit.raw.decode import read_raw
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import verify
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 from .conftest import ContextMaker

@@ -12,7 +12,8 @@ from labkit.errors import InputError, SessionError, TargetError
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
-from labkit.session.session import Session, verify
+from labkit.session.session import Session
+from labkit.session.verify import verify
 from tests.plans import PORTRAIT, RED_AND_GREEN, plan_text
 
 WriteDng = Callable[..., Path]

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 from unittest.mock import Mock
+from xml.etree import ElementTree
 
 import pytest
 
 from labkit.errors import PlanError, SessionError
 from labkit.session.journal import JournalWriter
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import remarks, verify
 from tests.plans import PORTRAIT, plan_text
 
 P = ParamSpec("P")
@@ -112,30 +114,73 @@ def test_a_torn_last_line_is_dropped_with_a_warning(session_folder: Path, kept: 
     assert verify(mended) == []
 
 
-def test_a_damaged_line_in_the_middle_is_an_error_that_names_it(session_folder: Path) -> None:
-    journal = session_folder / "journal.jsonl"
-    lines = journal.read_text().splitlines(keepends=True)
-    lines[2] = lines[2].replace("dark_0", "dark_1")
-    journal.write_text("".join(lines))
-    with pytest.raises(SessionError, match="line 3"):
-        Session.open(session_folder)
-
-
 def test_every_journal_line_is_json_that_names_its_event_and_time(session_folder: Path) -> None:
     lines = [json.loads(line) for line in (session_folder / "journal.jsonl").read_text().splitlines()]
     assert [line["event"] for line in lines] == ["created", "adding", "frame", "adding", "frame"]
     assert all({"time", "check"} <= line.keys() for line in lines)
 
 
-def test_verify_tells_altered_missing_and_stray_files(session_folder: Path) -> None:
+def test_verify_names_altered_missing_and_stray_files(session_folder: Path) -> None:
     frames = session_folder / "frames"
     (frames / "dark_0.dng").write_bytes(b"altered")
     (frames / "target_0.dng").unlink()
     (frames / "stray.dng").write_bytes(b"?")
     (session_folder / "plan.toml").write_text(PLAN + "# later\n")
-    said = "\n".join(verify(Session.open(session_folder)))
+    problems = "\n".join(verify(Session.open(session_folder)))
     for words in ("dark_0.dng: does not fit", "target_0.dng: missing", "stray.dng: not in", "plan.toml: does not fit"):
-        assert words in said
+        assert words in problems
+
+
+def test_a_plan_that_was_altered_in_its_session_is_not_used(session_folder: Path) -> None:
+    (session_folder / "plan.toml").write_text(PLAN.replace("2.8", "2.9"))
+    for session in (Session.open(session_folder), Session.append(session_folder)):
+        with (
+            session,
+            pytest.raises(SessionError, match=r"plan\.toml: does not fit .* restore it, or .* --plan OTHER\.toml"),
+        ):
+            _ = session.plan
+        assert len(session.frames) == 2
+    (session_folder / "plan.toml").write_text(PLAN)
+    assert Session.open(session_folder).plan.lens.f_number == 2.8
+
+
+def test_folders_may_be_given_as_text(tmp_path: Path, photo: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    folder = str(tmp_path / "text")
+    with Session.create(folder, PLAN, str(tmp_path)) as session:
+        session.add_frame(photo, "dark_0.dng", "dark", None)
+    for way in (Session.open, Session.append):
+        with way(folder) as session:
+            assert session.folder == tmp_path / "text"
+    begin(str(tmp_path / "plan.toml"), folder, resume=True).close()
+
+
+def test_a_session_shows_what_is_in_it(session_folder: Path, photo: Path) -> None:
+    assert repr(Session.open(session_folder)) == f"<Session {session_folder}: 1 target, 1 dark; at 3000 mm>"
+    with Session.append(session_folder) as session:
+        for range_mm in range(2000, 2700, 100):
+            session.add_frame(photo, f"flat_{range_mm}.dng", "flat", range_mm)
+        assert "1 target, 7 flat, 1 dark; at 8 ranges, 2000 to 3000 mm" in repr(session)
+        table = ElementTree.fromstring(session._repr_html_())
+    cells = [[cell.text for cell in row] for row in table.iter("tr")]
+    assert cells[0] == ["range", "target", "flat", "dark"]
+    assert cells[1] == ["none", None, None, "1"]
+    assert cells[-1] == ["3000 mm", "1", None, None]
+
+
+def test_what_a_killed_capture_left_is_remarked_upon_and_removed_by_the_next(session_folder: Path) -> None:
+    (session_folder / ".exposing").mkdir()
+    for name in (".exposing/target_1.dng", ".incoming", ".plan.toml.123.part"):
+        (session_folder / name).write_bytes(b"half")
+    session = Session.open(session_folder)
+    assert verify(session) == []
+    assert [remark.split(":")[0].rsplit("/")[-1] for remark in remarks(session)] == [
+        ".exposing",
+        ".incoming",
+        ".plan.toml.123.part",
+    ]
+    with Session.append(session_folder):
+        assert sorted(path.name for path in session_folder.iterdir()) == ["frames", "journal.jsonl", "plan.toml"]
 
 
 def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:

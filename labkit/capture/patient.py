@@ -1,0 +1,132 @@
+"""The devices of a capture with patience: passing trouble is noted and got over, lasting trouble is raised."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labkit.capture.log import CaptureLog
+from labkit.capture.sequence import Shot, bench_settings
+from labkit.devices.context import Devices
+from labkit.devices.protocols import Attentive, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
+from labkit.errors import DeviceError, DisplayError, RailLimitError
+from labkit.files import writing
+from labkit.plan import Plan
+
+Result = TypeVar("Result")
+
+TRIES = 3
+"""How often a device may fail at one step before the capture stops."""
+
+
+class PatientDevices:
+    """Camera, rail and display, each tried again on trouble, and what is known of where the carriage stands.
+
+    folder: a camera writes its photograph there; it is emptied before each. Every method raises DeviceError if trouble
+    lasts.
+    """
+
+    def __init__(self, plan: Plan, devices: Devices, log: CaptureLog, folder: Path) -> None:
+        self.devices = devices
+        self._camera, self._rail = bench_settings(plan)
+        self._log = log
+        self._folder = folder
+        self._standing: tuple[float, dict[str, Any]] | None = None
+
+    @property
+    def can_cover(self) -> bool:
+        """Whether the camera covers its own lens."""
+        return isinstance(self.devices.camera, Coverable)
+
+    def cover(self, closed: bool) -> None:
+        """Cover the lens, or uncover it, where the camera can."""
+        if isinstance(self.devices.camera, Coverable):
+            self.devices.camera.cover(closed)
+
+    def home(self) -> None:
+        """Home the rail."""
+        self._log.step("homing the rail")
+        self._try("rail", self.devices.rail.home, lambda: None)
+
+    def ready(self) -> None:
+        """Find the camera and set it."""
+        self._log.step("setting the camera")
+        self._try("camera", self._ready_camera, lambda: None)
+
+    def show(self, picture: Picture) -> None:
+        """Show a picture."""
+        self._try("display", lambda: self.devices.display.show(picture), lambda: None)
+
+    def go_to(self, range_mm: float) -> dict[str, Any]:
+        """Move and settle, unless it stands there; what is to be noted of the place."""
+        if self._standing is not None and self._standing[0] == range_mm:
+            return self._standing[1]
+        self._standing = None
+        self._log.step(f"moving to {range_mm:g} mm")
+        rail, position_mm = self.devices.rail, self._rail.position_mm(range_mm)
+        at_mm = self._try("rail", lambda: rail.move_to(position_mm), rail.home)
+        self.devices.wait(self._rail.settle_s)
+        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(self._rail.range_mm(at_mm), 6)}
+        self._log.note("moved", range_mm=range_mm, **meta)
+        self._standing = range_mm, meta
+        return meta
+
+    def photograph_in_place(self, picture: Picture, shot: Shot) -> tuple[RawFrame, dict[str, Any]]:
+        """Photograph at the shot's range, again if the rail did not stay there; and what is to be noted of the place."""
+        if shot.range_mm is None:
+            return self.photograph(picture, shot.name), {}
+        rail = self.devices.rail
+        for attempt in range(1, TRIES + 1):
+            meta = self.go_to(shot.range_mm)
+            raw = self.photograph(picture, shot.name)
+            try:
+                if isinstance(rail, Steadfast):
+                    rail.check_still()
+                return raw, meta
+            except DeviceError as error:
+                self._standing = None
+                self._log.note("trouble", device="rail", attempt=attempt, error=f"after {shot.name}: {error}")
+                if attempt == TRIES:
+                    raise
+        raise AssertionError("unreachable: the last attempt returns or raises")
+
+    def photograph(self, picture: Picture, name: str) -> RawFrame:
+        """Expose, again if the display lost the picture that it shows meanwhile. name: of the file, without suffix."""
+        display = self.devices.display
+        for attempt in range(1, TRIES + 1):
+            raw = self._try("camera", lambda: self._expose(name), self._ready_camera)
+            if not isinstance(display, Attentive) or self._try("display", display.undisturbed, lambda: None):
+                return raw
+            self._log.note("trouble", device="display", attempt=attempt, error=f"lost its picture during {name}")
+            self.show(picture)
+        raise DisplayError(f"the display lost its picture during {name}, {TRIES} times in a row; look at it")
+
+    def _ready_camera(self) -> None:
+        """Find the camera, again if it had dropped off, and set it."""
+        info = self.devices.camera.identify()
+        self.devices.camera.configure(ExposureSettings(self._camera.exposure_s, self._camera.iso))
+        self._log.note("camera", model=info.model, serial=info.serial, driver=info.driver)
+
+    def _expose(self, name: str) -> RawFrame:
+        """Into a folder that is thrown away: only a whole photograph gets into the session."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        with writing(self._folder):
+            self._folder.mkdir()
+        return self.devices.camera.expose(self._folder / name)
+
+    def _try(self, device: str, action: Callable[[], Result], recover: Callable[[], object]) -> Result:
+        """Do something with a device; on trouble recover and do it again, a bounded number of times."""
+        for attempt in range(1, TRIES + 1):
+            try:
+                if attempt > 1:
+                    recover()
+                return action()
+            except RailLimitError:
+                raise
+            except DeviceError as error:
+                self._log.note("trouble", device=device, attempt=attempt, error=str(error))
+                if attempt == TRIES:
+                    raise
+        raise AssertionError("unreachable: the last attempt returns or raises")

@@ -1,0 +1,108 @@
+"""A photograph of a session, and what an event of the journal must hold for the session to be read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from labkit.files import is_name
+from labkit.session.journal import Event
+from labkit.types import FRAME_KINDS, FrameKind
+
+FRAMES = "frames"
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A photograph of the session. range_mm is None where it is unknown or has no meaning."""
+
+    file: str
+    kind: FrameKind
+    range_mm: float | None
+    sha256: str
+    exposure_s: float | None
+    time: str
+    path: Path
+    meta: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+
+def frame_of(event: Event, folder: Path) -> Frame:
+    """The photograph of a "frame" event, which has passed `event_problem`, in a session's folder."""
+    named = ("file", "kind", "range_mm", "sha256", "time")
+    return Frame(
+        **{key: event[key] for key in named},
+        exposure_s=event.get("exposure_s"),
+        path=folder / FRAMES / event["file"],
+        meta=MappingProxyType({key: event[key] for key in event if key not in (*named, "event", "exposure_s")}),
+    )
+
+
+def event_problem(event: Event) -> str | None:
+    """What an event of the session lacks, or holds that cannot be; None if it can be used."""
+    name = event["event"]
+    needed = NEEDED.get(name, ())
+    if absent := [key for key in ("time", *needed) if key not in event]:
+        return f'"{name}" without {", ".join(absent)}'
+    if name in NEEDED:
+        for key, allowed in ALLOWED.items():
+            if key in event and not allowed(event[key]):
+                return f'"{name}" with {key} = {_short(event[key])}'
+    return None
+
+
+def pending(events: Sequence[Event]) -> Event | None:
+    """The "adding" event that nothing finished, if any: only the last one can be."""
+    last = None
+    for event in events:
+        if event["event"] == "adding":
+            last = event
+        elif event["event"] in ("frame", "discarded"):
+            last = None
+    return last
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_number_or_none(value: Any) -> bool:
+    return value is None or _is_number(value)
+
+
+ALLOWED: Mapping[str, Callable[[Any], bool]] = {
+    "time": _is_text,
+    "file": is_name,
+    "kind": lambda value: value in FRAME_KINDS,
+    "range_mm": _is_number_or_none,
+    "measured_range_mm": _is_number,
+    "exposure_s": _is_number_or_none,
+    "sha256": _is_text,
+    "plan_sha256": _is_text,
+    "target_file": is_name,
+    "target_sha256": _is_text,
+}
+
+PHOTOGRAPH = ("file", "kind", "range_mm", "sha256")
+
+NEEDED: Mapping[str, tuple[str, ...]] = {
+    "created": ("plan_sha256",),
+    "replanned": ("plan_sha256",),
+    "adding": PHOTOGRAPH,
+    "frame": PHOTOGRAPH,
+    "discarded": ("file",),
+    "dropped": (),
+}
+"""What each event that belongs to the session itself must hold; other events are the capture's."""
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
