@@ -64,8 +64,8 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         Session.create(folder, text, Path()) as session,
     ):
         capture(session, devices)
+        (bench,) = context.shared.values()
     results = fit_session(Session.open(folder))
-    (bench,) = context.shared.values()
     truth = bench.truth
     visits = {visit.range_mm: visit for visit in truth.visits}
     rows: list[dict[str, Any]] = []

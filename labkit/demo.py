@@ -170,12 +170,12 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         progress("capturing") as report,
     ):
         capture(session, devices, progress=report)
+        # the bench is a driver's: all that is known of it here is that it can tell the truth
+        (bench,) = context.shared.values()
     session = Session.open(folder)
     with progress("fitting") as report:
         fit_session(session, progress=report)
     results_folder = session.results_folder()
-    # the bench is a driver's: all that is known of it here is that it can tell the truth
-    (bench,) = context.shared.values()
     results = read_results(results_folder)
     compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
     return Comparison(tuple(compared), tuple(wavefronts), write_report(results_folder))

@@ -10,6 +10,7 @@ import contextlib
 import re
 import shutil
 import subprocess
+import time
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -74,7 +75,7 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
         port,
         f_number=(settings.f_number if settings else None) or plan.lens.f_number,
         keep=settings is not None and settings.capture_target == "card",
-        wait=lambda seconds: context.wait(seconds),
+        wait=time.sleep,
     )
 
 

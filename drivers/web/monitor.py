@@ -22,8 +22,10 @@ LOG_LINES, SHARPNESS_POINTS = 200, 60
 class Monitor:
     """The state of the operator's page. The capture's thread writes it, the server's reads it."""
 
-    def __init__(self, wishes: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._wishes, self._operator = now, wishes, operator
+    def __init__(
+        self, requests: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._now, self._requests, self._operator = now, requests, operator
         self._lock = threading.Condition()
         self._listeners: dict[object, Callable[[], None]] = {}
         self._phase, self._doing = "idle", ""
@@ -91,7 +93,7 @@ class Monitor:
         """A button: pause, resume, abort, or one of the choices. Anything else is ignored."""
         with self._lock:
             if what in self._choices:
-                self._wishes.put(what)
+                self._requests.put(what)
             elif self._phase == "capturing" and what in ("pause", "resume", "abort"):
                 self._paused = what == "pause"
                 self._stopping = self._stopping or what == "abort"

@@ -93,8 +93,8 @@ class Screen:
         self._wake()
         return self.order
 
-    def ask(self) -> int:
-        """Ask the page for a fresh report; the number that it will answer with."""
+    def request_report(self) -> int:
+        """Request a fresh report from the page; the number that it will answer with."""
         with self.changed:
             self.asked += 1
         self._wake()

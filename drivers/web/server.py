@@ -23,7 +23,6 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo
 from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token
 from labkit.drivers.web.monitor import Monitor
@@ -78,16 +77,15 @@ def page_files() -> dict[str, bytes]:
 
 
 class WebServer:
-    """Listens on one address for the pages of all its users, which it counts for `Serving`."""
+    """Listens on one address: screens, which come and go, and the operator's page of `monitor`."""
 
-    def __init__(self, host: str, port: int, context: DeviceContext) -> None:
+    def __init__(self, host: str, port: int, monitor: Monitor) -> None:
         """Raises DisplayError if the address cannot be listened on."""
         self._socket = _listen(host, port)
         self._host, self.port = host, self._socket.getsockname()[1]
         self.token = kept_token(_state_folder())
         self.screens: dict[str, Screen] = {}
-        self.monitor = Monitor(context.wishes, context.operator)
-        self.users = 0
+        self.monitor = monitor
         self._monitors = 0
         self._server = uvicorn.Server(
             uvicorn.Config(

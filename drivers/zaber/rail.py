@@ -122,7 +122,7 @@ class ZaberRail(SerialRail):
         return self._at_mm
 
     def _get_to_know(self) -> None:
-        """Limits and speed. Raises RailError for limits that leave no context."""
+        """Limits and speed. Raises RailError for limits that leave no room to move."""
         low, high, speed = (self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed"))
         self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:

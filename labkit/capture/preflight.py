@@ -1,6 +1,6 @@
 """Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is said at once.
 
-Devices, context on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
+Devices, room on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
 light right, is the target wholly in the frame, is it sharp enough to be fitted? Test photographs are not kept.
 """
 
@@ -171,7 +171,7 @@ def _check_disk(folder: Path, frames: int, found: Findings) -> None:
         found.problems.append(
             InputError(
                 f"{frames} photographs take {needed / 1e9:.2f} GB, and {free / 1e9:.2f} GB are free at {folder}: "
-                f"make context, or capture to another disk"
+                f"make room, or capture to another disk"
             )
         )
 

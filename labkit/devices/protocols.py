@@ -22,7 +22,7 @@ Picture = Literal["white", "black"] | NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Who a camera says it is."""
+    """A camera's model, serial number and driver, as it reports them."""
 
     model: str
     serial: str
@@ -43,7 +43,7 @@ class ExposureSettings:
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """A raw file as it came from the camera: where it lies, how it was exposed, what else the camera said (JSON)."""
+    """A raw file as it came from the camera: its path, how it was exposed, what else the camera reported (JSON)."""
 
     path: Path
     exposure_s: float
@@ -64,7 +64,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What a device says of itself before a capture: what stands in the way, and what only a person can look at."""
+    """A device's own check before a capture: what stands in the way, and what only a person can check."""
 
     problems: tuple[str, ...] = ()
     by_hand: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class PanelInfo:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A display's word that a picture is on the glass: (height, width) of its lit part in panel pixels."""
+    """A display's confirmation that a picture is on the glass: (height, width) of its lit part in panel pixels."""
 
     pixels: tuple[int, int]
 
@@ -112,7 +112,7 @@ class Camera(AbstractContextManager["Camera"], Protocol):
     """A camera that delivers raw files."""
 
     def identify(self) -> CameraInfo:
-        """Who it is; finds it again, if it had dropped off its cable."""
+        """Its model and serial number; finds it again, if it had dropped off its cable."""
         ...
 
     def configure(self, settings: ExposureSettings) -> None:
@@ -139,7 +139,7 @@ class Coverable(Protocol):
 
 @runtime_checkable
 class Adjustable(Protocol):
-    """A camera that can say what there is to be set on it."""
+    """A camera that can list its settings."""
 
     def settings(self) -> tuple[Setting, ...]:
         """Everything that it offers."""
@@ -148,7 +148,7 @@ class Adjustable(Protocol):
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A device that can say whether it is fit for a capture."""
+    """A device that can check whether it is fit for a capture."""
 
     def check(self, frames: int) -> Check:
         """Whether that many more photographs can be expected of it."""
@@ -202,6 +202,15 @@ class Controller(Protocol):
         ...
 
 
+@runtime_checkable
+class Timekeeper(Protocol):
+    """A device with a time of its own, as simulated ones have: whoever waits beside it lets that time pass."""
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
 class Display(AbstractContextManager["Display"], Protocol):
     """A panel that shows targets, pixel for pixel."""
 
@@ -221,8 +230,8 @@ class Display(AbstractContextManager["Display"], Protocol):
 
 @runtime_checkable
 class Attentive(Protocol):
-    """A display that can lose its picture while a photograph is taken, and knows."""
+    """A display that can lose its picture while a photograph is taken, and notices."""
 
     def undisturbed(self) -> bool:
-        """Whether the picture was on the glass all the time since `show` returned; the display itself is asked."""
+        """Whether the picture was on the glass all the time since `show` returned, by the display's own report."""
         ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,23 +33,28 @@ def plan_for(height: int, width: int) -> Plan:
 
 @dataclass
 class Lab:
-    """A context with web displays in it, and what they said."""
+    """A context with web displays in it, and their warnings and links."""
 
     context: DeviceContext
-    told: list[str]
+    warned: list[str]
     links: dict[str, str]
+    opened: ExitStack
 
     def display(self, height: int, width: int, name: str = "screen", hold_s: float = 20.0) -> WebDisplay:
-        port = self.server.port if self.context.shared else 0
-        if self.context.shared:
-            self.context.shared[f"web://127.0.0.1:{port}"] = self.server
-        opened = open_display(f"web://127.0.0.1:{port}/{name}", plan_for(height, width), self.context)
-        opened.hold_s = hold_s
-        return opened
+        """On one server, at a port that the system chose."""
+        display = open_display(f"web://127.0.0.1:0/{name}", plan_for(height, width), self.context)
+        display.hold_s = hold_s
+        return self.opened.enter_context(display)
+
+    def ask(self, text: str) -> str:
+        """Ask the operator, who can answer on the page."""
+        with self.context.operator.reached_by(self.server.monitor):
+            return self.context.operator.ask(text)
 
     @property
     def server(self) -> WebServer:
-        server: WebServer = next(iter(self.context.shared.values()))
+        (server,) = self.context.shared.values()
+        assert isinstance(server, WebServer)
         return server
 
 
@@ -56,12 +62,12 @@ class Lab:
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     """Displays opened in it are closed with it."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    told: list[str] = []
+    warned: list[str] = []
     links: dict[str, str] = {}
-    made = Lab(DeviceContext(tell=told.append, link=links.__setitem__), told, links)
-    yield made
-    for server in set(made.context.shared.values()):
-        server.close()
+    context = DeviceContext(warn=warned.append, show_link=links.__setitem__)
+    with ExitStack() as opened:
+        yield Lab(context, warned, links, opened)
+    assert context.shared.values() == ()
 
 
 @pytest.fixture(scope="session")

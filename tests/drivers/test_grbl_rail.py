@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Rail, Travel
+from labkit.devices.shared import SharedParts
 from labkit.drivers.grbl.protocol import Report, homing_s, moving_s, read_report, travel
 from labkit.drivers.grbl.rail import GrblRail, open_rail
 from labkit.drivers.simulated.bench import Bench
@@ -343,7 +344,7 @@ def test_an_address_without_a_port_is_refused() -> None:
 def test_a_simulated_controller_carries_the_simulated_benchs_camera() -> None:
     sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
     bench = Bench(BenchSettings(sensor=sensor, panel=panel))
-    with open_rail("grbl:simulated", plan(), DeviceContext({"simulated:": bench})) as rail:
+    with open_rail("grbl:simulated", plan(), DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
         rail.home()
         assert rail.move_to(60.0) == pytest.approx(60.0, abs=STEP_MM)
         # the bench's own scatter has a standard deviation of 0.02 mm

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from labkit.capture.capture import capture
-from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, CameraInfo, ExposureSettings, RawFrame
-from labkit.devices.registry import open_camera, open_display, open_monitor, open_rail
-from labkit.drivers.simulated.setup import shared_bench
+from labkit.devices.registry import observers_of, open_devices, open_display, open_monitor
 from labkit.drivers.web.server import WebServer
 from labkit.errors import PlanError
 from labkit.plan import load_plan
@@ -90,20 +90,18 @@ class Night:
 
     def _capture(self, resume: bool) -> None:
         plan_file = self.folder / "plan.toml"
-        plan = load_plan(plan_file)
-        bench = shared_bench(self.context, BENCH, plan)
         try:
-            with begin(plan_file, self.folder / "s", resume) as session:
-                camera = BareCamera(open_camera(BENCH, plan, self.context))
-                rail = open_rail("manual:", plan, self.context)
-                display = open_display(BENCH, plan, self.context)
-                devices = Devices(camera, rail, display, bench.wait, self.context.observers)
+            with (
+                begin(plan_file, self.folder / "s", resume) as session,
+                open_devices(session.plan, context=self.context) as devices,
+            ):
+                _, bench = self.context.shared.values()  # beside the web server
 
                 def ask(words: str) -> None:
                     self.context.operator.ask(words, "done")
                     bench.covered = words.startswith("Put")
 
-                capture(session, devices, ask=ask, check=False)
+                capture(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
             self.ended.append(None)
         except BaseException as error:
             self.ended.append(error)
@@ -113,13 +111,16 @@ class Night:
 def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(
-        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"')
+        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"').replace(
+            '"web:"', f'"{BENCH}"'
+        )
     )
     context = DeviceContext()
-    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), context):
-        yield Night(context.shared["web://127.0.0.1:0"], context, glass, tmp_path)
-    assert context.observers == []
-    assert not context.operator._pages
+    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), context) as page:
+        (server,) = context.shared.values()
+        yield Night(server, replace(context, observers=(page,)), glass, tmp_path)
+    assert context.shared.values() == ()
+    assert not context.operator.present
 
 
 def test_a_capture_is_led_from_the_page_alone(night: Night) -> None:
@@ -224,22 +225,22 @@ def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monke
     (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
     plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
     assert plan.display is not None
-    with open_monitor("web:", plan, context) as server:
-        with open_display(plan.display.address, plan, context):
-            assert len(context.observers) == 1
-            assert list(context.shared.values()) == [server]
-        assert len(context.observers) == 1
+    with open_monitor("web:", plan, context) as page:
+        (server,) = context.shared.values()
+        with open_display(plan.display.address, plan, context) as display:
+            assert observers_of(replace(context, observers=(page,)), [display]) == (page,)
+            assert context.shared.values() == (server,)
         assert context.operator.present
-    assert context.observers == []
-    assert context.shared == {}
+        assert context.shared.values() == (server,)
+    assert context.shared.values() == ()
 
 
 def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN)
-    plan = load_plan(tmp_path / "plan.toml")
-    with open_monitor("web://127.0.0.1:0", plan, DeviceContext()) as server:
-        assert isinstance(server, WebServer)
+    plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
+    with open_monitor("web://127.0.0.1:0", plan, context):
+        (server,) = context.shared.values()
         assert server._socket.getsockname()[0] == "127.0.0.1"
-    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"):
-        open_monitor("web://h:x", plan, DeviceContext())
+    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"), open_monitor("web://h:x", plan, context):
+        pass

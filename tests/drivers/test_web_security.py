@@ -224,7 +224,7 @@ def test_a_button_that_is_none_does_nothing(lab: Lab, display: WebDisplay) -> No
         wire.send('{"do": "rm -rf /"}')
         wire.send('{"do": "abort"}')  # no capture is running
         wire.recv(timeout=10)
-    assert lab.context.wishes.empty()
+    assert lab.context.requests.empty()
     lab.server.monitor.refuse_abort()
 
 
@@ -240,7 +240,7 @@ def test_an_answer_to_no_open_question_does_nothing(
         arrived.set()
 
     monkeypatch.setattr(lab.server.monitor, "answer", hear)
-    asking = threading.Thread(target=lambda: heard.append(lab.context.operator.ask("How far?")), daemon=True)
+    asking = threading.Thread(target=lambda: heard.append(lab.ask("How far?")), daemon=True)
     with page(lab, "monitor") as wire:
         wire.send('{"answer": 1, "text": "too early"}')
         assert arrived.wait(10)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Rail
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
 from labkit.drivers.simulated.controllers.zaber import ZaberController
@@ -258,7 +259,7 @@ def test_a_plan_that_says_too_little_is_refused(address: str, microstep_um: floa
 def test_a_simulated_stage_carries_the_simulated_benchs_camera() -> None:
     bench = Bench(replace(BenchSettings(), sensor=TrueSensor(rows=32, cols=48), panel=TruePanel(pixels=(300, 400))))
     wanted = plan(**{"direction = -1": "direction = -1\nmicrostep_um = 0.5"})
-    with open_rail("zaber:simulated", wanted, DeviceContext({"simulated:": bench})) as rail:
+    with open_rail("zaber:simulated", wanted, DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
         rail.home()
         assert rail.move_to(30.0) == pytest.approx(30.0, abs=0.001)
         # the bench's own scatter has a standard deviation of 0.02 mm

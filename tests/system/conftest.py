@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from labkit.devices.context import DeviceContext
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
@@ -41,6 +42,6 @@ def make_context() -> ContextMaker:
         settings = settings_for(load_plan(plan_file), 7)
         sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
         bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
-        return DeviceContext({ADDRESS: bench}, bench.wait)
+        return DeviceContext(shared=SharedParts({ADDRESS: bench}))
 
     return make
