@@ -19,7 +19,6 @@ from labkit.devices.registry import open_camera, open_rail
 from labkit.devices.serve_target import CHOICES, serve_target
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.preview import BINS, exposure, histogram
@@ -30,9 +29,11 @@ from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session, begin
 from labkit.target import open_target
 
-from .conftest import Glass, Lab
+from .conftest import WAIT_S, Glass, Lab, reads, small_bench
 
 OpenGlass = Callable[..., Glass]
+
+pytestmark = pytest.mark.timeout(300)  # of a machine that does much else
 
 PLAN = """
 [lens]
@@ -94,7 +95,7 @@ class Table:
         self.plan_file = folder / "plan.toml"
         self.plan_file.write_text(PLAN)
         plan = load_plan(self.plan_file)
-        bench = Bench(settings_for(plan, 7))
+        bench = small_bench(plan)
         self.context = DeviceContext(shared=SharedParts({"simulated:seed=7": bench}))
         web = lab.display(400, 400)
         self.tab = glass(web.url, 400, 400)
@@ -124,11 +125,7 @@ class Table:
 
     def reads(self, element: str, words: str) -> None:
         """Wait until the operator's page says so."""
-        self.operator.page.wait_for_function(
-            "([id, words]) => document.getElementById(id).textContent.includes(words)",
-            arg=[element, words],
-            timeout=20_000,
-        )
+        reads(self.operator.page, element, words)
 
 
 @pytest.fixture
@@ -236,7 +233,7 @@ def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) 
     assert page.evaluate("document.documentElement.scrollWidth") == width
     page.fill("#reply", "1")
     page.click("#send")
-    asking.join(10)
+    asking.join(WAIT_S)
     assert not asking.is_alive()
     display.close()
 
@@ -266,7 +263,7 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
         assert operator.page.locator("#choices button").count() == len(CHOICES)
     finally:
         ended.set()
-        work.join(20)
+        work.join(WAIT_S)
 
 
 # ---- numbers

@@ -15,15 +15,18 @@ from labkit.capture.capture import capture
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, CameraInfo, ExposureSettings, RawFrame
 from labkit.devices.registry import observers_of, open_devices, open_display, open_monitor
-from labkit.drivers.web.server import WebServer
+from labkit.devices.shared import SharedParts
 from labkit.errors import PlanError
 from labkit.plan import load_plan
 from labkit.session.session import Session, begin
 
-from .conftest import Glass
+from .conftest import WAIT_S, Glass, reads, small_bench
 from .test_web_monitor import PLAN
 
 OpenGlass = Callable[..., Glass]
+
+pytestmark = pytest.mark.timeout(300)  # of a machine that does much else
+
 BENCH = "simulated:seed=7"
 FRAMES = 9
 
@@ -56,8 +59,9 @@ class BareCamera:
 class Night:
     """A capture on a thread of its own, its operator's page in a browser."""
 
-    def __init__(self, server: WebServer, context: DeviceContext, glass: OpenGlass, folder: Path) -> None:
-        self.context, self.server, self._glass, self.folder = context, server, glass, folder
+    def __init__(self, context: DeviceContext, glass: OpenGlass, folder: Path) -> None:
+        self.context, self._glass, self.folder = context, glass, folder
+        self.bench, self.server = context.shared.values()
         self.ended: list[BaseException | None] = []
         self.page = self.open()
 
@@ -69,20 +73,16 @@ class Night:
         self._work.start()
 
     def end(self) -> BaseException | None:
-        self._work.join(30)
+        self._work.join(WAIT_S)
         return self.ended.pop()
 
     def reads(self, element: str, words: str, page: Any = None) -> None:
         """Wait until a page says so."""
-        (page or self.page).wait_for_function(
-            "([id, words]) => document.getElementById(id).textContent.includes(words)",
-            arg=[element, words],
-            timeout=20_000,
-        )
+        reads(page or self.page, element, words)
 
     def asked(self, words: str) -> None:
         self.reads("asked", words)
-        self.page.wait_for_selector("#question", state="visible", timeout=20_000)
+        self.page.wait_for_selector("#question", state="visible")
 
     def types(self, words: str) -> None:
         self.page.fill("#reply", words)
@@ -95,11 +95,10 @@ class Night:
                 begin(plan_file, self.folder / "s", resume) as session,
                 open_devices(session.plan, context=self.context) as devices,
             ):
-                _, bench = self.context.shared.values()  # beside the web server
 
                 def ask(words: str) -> None:
                     self.context.operator.ask(words, "done")
-                    bench.covered = words.startswith("Put")
+                    self.bench.covered = words.startswith("Put")
 
                 capture(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
             self.ended.append(None)
@@ -115,11 +114,11 @@ def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             '"web:"', f'"{BENCH}"'
         )
     )
-    context = DeviceContext()
-    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), context) as page:
-        (server,) = context.shared.values()
-        yield Night(server, replace(context, observers=(page,)), glass, tmp_path)
-    assert context.shared.values() == ()
+    plan = load_plan(tmp_path / "plan.toml")
+    context = DeviceContext(shared=SharedParts({BENCH: small_bench(plan)}))
+    with open_monitor("web://127.0.0.1:0", plan, context) as page:
+        yield Night(replace(context, observers=(page,)), glass, tmp_path)
+    assert len(context.shared.values()) == 1  # the bench
     assert not context.operator.present
 
 
@@ -216,7 +215,7 @@ def test_a_question_is_text_not_html(night: Night) -> None:
     night.asked(evil)
     assert night.page.locator("#question img").count() == 0
     night.types("1")
-    asking.join(10)
+    asking.join(WAIT_S)
     assert not asking.is_alive()
 
 

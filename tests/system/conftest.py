@@ -8,13 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from labkit.capture.sequence import picture_for
 from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import ExposureSettings, Picture
+from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
-from labkit.plan import load_plan
+from labkit.plan import load_plan, parse_plan
 from tests.plans import SMALL, plan_text, simulated
+
+from .rails_in_trouble import DEVICES, Photographs
 
 ADDRESS = "simulated:seed=7"
 
@@ -45,3 +50,19 @@ def make_context() -> ContextMaker:
         return DeviceContext(shared=SharedParts({ADDRESS: bench}))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+    """Taken on the simulated bench."""
+    folder = tmp_path_factory.mktemp("photographs")
+    plan = parse_plan(plan_text(SMALL, DEVICES), folder)
+    with open_devices(plan) as devices:
+        devices.camera.configure(ExposureSettings(0.02, 100))
+        devices.rail.home()
+        devices.rail.move_to(150.0)
+        pictures: dict[str, Picture] = {"white": "white", "target": picture_for(plan, devices).grey}
+        for name, picture in pictures.items():
+            devices.display.show(picture)
+            devices.camera.expose(folder / name)
+    return {name: (folder / f"{name}.dng").read_bytes() for name in pictures}
