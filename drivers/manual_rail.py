@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Travel
+from labkit.devices.protocols import ClosesItself, Travel
 from labkit.errors import PlanError, RailError, RailLimitError
 from labkit.plan import Plan
 
@@ -25,7 +23,7 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
     return ManualRail(context.operator.ask, plan.rail.run_up_mm)
 
 
-class ManualRail:
+class ManualRail(ClosesItself):
     """A Rail, moved by a person. Positions are what the scale says, in mm.
 
     ask: puts a question and returns the answer. run_up_mm: every stop is to be approached from below over this way.
@@ -73,9 +71,3 @@ class ManualRail:
 
     def close(self) -> None:
         """Nothing to let go."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

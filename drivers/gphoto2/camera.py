@@ -14,11 +14,10 @@ import time
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame, Setting
+from labkit.devices.protocols import CameraInfo, Check, ClosesItself, ExposureSettings, RawFrame, Setting
 from labkit.drivers.gphoto2.files import clear_folder, fresh_folder, kept
 from labkit.drivers.gphoto2.link import (
     BUSY,
@@ -79,7 +78,7 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
     )
 
 
-class Gphoto2Camera:
+class Gphoto2Camera(ClosesItself):
     """A Camera, Adjustable and Checkable.
 
     port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
@@ -149,12 +148,6 @@ class Gphoto2Camera:
         """Let the camera go; again does nothing."""
         self._is_open = False
         self._link.close(CLOSE_S)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _doing(self, what: str, action: Callable[[], Result], folder: Path | None = None) -> Result:
         """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""

@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.registry import open_controller
 from labkit.drivers.grbl import protocol as grbl
-from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail
-from labkit.errors import DeviceTimeoutError, PlanError, RailError
+from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
+from labkit.errors import DeviceTimeoutError, RailError
 from labkit.plan import Plan
 
 QUIET_S = 0.1
@@ -35,13 +34,9 @@ KEPT = ("Idle", "Hold:0")
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> GrblRail:
     """The rail at grbl:PORT, or a simulated controller at grbl:simulated. Raises PlanError, RailError."""
-    path = address.partition(":")[2]
-    if plan.rail is None or not path:
-        raise PlanError(f'rail.address = "{address}": give the port as well, such as grbl:/dev/ttyUSB0')
-    if path != "simulated":
-        return GrblRail(path, plan.rail.run_up_mm)
-    port = open_controller(address, plan, context)
-    return GrblRail(port.path, plan.rail.run_up_mm, after_close=port.close)
+    rail = rail_settings(address, plan)
+    path, after_close = open_port(address, plan, context)
+    return GrblRail(path, rail.run_up_mm, after_close=after_close)
 
 
 class GrblRail(SerialRail):

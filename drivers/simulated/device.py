@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
+from labkit.devices.protocols import ClosesItself
 from labkit.drivers.simulated.bench import Bench
 
 
-class SimulatedDevice:
+class SimulatedDevice(ClosesItself):
     """A device on a bench, in the bench's time. release: gives the bench back when the device is closed."""
 
     def __init__(self, bench: Bench, release: Callable[[], None] = lambda: None) -> None:
@@ -23,9 +22,3 @@ class SimulatedDevice:
     def close(self) -> None:
         """Let it go; again does nothing."""
         self._release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

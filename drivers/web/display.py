@@ -9,12 +9,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from types import TracebackType
-from typing import Self
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.panels import panel_info
-from labkit.devices.protocols import PanelInfo, Picture, Shown
+from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
 from labkit.drivers.web.address import parse_address, shared_server
 from labkit.drivers.web.monitor import Monitor
@@ -44,7 +42,7 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay
     return WebDisplay(screen, server.monitor, close, context.warn)
 
 
-class WebDisplay:
+class WebDisplay(ClosesItself):
     """A Display on a web page: a picture counts as shown when its page has read it back.
 
     hold_s: how long to wait for a page that is not right. It brings the operator's page of its server as an observer.
@@ -102,12 +100,6 @@ class WebDisplay:
         if self._close is not None:
             self._close()
             self._close = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _answered(self, number: int) -> bool:
         report = self._screen.report

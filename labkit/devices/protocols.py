@@ -7,11 +7,13 @@ wait in them has a time limit, and each device is a context manager that closes 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from types import TracebackType
+from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +108,20 @@ class Shown:
     """A display's confirmation that a picture is on the glass: (height, width) of its lit part in panel pixels."""
 
     pixels: tuple[int, int]
+
+
+class ClosesItself(ABC):
+    """For drivers to inherit: the context manager that every device is."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let the device go; again does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
 
 
 class Camera(AbstractContextManager["Camera"], Protocol):

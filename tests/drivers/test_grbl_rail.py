@@ -26,6 +26,8 @@ from labkit.drivers.simulated.world import BenchSettings, TruePanel, TrueSensor
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
 from tests.drivers.test_simulated_devices import plan
 
+from .stops import error_of_a_move_stopped, error_of_a_move_stopped_before_it_began
+
 FAST = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
 STEP_MM = 0.004
 
@@ -209,20 +211,7 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         moving = threading.Event()
         controller = controller_of(port)
         controller.noticed = lambda command: moving.set() if controller.state == "Run" and command == "?" else None
-        failed: list[Exception] = []
-
-        def move() -> None:
-            try:
-                rail.move_to(-20.0)
-            except RailError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=move)
-        thread.start()
-        assert moving.wait(5)
-        rail.stop()
-        thread.join(10)
-        assert "was stopped" in str(failed[0])
+        assert "was stopped" in error_of_a_move_stopped(rail, -20.0, moving)
         assert -293.0 < carriage_mm(port) < -20.0
         # it still knows where it is, without homing, and is right
         assert rail.move_to(-100.0) == pytest.approx(-100.0, abs=STEP_MM)
@@ -233,16 +222,7 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        stopper = threading.Thread(target=rail.stop)
-
-        def stop(command: str) -> None:  # while the driver looks whether it may move
-            if command == "?" and not stopper.ident:
-                stopper.start()
-
-        controller_of(port).noticed = stop
-        with pytest.raises(RailError, match="was stopped"):
-            rail.move_to(-150.0)
-        stopper.join(10)
+        assert "was stopped" in error_of_a_move_stopped_before_it_began(rail, -150.0, controller_of(port), "?")
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(-150.0) == pytest.approx(-150.0, abs=0.01)
 

@@ -25,6 +25,8 @@ from labkit.drivers.zaber.rail import ZaberRail, open_rail
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
 from tests.drivers.test_simulated_devices import plan
 
+from .stops import error_of_a_move_stopped, error_of_a_move_stopped_before_it_began
+
 MICROSTEP_MM = 0.49609375e-3
 TRANSCRIPT = Path(__file__).parent / "transcripts" / "zaber-ascii.txt"
 
@@ -199,20 +201,7 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         rail.home()
         moving = threading.Event()
         controller_of(port).noticed = lambda command: moving.set() if command.startswith("move") else None
-        failed: list[Exception] = []
-
-        def move() -> None:
-            try:
-                rail.move_to(140.0)
-            except RailError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=move)
-        thread.start()
-        assert moving.wait(5)
-        rail.stop()
-        thread.join(10)
-        assert "was stopped at" in str(failed[0])
+        assert "was stopped at" in error_of_a_move_stopped(rail, 140.0, moving)
         assert carriage_mm(port) < 139.0
         assert rail.move_to(20.0) == pytest.approx(20.0, abs=MICROSTEP_MM)
         assert carriage_mm(port) == pytest.approx(20.0, abs=MICROSTEP_MM)
@@ -222,16 +211,8 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        stopper = threading.Thread(target=rail.stop)
-
-        def stop(command: str) -> None:  # while the driver looks whether it may move
-            if command == "get pos" and not stopper.ident:
-                stopper.start()
-
-        controller_of(port).noticed = stop
-        with pytest.raises(RailError, match="was stopped before it moved"):
-            rail.move_to(100.0)
-        stopper.join(10)
+        error = error_of_a_move_stopped_before_it_began(rail, 100.0, controller_of(port), "get pos")
+        assert "was stopped before it moved" in error
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(100.0) == pytest.approx(100.0, abs=0.01)
 

@@ -52,6 +52,15 @@ def make_context() -> ContextMaker:
     return make
 
 
+@pytest.fixture
+def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where libgphoto2's virtual camera takes its pictures from."""
+    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
+    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
+    path.parent.mkdir(parents=True)
+    return path
+
+
 @pytest.fixture(scope="session")
 def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
     """Taken on the simulated bench."""

@@ -83,15 +83,6 @@ class CameraOnTheBench:
         write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
 
 
-@pytest.fixture
-def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the virtual camera takes its pictures from."""
-    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
-    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
-    path.parent.mkdir(parents=True)
-    return path
-
-
 @pytest.mark.timeout(600)
 def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     tmp_path: Path, photograph: Path, monkeypatch: pytest.MonkeyPatch
