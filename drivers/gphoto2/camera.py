@@ -1,6 +1,6 @@
 """Any camera that libgphoto2 drives, over USB. Address: "gphoto2:" for the only one, or "gphoto2:usb:001,004".
 
-libgphoto2 runs in a process of its own (`gphoto2_worker`): when it hangs, crashes or loses the camera, the camera is
+libgphoto2 runs in a process of its own (`worker`): when it hangs, crashes or loses the camera, the camera is
 let go, looked for again, reset on USB if need be, opened and set as before, a bounded number of times.
 """
 
@@ -158,7 +158,7 @@ class Gphoto2Camera(ClosesItself):
                 return action()
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
-                    raise _told(what, trouble, attempt) from trouble
+                    raise _error(what, trouble, attempt) from trouble
                 self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
             finally:
@@ -253,7 +253,7 @@ class Gphoto2Camera(ClosesItself):
         _refuse_other(name, value, self._link.ask("set", ASK_S, name=name, value=value))
 
     def _state(self) -> dict[str, Any]:
-        """Battery and free storage, as far as the body tells."""
+        """Battery and free storage, as far as the body reports it."""
         state: dict[str, Any] = {}
         if "batterylevel" in self._body:
             state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])["batterylevel"]
@@ -264,8 +264,8 @@ class Gphoto2Camera(ClosesItself):
                 raise
             stores = []
         for key, name in (("images", "free_images"), ("kilobytes", "free_kilobytes")):
-            if told := [store[key] for store in stores if store[key] is not None]:
-                state[name] = max(told)
+            if known := [store[key] for store in stores if store[key] is not None]:
+                state[name] = max(known)
         return state
 
     def _expose(self, path: Path) -> RawFrame:
@@ -296,7 +296,7 @@ class Gphoto2Camera(ClosesItself):
         return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
 
     def _exposed(self, now: Mapping[str, Any]) -> tuple[float, int]:
-        """Shutter time and ISO of the next photograph: as set, or as the body says, or as asked."""
+        """Shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
         values = {name: setting.value for name, setting in self._body.items()} | dict(now)
         seconds = next((s for name in SHUTTER if name in values and (s := seconds_of(values[name]))), None)
         iso = next((n for name in ISO if name in values and (n := number_of(values[name]))), None)
@@ -306,7 +306,7 @@ class Gphoto2Camera(ClosesItself):
         return seconds or 1.0, round(iso or 0)
 
 
-def _told(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
+def _error(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
     """A trouble as a line for people."""
     text = str(trouble)
     if trouble.code in ADVICE:

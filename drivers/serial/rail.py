@@ -59,7 +59,7 @@ class SerialRail(ClosesItself):
         self._wire: SerialWire | None = None
         self._lock = threading.RLock()
         self._homed = False
-        self._stopping = False  # another thread wants it to stand
+        self._stopping = False  # another thread has ordered a stop
         self._at_mm = 0.0
         self._reach = Travel(0.0, 1.0)
 
@@ -105,7 +105,7 @@ class SerialRail(ClosesItself):
         self._opened_before = True
 
     def _refuse_stopped(self) -> None:
-        """Raise if a stop was asked for before anything moved, which the controller would not know of."""
+        """Raise if a stop was ordered before anything moved, which the controller would not know of."""
         if self._stopping:
             raise RailError(f"{self} was stopped before it moved")
 

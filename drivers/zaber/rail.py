@@ -1,7 +1,7 @@
 """A Zaber stage, in its ASCII protocol: zaber:/dev/ttyUSB0, the only device on its chain, or zaber:simulated.
 
 Rail positions are mm from the home sensor. The stage counts microsteps; their size is in the plan. Replies carry the id
-of their command and a checksum, so that late, stale and damaged ones are told apart and dropped.
+of their command and a checksum, so that late, stale and damaged ones are recognised and dropped.
 """
 
 from __future__ import annotations

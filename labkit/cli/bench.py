@@ -29,25 +29,28 @@ def devices(
     ctx: typer.Context,
     udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
 ) -> None:
-    """What is connected, who holds it, what may not be opened, and which drivers are installed."""
-    from labkit.devices.inventory import look_around, udev_rules
+    """What is connected, which program holds it, what may not be opened, and which drivers are installed."""
+    from labkit.devices.inventory import list_connected, udev_rules
 
     console: Console = ctx.obj
-    found = look_around()
+    connected = list_connected()
     if udev:
-        console.say(udev_rules(found))
-        console.answer({"udev": udev_rules(found)})
+        console.say(udev_rules(connected))
+        console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in (
-        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in found.usb]),
-        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in found.serial]),
-        ("Installed drivers", [[device, ", ".join(f"{n}:" for n in names)] for device, names in found.drivers.items()]),
+        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in connected.usb]),
+        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
+        (
+            "Installed drivers",
+            [[device, ", ".join(f"{n}:" for n in names)] for device, names in connected.drivers.items()],
+        ),
     ):
         console.say(title)
         console.table(rows or [["none"]], indent="  ")
-    for note in found.notes:
+    for note in connected.notes:
         console.warn(note)
-    console.answer(asdict(found))
+    console.answer(asdict(connected))
 
 
 @camera_app.command("settings")

@@ -262,7 +262,7 @@ def test_a_hold_that_someone_pressed_is_told_and_homing_goes_on() -> None:
         rail.home()
         controller = controller_of(port)
         controller.noticed = lambda command: controller.receive(b"!") if command.startswith("G4") else None
-        with pytest.raises(RailError, match=r"was stopped \(it says Hold:\d\); home it"):
+        with pytest.raises(RailError, match=r"was stopped \(it reports Hold:\d\); home it"):
             rail.move_to(-20.0)
         controller.noticed = lambda command: None
         with pytest.raises(RailError, match="home it first"):
@@ -277,7 +277,9 @@ def test_a_counter_that_jumps_between_moves_is_noticed() -> None:
         rail.move_to(-100.0)
         with port.lock:
             controller_of(port).machine.position = (-93.0, -293.0, -293.0)
-        with pytest.raises(RailError, match=r"was left at -100\.000 mm and now says -93\.000 mm; its position is lost"):
+        with pytest.raises(
+            RailError, match=r"was left at -100\.000 mm and now reports -93\.000 mm; its position is lost"
+        ):
             rail.move_to(-150.0)
 
 

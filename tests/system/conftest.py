@@ -66,7 +66,8 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
     """Taken on the simulated bench."""
     folder = tmp_path_factory.mktemp("photographs")
     plan = parse_plan(plan_text(SMALL, DEVICES), folder)
-    with open_devices(plan) as devices:
+    bench = Bench(replace(settings_for(plan, 1), halo_um=100.0))
+    with open_devices(plan, context=DeviceContext(shared=SharedParts({"simulated:": bench}))) as devices:
         devices.camera.configure(ExposureSettings(0.02, 100))
         devices.rail.home()
         devices.rail.move_to(150.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -56,6 +58,11 @@ class Reader:
     def refuse_abort(self) -> None:
         if self.aborts:
             raise KeyboardInterrupt
+
+
+def test_who_asks_nobody_needs_no_terminal_driver() -> None:
+    code = "import sys; sys.modules['termios'] = None; import labkit.cli.main, labkit.devices.registry"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
 
 
 def test_without_terminal_or_page_there_is_nobody_to_ask(nobody: None) -> None:
