@@ -149,7 +149,7 @@ def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[st
 
 def _usb_devices() -> Iterator[UsbDevice]:
     devices = list(usb.core.find(find_all=True))
-    held = holders(_usb_file(device) for device in devices)
+    held = holders((_usb_file(device) for device in devices), PROC)
     for device in devices:
         file = _usb_file(device)
         yield UsbDevice(
@@ -168,7 +168,7 @@ def _usb_file(device: usb.core.Device) -> str:
 
 def _serial_ports() -> Iterator[SerialPort]:
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
-    held = holders(port.device for port in ports)
+    held = holders((port.device for port in ports), PROC)
     stable = {str(link.resolve()): str(link) for link in sorted(STABLE_NAMES.glob("*"))}
     for port in ports:
         yield SerialPort(

@@ -103,7 +103,7 @@ def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(monkeypatch: pyte
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [])
     held = {"/dev/bus/usb/001/004": ("gvfsd-gphoto2 (812)",)}
-    monkeypatch.setattr(inventory, "holders", lambda paths: {path: held.get(path, ()) for path in paths})
+    monkeypatch.setattr(inventory, "holders", lambda paths, proc: {path: held.get(path, ()) for path in paths})
     assert list_connected().notes == (
         "usb:001,004: in use by gvfsd-gphoto2 (812); let it go with: gio mount -s gphoto2",
     )
