@@ -65,8 +65,8 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         Session.create(folder, text, Path()) as session,
     ):
         capture(session, devices)
+        (bench,) = context.shared.values()
     results = fit(folder)
-    (bench,) = context.shared.values()
     rows = [_row(w, bench.truth) for w in results]
     _print(case, rows, results, bench.truth)
     return rows

@@ -1,19 +1,17 @@
-"""A rail without a motor: `manual:` asks the operator to set it, and to type what its scale says."""
+"""A rail without a motor: `manual:` asks the operator to set it, and to type what its scale reads."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Travel
+from labkit.devices.protocols import ClosesItself, Travel
 from labkit.errors import PlanError, RailError, RailLimitError
 from labkit.plan import Plan
 
 TRIES = 3
 NEAR_MM = 2.0
-"""A reading farther than this from what was asked is a slip of the hand, or of the keyboard."""
+"""A reading farther than this from the position ordered is a slip of the hand, or of the keyboard."""
 
 SCALE = Travel(-1e6, 1e6)
 
@@ -25,8 +23,8 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
     return ManualRail(context.operator.ask, plan.rail.run_up_mm)
 
 
-class ManualRail:
-    """A Rail, moved by a person. Positions are what the scale says, in mm.
+class ManualRail(ClosesItself):
+    """A Rail, moved by a person. Positions are readings of its scale, in mm.
 
     ask: puts a question and returns the answer. run_up_mm: every stop is to be approached from below over this way.
     """
@@ -44,7 +42,7 @@ class ManualRail:
         """A scale has no zero to be found."""
 
     def move_to(self, position_mm: float) -> float:
-        """Have it set; what the scale says then, in mm.
+        """Have it set; what the scale reads then, in mm.
 
         Raises RailLimitError outside the travel, RailError without a usable answer, and what `ask` raises.
         """
@@ -73,9 +71,3 @@ class ManualRail:
 
     def close(self) -> None:
         """Nothing to let go."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

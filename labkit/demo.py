@@ -170,10 +170,10 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         progress("capturing") as report,
     ):
         capture(session, devices, progress=report)
+        # the bench is a driver's: all that is known of it here is that it can tell the truth
+        (bench,) = context.shared.values()
     with progress("fitting") as report:
         results = fit(folder, progress=report)
-    # the bench is a driver's: all that is known of it here is that it can tell the truth
-    (bench,) = context.shared.values()
     compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
     return Comparison(tuple(compared), tuple(wavefronts), write_report(results))
 

@@ -1,6 +1,6 @@
 """Any camera that libgphoto2 drives, over USB. Address: "gphoto2:" for the only one, or "gphoto2:usb:001,004".
 
-libgphoto2 runs in a process of its own (`gphoto2_worker`): when it hangs, crashes or loses the camera, the camera is
+libgphoto2 runs in a process of its own (`worker`): when it hangs, crashes or loses the camera, the camera is
 let go, looked for again, reset on USB if need be, opened and set as before, a bounded number of times.
 """
 
@@ -10,14 +10,14 @@ import contextlib
 import re
 import shutil
 import subprocess
+import time
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame, Setting
+from labkit.devices.protocols import CameraInfo, Check, ClosesItself, ExposureSettings, RawFrame, Setting
 from labkit.drivers.gphoto2.files import clear_folder, fresh_folder, kept
 from labkit.drivers.gphoto2.link import (
     BUSY,
@@ -74,11 +74,11 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
         port,
         f_number=(settings.f_number if settings else None) or plan.lens.f_number,
         keep=settings is not None and settings.capture_target == "card",
-        wait=lambda seconds: context.wait(seconds),
+        wait=time.sleep,
     )
 
 
-class Gphoto2Camera:
+class Gphoto2Camera(ClosesItself):
     """A Camera, Adjustable and Checkable.
 
     port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
@@ -149,12 +149,6 @@ class Gphoto2Camera:
         self._is_open = False
         self._link.close(CLOSE_S)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     def _doing(self, what: str, action: Callable[[], Result], folder: Path | None = None) -> Result:
         """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""
         pauses = iter((*PAUSES_S, None))
@@ -164,7 +158,7 @@ class Gphoto2Camera:
                 return action()
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
-                    raise _told(what, trouble, attempt) from trouble
+                    raise _error(what, trouble, attempt) from trouble
                 self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
             finally:
@@ -259,7 +253,7 @@ class Gphoto2Camera:
         _refuse_other(name, value, self._link.ask("set", ASK_S, name=name, value=value))
 
     def _state(self) -> dict[str, Any]:
-        """Battery and free storage, as far as the body tells."""
+        """Battery and free storage, as far as the body reports it."""
         state: dict[str, Any] = {}
         if "batterylevel" in self._body:
             state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])["batterylevel"]
@@ -270,8 +264,8 @@ class Gphoto2Camera:
                 raise
             stores = []
         for key, name in (("images", "free_images"), ("kilobytes", "free_kilobytes")):
-            if told := [store[key] for store in stores if store[key] is not None]:
-                state[name] = max(told)
+            if known := [store[key] for store in stores if store[key] is not None]:
+                state[name] = max(known)
         return state
 
     def _expose(self, path: Path) -> RawFrame:
@@ -302,7 +296,7 @@ class Gphoto2Camera:
         return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
 
     def _exposed(self, now: Mapping[str, Any]) -> tuple[float, int]:
-        """Shutter time and ISO of the next photograph: as set, or as the body says, or as asked."""
+        """Shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
         values = {name: setting.value for name, setting in self._body.items()} | dict(now)
         seconds = next((s for name in SHUTTER if name in values and (s := seconds_of(values[name]))), None)
         iso = next((n for name in ISO if name in values and (n := number_of(values[name]))), None)
@@ -312,7 +306,7 @@ class Gphoto2Camera:
         return seconds or 1.0, round(iso or 0)
 
 
-def _told(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
+def _error(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
     """A trouble as a line for people."""
     text = str(trouble)
     if trouble.code in ADVICE:

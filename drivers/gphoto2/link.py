@@ -1,4 +1,4 @@
-"""The near end of the pipe to the process that libgphoto2 runs in: starts it, asks it, ends it if it hangs."""
+"""The near end of the pipe to the process that libgphoto2 runs in: starts it, sends it requests, ends it if it hangs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FULL, UNSUPPORTED, IO, TIMEOUT, GONE, CLAIM, NO_CAMERA, BUSY = -3, -6, -7, -10, 
 """Codes of libgphoto2 and its ports."""
 
 HUNG, DIED = 1, 2
-"""Codes of troubles that libgphoto2 cannot tell of itself."""
+"""Codes of troubles that libgphoto2 cannot report itself."""
 
 KILL_S = 5.0
 """A process that is stuck in the kernel does not even die: then it is left behind."""

@@ -1,7 +1,7 @@
 """libgphoto2 in a process of its own: one thread, one camera, one request at a time.
 
 The library can hang or crash, and its handles belong to one thread; here it takes nothing with it. Requests and
-answers are JSON over a pipe (`gphoto2_link` is the other end). The process ends when the pipe does, and of
+answers are JSON over a pipe (`link` is the other end). The process ends when the pipe does, and of
 itself when a request takes longer than it may: SIGALRM stops it even inside the library.
 """
 

@@ -1,4 +1,4 @@
-"""What a GRBL 1.1 or grblHAL controller says: status reports, alarms, errors, settings. Text in, values out."""
+"""What a GRBL 1.1 or grblHAL controller sends: status reports, alarms, errors, settings. Text in, values out."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ HAL_ORIGIN_AT_HOME = 8
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A status report: state (Idle, Run, Hold:0 ...), where X stands in mm, and the work offset where it is told.
+    """A status report: state (Idle, Run, Hold:0 ...), where X stands in mm, and the work offset where it is reported.
 
     `at_mm` is counted from the machine's zero if `is_machine`, else from the work zero: machine = work + offset.
     """

@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.registry import open_controller
 from labkit.drivers.grbl import protocol as grbl
-from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail
-from labkit.errors import DeviceTimeoutError, PlanError, RailError
+from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
+from labkit.errors import DeviceTimeoutError, RailError
 from labkit.plan import Plan
 
 QUIET_S = 0.1
@@ -35,13 +34,9 @@ KEPT = ("Idle", "Hold:0")
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> GrblRail:
     """The rail at grbl:PORT, or a simulated controller at grbl:simulated. Raises PlanError, RailError."""
-    path = address.partition(":")[2]
-    if plan.rail is None or not path:
-        raise PlanError(f'rail.address = "{address}": give the port as well, such as grbl:/dev/ttyUSB0')
-    if path != "simulated":
-        return GrblRail(path, plan.rail.run_up_mm)
-    port = open_controller(address, plan, context)
-    return GrblRail(port.path, plan.rail.run_up_mm, after_close=port.close)
+    rail = rail_settings(address, plan)
+    path, after_close = open_port(address, plan, context)
+    return GrblRail(path, rail.run_up_mm, after_close=after_close)
 
 
 class GrblRail(SerialRail):
@@ -105,7 +100,7 @@ class GrblRail(SerialRail):
             if self._under_way:
                 self.stop()
         except (RailError, DeviceTimeoutError):
-            pass  # it is being let go because of trouble; that trouble is what gets told
+            pass  # it is being let go because of trouble; that trouble is what is raised
         finally:
             super().close()
 
@@ -137,7 +132,7 @@ class GrblRail(SerialRail):
             raise RailError(f"{self} does not know where it is; home it first")
         at_mm = self._rest()
         if abs(at_mm - self._at_mm) > TOLERANCE_MM:
-            raise self._lost(f"was left at {self._at_mm:.3f} mm and now says {at_mm:.3f} mm")
+            raise self._lost(f"was left at {self._at_mm:.3f} mm and now reports {at_mm:.3f} mm")
 
     def _wake(self) -> None:
         """A controller in a known state, its queue empty, whatever was before."""
@@ -196,11 +191,11 @@ class GrblRail(SerialRail):
         read = [found for line in lines if (found := grbl.SETTING.fullmatch(line))]
         self._settings = {int(found[1]): float(found[2]) for found in read}
         if missing := [f"${number}" for number in grbl.NEEDED if number not in self._settings]:
-            raise RailError(f"{self} did not tell its settings {', '.join(missing)}; try again")
+            raise RailError(f"{self} did not report its settings {', '.join(missing)}; try again")
         if self._settings[grbl.INCHES]:
             raise RailError(f"{self} reports in inches ($13=1); set $13=0")
         if not int(self._settings[grbl.HOMING]) & 1:
-            raise RailError(f"{self} has homing turned off ($22=0), so nothing tells where it is; set $22=1")
+            raise RailError(f"{self} has homing turned off ($22=0), so its position cannot be known; set $22=1")
         try:
             self._reach = grbl.travel(self._settings, is_hal, options)
             _ = self.travel_mm
@@ -208,7 +203,7 @@ class GrblRail(SerialRail):
             raise RailError(f"{self} has no room to move: travel $130 = {self._settings[130]:g} mm") from error
 
     def _carry_out(self, commands: Sequence[str], allowed_s: float, watch: bool = True) -> list[str]:
-        """Send lines and return all that was said until the last is done, at most `allowed_s` and a reply's time.
+        """Send lines and return all that was received until the last is done, at most `allowed_s` and a reply's time.
 
         watch: ask for reports meanwhile, and raise when they stay out. Raises RailError, DeviceTimeoutError.
         """
@@ -216,14 +211,14 @@ class GrblRail(SerialRail):
         self._send("".join(f"{command}\n" for command in (*commands, "$G")).encode())
         heard_s = asked_s = time.monotonic()
         deadline_s = heard_s + allowed_s + self._reply_s
-        said: list[str] = []
+        received: list[str] = []
         while (now_s := time.monotonic()) < deadline_s:
             line = self._line(min(deadline_s, asked_s + POLL_S) if watch else deadline_s)
             if line is not None:
                 if line.startswith("[GC:"):
                     self._under_way = False
-                    return said
-                said.append(line)
+                    return received
+                received.append(line)
                 heard_s = time.monotonic() if self._note(line) else heard_s
             if watch and now_s - heard_s > self._reply_s:
                 break
@@ -244,7 +239,7 @@ class GrblRail(SerialRail):
                 return at_mm
             before_mm = at_mm
         self._homed = False
-        raise DeviceTimeoutError(f"{self} does not tell where it stands; home it")
+        raise DeviceTimeoutError(f"{self} does not report where it stands; home it")
 
     def _report(self, within_s: float, states: Sequence[str], in_hold: bool = False) -> grbl.Report | None:
         """The next report of one of these states, asking until it comes; None if none comes in time.
@@ -264,7 +259,7 @@ class GrblRail(SerialRail):
         return None
 
     def _note(self, line: str, in_hold: bool = False) -> grbl.Report | None:
-        """The report in a line, if it is one. Raises RailError for whatever tells of trouble."""
+        """The report in a line, if it is one. Raises RailError for whatever reports trouble."""
         if grbl.BANNER.search(line):
             raise self._lost("restarted by itself")
         if found := grbl.ALARM.search(line):
@@ -281,7 +276,7 @@ class GrblRail(SerialRail):
         if report.state == "Alarm":
             raise self._lost("is in alarm")
         if report.state.partition(":")[0] in STOPPED and not in_hold:
-            raise RailError(f"{self} was stopped (it says {report.state}); home it")
+            raise RailError(f"{self} was stopped (it reports {report.state}); home it")
         return report
 
     def _machine_mm(self, report: grbl.Report) -> float | None:
@@ -290,6 +285,6 @@ class GrblRail(SerialRail):
         return None if self._offset_mm is None else report.at_mm + self._offset_mm
 
     def _hear_out(self) -> None:
-        """Take in what the controller has said by itself."""
+        """Take in what the controller has sent by itself."""
         while (line := self._line(0.0)) is not None:
             self._note(line)

@@ -3,21 +3,40 @@
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
-from types import TracebackType
-from typing import ClassVar, Self
+from typing import ClassVar
 
-from labkit.devices.protocols import Travel
+from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import ClosesItself, Travel
+from labkit.devices.registry import open_controller
 from labkit.drivers.serial.wire import SerialWire
-from labkit.errors import RailError, RailLimitError
+from labkit.errors import PlanError, RailError, RailLimitError
+from labkit.plan import Plan, RailSettings
 
 TOLERANCE_MM = 0.02
 """Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
 
 
-class SerialRail(ABC):
-    """A line at `path`, opened by `_open`; whatever breaks it is told as RailError and closes it.
+def rail_settings(address: str, plan: Plan) -> RailSettings:
+    """The [rail] of a plan whose address names a port, such as grbl:/dev/ttyUSB0. Raises PlanError."""
+    driver, _, path = address.partition(":")
+    if plan.rail is None or not path:
+        raise PlanError(f'rail.address = "{address}": give the port as well, such as {driver}:/dev/ttyUSB0')
+    return plan.rail
+
+
+def open_port(address: str, plan: Plan, context: DeviceContext) -> tuple[str, Callable[[], None]]:
+    """The port's device file, and what to call after use: grbl:simulated is a simulated controller's. Raises PlanError."""
+    path = address.partition(":")[2]
+    if path != "simulated":
+        return path, lambda: None
+    controller = open_controller(address, plan, context)
+    return controller.path, controller.close
+
+
+class SerialRail(ClosesItself):
+    """A line at `path`, opened by `_open`; whatever breaks it is raised as RailError and closes it.
 
     It must be homed before it moves, and again whenever its position is in doubt.
     run_up_mm: every stop is approached from below over this way, which takes up the play of the screw. reply_s: longest
@@ -40,7 +59,7 @@ class SerialRail(ABC):
         self._wire: SerialWire | None = None
         self._lock = threading.RLock()
         self._homed = False
-        self._stopping = False  # another thread wants it to stand
+        self._stopping = False  # another thread has ordered a stop
         self._at_mm = 0.0
         self._reach = Travel(0.0, 1.0)
 
@@ -72,12 +91,6 @@ class SerialRail(ABC):
         self._hang_up()
         self._after_close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     def __str__(self) -> str:
         return f"{self.NAME} at {self._path}"
 
@@ -92,7 +105,7 @@ class SerialRail(ABC):
         self._opened_before = True
 
     def _refuse_stopped(self) -> None:
-        """Raise if a stop was asked for before anything moved, which the controller would not know of."""
+        """Raise if a stop was ordered before anything moved, which the controller would not know of."""
         if self._stopping:
             raise RailError(f"{self} was stopped before it moved")
 

@@ -84,13 +84,13 @@ class SerialWire:
 
 
 def _why_not_open(path: str, error: Exception) -> str:
-    """What to tell someone whose port does not open."""
+    """Why a port does not open, and what to do."""
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-        found = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"there is no serial port {path}; found: {found}"
+        ports = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+        return f"there is no serial port {path}; found: {ports}"
     if number in (errno.EACCES, errno.EPERM):
         return f"no permission to open {path}; `labkit devices --udev` prints the rule that gives it"
     if number in (errno.EAGAIN, errno.EBUSY):
-        return f"{path} is held by another program; `labkit devices` tells which"
+        return f"{path} is held by another program; `labkit devices` names it"
     return f"{path} does not open as a serial port: {error}"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import CameraInfo, ExposureSettings, RawFrame
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.device import SimulatedDevice
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.drivers.simulated.setup import shared_bench
 from labkit.errors import CameraError, DeviceTimeoutError
@@ -18,19 +18,20 @@ from labkit.plan import Plan
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> SimulatedCamera:
     """The camera of the context's bench. Raises PlanError."""
-    return SimulatedCamera(shared_bench(context, address, plan))
+    bench = shared_bench(context, address, plan)
+    return SimulatedCamera(bench.part, release=bench.close)
 
 
-class SimulatedCamera:
+class SimulatedCamera(SimulatedDevice):
     """A Camera that can also cover its own lens."""
 
-    def __init__(self, bench: Bench, timeout_s: float = 10.0) -> None:
-        self._bench = bench
+    def __init__(self, bench: Bench, timeout_s: float = 10.0, release: Callable[[], None] = lambda: None) -> None:
+        super().__init__(bench, release)
         self._timeout_s = timeout_s
         self._settings: ExposureSettings | None = None
 
     def identify(self) -> CameraInfo:
-        """Who it is; plugs it in again if it dropped off."""
+        """Its model, and the bench's seed; plugs it in again if it dropped off."""
         self._bench.camera_present = True
         return CameraInfo(model="labkit simulated bench", serial=str(self._bench.settings.seed), driver="simulated")
 
@@ -43,7 +44,7 @@ class SimulatedCamera:
         """Expose once into `path` with ".dng" (or ".tif" without a mosaic) after it."""
         self._refuse_absent()
         if self._settings is None:
-            raise CameraError("the simulated camera was not configured: tell it exposure time and ISO first")
+            raise CameraError("the simulated camera was not configured: set exposure time and ISO first")
         match self._bench.trouble("camera"):
             case "timeout":
                 self._bench.wait(self._timeout_s)
@@ -61,14 +62,9 @@ class SimulatedCamera:
         self._bench.covered = closed
 
     def close(self) -> None:
-        """Let it go."""
+        """Let it go; again does nothing."""
         self._settings = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
+        super().close()
 
     def _refuse_absent(self) -> None:
         if not self._bench.camera_present:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
-from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.device import SimulatedDevice
 from labkit.drivers.simulated.setup import shared_bench
 from labkit.errors import DisplayError
 from labkit.plan import Plan
@@ -16,14 +13,12 @@ from labkit.plan import Plan
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> SimulatedDisplay:
     """The display of the context's bench. Raises PlanError."""
-    return SimulatedDisplay(shared_bench(context, address, plan))
+    bench = shared_bench(context, address, plan)
+    return SimulatedDisplay(bench.part, release=bench.close)
 
 
-class SimulatedDisplay:
+class SimulatedDisplay(SimulatedDevice):
     """A Display whose pixels are squares of one grey each."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
 
     @property
     def panel(self) -> PanelInfo:
@@ -42,12 +37,3 @@ class SimulatedDisplay:
         except ValueError as error:
             raise DisplayError(str(error)) from error
         return Shown((picture.shape[0], picture.shape[1]))
-
-    def close(self) -> None:
-        """Let it go."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

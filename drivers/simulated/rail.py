@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
+from collections.abc import Callable
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Travel
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.device import SimulatedDevice
 from labkit.drivers.simulated.setup import shared_bench
 from labkit.errors import DeviceTimeoutError, RailError, RailLimitError
 from labkit.plan import Plan
@@ -21,14 +21,15 @@ TOLERANCE_MM = 0.2
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> SimulatedRail:
     """The rail of the context's bench. Raises PlanError."""
-    return SimulatedRail(shared_bench(context, address, plan))
+    bench = shared_bench(context, address, plan)
+    return SimulatedRail(bench.part, release=bench.close)
 
 
-class SimulatedRail:
+class SimulatedRail(SimulatedDevice):
     """A Rail. Like a real one it must be homed before it moves, and again after trouble."""
 
-    def __init__(self, bench: Bench, timeout_s: float = 60.0) -> None:
-        self._bench = bench
+    def __init__(self, bench: Bench, timeout_s: float = 60.0, release: Callable[[], None] = lambda: None) -> None:
+        super().__init__(bench, release)
         self._timeout_s = timeout_s
         self._homed = False
 
@@ -62,17 +63,12 @@ class SimulatedRail:
         return self._measure(position_mm)
 
     def stop(self) -> None:
-        """It stands whenever it is asked: moves are over at once."""
+        """It always stands: moves are over at once."""
 
     def close(self) -> None:
-        """Let it go."""
+        """Let it go; again does nothing."""
         self._homed = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
+        super().close()
 
     def _measure(self, position_mm: float) -> float:
         step_mm = self._bench.settings.rail.encoder_step_mm

@@ -10,6 +10,7 @@ import numpy as np
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.panels import panel_info
+from labkit.devices.shared import Lease
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import PlanError
@@ -23,21 +24,20 @@ WHITE_COUNTS = 10_350.0
 """What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
 
 
-def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Bench:
-    """The one bench of a context, made at first asking from an address such as "simulated:" or "simulated:seed=3".
+def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Bench]:
+    """The one bench of a context's devices, at an address such as "simulated:" or "simulated:seed=3".
 
-    Raises PlanError for an address that is not understood, or another than the context's bench has.
+    It is there as long as any of them is open. Raises PlanError for an address that is not understood, or another than
+    the context's bench has.
     """
-    others = [key for key, thing in context.shared.items() if isinstance(thing, Bench) and key != address]
+    others = [key for key, part in context.shared.items() if isinstance(part, Bench) and key != address]
     if others:
         raise PlanError(f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address')
-    bench = context.shared.get(address)
-    if bench is None:
-        bench = context.shared[address] = Bench(settings_for(plan, _seed(address)))
-    if not isinstance(bench, Bench):
-        raise PlanError(f'"{address}" is no bench but {type(bench).__name__}')
-    context.wait = bench.wait
-    return bench
+    lease = context.shared.lease(address, lambda: Bench(settings_for(plan, _seed(address))))
+    if not isinstance(lease.part, Bench):
+        lease.close()
+        raise PlanError(f'"{address}" is no bench but {type(lease.part).__name__}')
+    return lease
 
 
 def settings_for(plan: Plan, seed: int) -> BenchSettings:

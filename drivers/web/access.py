@@ -1,4 +1,4 @@
-"""Who gets in: the token, the Host and the Origin of every request, and connections that never say anything.
+"""Access to the pages: the token, the Host and the Origin of every request, and connections that stay silent.
 
 A stranger is a connection that has not yet shown the token. Strangers are shown out after a few seconds, and the
 oldest of them at once when there are many, so a flood of them costs the bench's own pages nothing.
@@ -110,9 +110,9 @@ class Connection(H11Protocol):
         """A stranger comes; the oldest goes, if there are too many."""
         super().connection_made(transport)
         self.since = self.loop.time()
-        strangers = [one for one in self.connections if isinstance(one, Connection) and one.is_stranger]
+        strangers = [other for other in self.connections if isinstance(other, Connection) and other.is_stranger]
         if len(strangers) > MOST_STRANGERS:
-            min(strangers, key=lambda one: one.since).transport.abort()
+            min(strangers, key=lambda stranger: stranger.since).transport.abort()
         self.loop.call_later(STRANGER_S, self._show_out)
 
     @property

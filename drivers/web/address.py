@@ -1,13 +1,15 @@
-"""Web servers by their address: one serves all pages of a host and port, and lives as long as any of them is wanted."""
+"""Web servers by their address: one serves all pages of a host and port, and runs as long as any of them is open."""
 
 from __future__ import annotations
 
 import re
-from contextlib import AbstractContextManager
-from types import TracebackType
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from urllib.parse import urlsplit
 
 from labkit.devices.context import DeviceContext
+from labkit.devices.shared import Lease
+from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.server import WebServer
 from labkit.errors import PlanError
 from labkit.plan import Plan
@@ -32,8 +34,9 @@ def parse_address(address: str) -> tuple[str, int, str]:
     return host, DEFAULT_PORT if port is None else port, name
 
 
-def open_monitor(address: str, plan: Plan, context: DeviceContext) -> AbstractContextManager[WebServer]:
-    """The operator's page at an address, for as long as the context lasts.
+@contextmanager
+def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[Monitor]:
+    """The operator's page at an address, served as long as this context manager lasts.
 
     `web:` is where the plan's display is served, if it is a web display, and else this machine alone.
     Raises PlanError, or DisplayError for a port in use.
@@ -41,38 +44,17 @@ def open_monitor(address: str, plan: Plan, context: DeviceContext) -> AbstractCo
     if address == "web:" and plan.display is not None and plan.display.address.startswith("web:"):
         address = plan.display.address
     host, port, _ = parse_address(address)
-    return Serving(host, port, context)
+    with closing(shared_server(host, port, context)) as lease:
+        yield lease.part.monitor
 
 
-class Serving(AbstractContextManager[WebServer]):
-    """The context's server at a host and port, started by the first who enters and stopped by the last who leaves.
+def shared_server(host: str, port: int, context: DeviceContext) -> Lease[WebServer]:
+    """The one server of a host and port in a context, started for its first user. Raises DisplayError for a port in use."""
 
-    Its operator's page looks on in the context, and answers questions. Raises DisplayError for a port in use.
-    """
-
-    def __init__(self, host: str, port: int, context: DeviceContext) -> None:
-        self._host, self._port, self._room = host, port, context
-        self._where = f"web://{host}:{port}"
-
-    def __enter__(self) -> WebServer:
-        context = self._room
-        server: WebServer | None = context.shared.get(self._where)
-        if server is None:
-            server = WebServer(self._host, self._port, context)
-            server.start()
-            context.shared[self._where] = server
-            context.observers.append(server.monitor)
-            context.operator.attend(server.monitor)
-            context.link("The operator's page", server.url("monitor"))
-        server.users += 1
+    def start() -> WebServer:
+        server = WebServer(host, port, Monitor(context.requests, context.operator))
+        server.start()
+        context.show_link("The operator's page", server.url("monitor"))
         return server
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        context = self._room
-        server: WebServer = context.shared[self._where]
-        server.users -= 1
-        if not server.users:
-            context.operator.leave(server.monitor)
-            context.observers.remove(server.monitor)
-            del context.shared[self._where]
-            server.close()
+    return context.shared.lease(f"web://{host}:{port}", start, WebServer.close)

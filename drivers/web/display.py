@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
-from types import TracebackType
-from typing import Self
+from contextlib import ExitStack, closing
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.panels import panel_info
-from labkit.devices.protocols import PanelInfo, Picture, Shown
+from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
-from labkit.drivers.web.address import Serving, parse_address
+from labkit.drivers.web.address import parse_address, shared_server
+from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.screen import Order, Report, Screen
 from labkit.errors import DisplayError, PlanError
 from labkit.plan import Plan
@@ -25,7 +24,7 @@ HOLD_S = 600.0
 """How long a capture is held for a display that is not right; then it stops, to be resumed."""
 
 PATIENCE_S = 2.0
-"""A display that is right again sooner is not worth a word."""
+"""A display that is right again sooner is not worth a warning."""
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay:
@@ -35,30 +34,38 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay
     host, port, name = parse_address(address)
     panel = panel_info(plan.display)
     with ExitStack() as stack:
-        server = stack.enter_context(Serving(host, port, context))
+        server = stack.enter_context(closing(shared_server(host, port, context))).part
         screen = server.add_screen(name, panel)
         stack.callback(server.remove_screen, name)
         close = stack.pop_all().close
-    context.link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
-    return WebDisplay(screen, close, context.tell, server.monitor.refuse_abort)
+    context.show_link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
+    return WebDisplay(screen, server.monitor, close, context.warn)
 
 
-class WebDisplay:
-    """A Display on a web page. It is held to its word: a picture counts as shown when its page has read it back."""
+class WebDisplay(ClosesItself):
+    """A Display on a web page: a picture counts as shown when its page has read it back.
+
+    hold_s: how long to wait for a page that is not right. It brings the operator's page of its server as an observer.
+    """
 
     def __init__(
         self,
         screen: Screen,
+        monitor: Monitor,
         close: Callable[[], None],
-        tell: Callable[[str], None],
-        refuse_abort: Callable[[], None] = lambda: None,
+        warn: Callable[[str], None],
         hold_s: float = HOLD_S,
     ) -> None:
-        self._screen = screen
+        self._screen, self._monitor = screen, monitor
         self._close: Callable[[], None] | None = close
-        self._tell, self._refuse_abort = tell, refuse_abort
+        self._warn = warn
         self.hold_s = hold_s
         self._shown: tuple[Order, Report] | None = None
+
+    @property
+    def observers(self) -> tuple[Monitor, ...]:
+        """The operator's page."""
+        return (self._monitor,)
 
     @property
     def panel(self) -> PanelInfo:
@@ -80,9 +87,9 @@ class WebDisplay:
         return Shown((picture.shape[0], picture.shape[1]))
 
     def undisturbed(self) -> bool:
-        """Whether the picture was there all the time since it was shown: the page is asked, and waited for as in show."""
-        asked = self._screen.ask()
-        now = self._hold(lambda: self._screen.problem is None and self._answered(asked))
+        """Whether the picture was there all the time since it was shown, by a fresh report, waited for as in show."""
+        number = self._screen.request_report()
+        now = self._hold(lambda: self._screen.problem is None and self._answered(number))
         if self._shown is None:
             return False
         order, then = self._shown
@@ -94,19 +101,13 @@ class WebDisplay:
             self._close()
             self._close = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-    def _answered(self, asked: int) -> bool:
+    def _answered(self, number: int) -> bool:
         report = self._screen.report
-        return report is not None and report.asked >= asked
+        return report is not None and report.asked >= number
 
     def _hold(self, good: Callable[[], bool]) -> Report:
-        """Wait until it is right, saying what is not; the report that it is right by."""
-        since, told = time.monotonic(), None
+        """Wait until it is right, warning of what is not; the report that it is right by."""
+        since, warned = time.monotonic(), None
         screen = self._screen
         while True:
             with screen.changed:
@@ -114,13 +115,13 @@ class WebDisplay:
                 if report is not None and good():
                     return report
                 screen.changed.wait(0.2)
-            self._refuse_abort()
+            self._monitor.refuse_abort()
             if self._close is None:
                 raise DisplayError(f'display "{screen.name}" was closed')
             waited_s = time.monotonic() - since
             problem = screen.problem or "its page has not confirmed the picture"
             if waited_s > self.hold_s:
                 raise DisplayError(f'display "{screen.name}": {problem} (waited {self.hold_s:g} s for {screen.url})')
-            if waited_s > PATIENCE_S and problem != told:
-                told = problem
-                self._tell(f'waiting for the display "{screen.name}": {problem}')
+            if waited_s > PATIENCE_S and problem != warned:
+                warned = problem
+                self._warn(f'waiting for the display "{screen.name}": {problem}')

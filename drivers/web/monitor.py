@@ -1,4 +1,4 @@
-"""What the operator's page shows, and the buttons on it: a Observer of captures."""
+"""What the operator's page shows, and the buttons on it: an observer of captures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from labkit.devices.operator import Operator
-from labkit.drivers.web.preview import Look, look_at
+from labkit.drivers.web.preview import FrameSummary, summarise
 from labkit.raw.mosaic import Mosaic
 from labkit.types import FrameKind
 
@@ -22,8 +22,10 @@ LOG_LINES, SHARPNESS_POINTS = 200, 60
 class Monitor:
     """The state of the operator's page. The capture's thread writes it, the server's reads it."""
 
-    def __init__(self, wishes: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._wishes, self._operator = now, wishes, operator
+    def __init__(
+        self, requests: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._now, self._requests, self._operator = now, requests, operator
         self._lock = threading.Condition()
         self._listeners: dict[object, Callable[[], None]] = {}
         self._phase, self._doing = "idle", ""
@@ -34,10 +36,10 @@ class Monitor:
         self._paused_s = 0.0
         self._choices: list[str] = []
         self._picked: str | None = None
-        self._asked = 0
+        self._questions = 0
         self._devices: dict[str, dict[str, str]] = {}
         self._log: deque[dict[str, str]] = deque(maxlen=LOG_LINES)
-        self._look: Look | None = None
+        self._frame: FrameSummary | None = None
         self._sharpness: deque[dict[str, Any]] = deque(maxlen=SHARPNESS_POINTS)
         self.preview = b""
 
@@ -53,11 +55,12 @@ class Monitor:
 
     def took(self, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
         """A photograph is in the session."""
-        look, preview = look_at(self._look.number + 1 if self._look else 1, name, kind, range_mm, mosaic)
+        number = self._frame.number + 1 if self._frame else 1
+        frame, preview = summarise(number, name, kind, range_mm, mosaic)
         with self._lock:
-            self._look, self.preview = look, preview
-            if look.edge_px is not None:
-                self._sharpness.append({"name": name, "edge_px": look.edge_px})
+            self._frame, self.preview = frame, preview
+            if frame.edge_px is not None:
+                self._sharpness.append({"name": name, "edge_px": frame.edge_px})
             self._latest_s = self._now()
             if self._first is None:
                 self._first, self._paused_s = (self._latest_s, done), 0.0
@@ -68,7 +71,7 @@ class Monitor:
         self.wake()
 
     def may_go_on(self) -> None:
-        """Hold while paused. Raises KeyboardInterrupt once asked to abort."""
+        """Hold while paused. Raises KeyboardInterrupt once the operator has pressed abort."""
         since = self._now()
         with self._lock:
             while self._paused and not self._stopping:
@@ -91,7 +94,7 @@ class Monitor:
         """A button: pause, resume, abort, or one of the choices. Anything else is ignored."""
         with self._lock:
             if what in self._choices:
-                self._wishes.put(what)
+                self._requests.put(what)
             elif self._phase == "capturing" and what in ("pause", "resume", "abort"):
                 self._paused = what == "pause"
                 self._stopping = self._stopping or what == "abort"
@@ -116,7 +119,7 @@ class Monitor:
                 "done": self._done,
                 "total": self._total,
                 "left_s": self._left_s(),
-                "frame": asdict(self._look) if self._look else None,
+                "frame": asdict(self._frame) if self._frame else None,
                 "sharpness": list(self._sharpness),
                 "devices": [{"device": device, **state} for device, state in self._devices.items()],
                 "choices": list(self._choices),
@@ -136,15 +139,15 @@ class Monitor:
             self._listeners.pop(who, None)
 
     def wake(self) -> None:
-        """Tell every listener that there is something new; a question too."""
+        """Notify every listener of something new, a question among it."""
         question = self._operator.question
         with self._lock:
-            if question is not None and question.number > self._asked:
-                self._asked = question.number
-                self._write(f"asked: {question.text}")
+            if question is not None and question.number > self._questions:
+                self._questions = question.number
+                self._write(f"question: {question.text}")
             listeners = tuple(self._listeners.values())
-        for tell in listeners:
-            tell()
+        for notify in listeners:
+            notify()
 
     def _write(self, text: str) -> None:
         self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": text})
@@ -198,7 +201,7 @@ def in_words(event: str, fields: dict[str, Any]) -> str:
         case "serving", {"picked": picked}:
             return f"showing {picked}"
         case "preflight", {"problems": problems}:
-            return f"looked round: {'; '.join(problems) or 'all is right'}"
+            return f"preflight: {'; '.join(problems) or 'all is right'}"
         case "stopped", {"error": error}:
             return f"stopped: {error}"
         case "rejected", {"file": file, "reason": reason}:

@@ -1,4 +1,4 @@
-"""A photograph at a glance, for the operator's page: a small picture, how light it is, how sharp."""
+"""A summary of a photograph for the operator's page: a small picture, how light it is, how sharp."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ RED = (40, 40, 230)
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """A photograph at a glance. edge_px: pixels over which its sharpest edges rise, None for one that is to be even.
+class FrameSummary:
+    """A photograph in numbers. edge_px: pixels over which its sharpest edges rise, None for one that is to be even.
 
     histogram: share of pixels in 64 equal steps from black to white, and what is beyond.
     """
@@ -35,11 +35,13 @@ class Look:
     histogram: list[float]
 
 
-def look_at(number: int, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) -> tuple[Look, bytes]:
-    """All that is told of a photograph, and its picture as JPEG."""
+def summarise(
+    number: int, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic
+) -> tuple[FrameSummary, bytes]:
+    """A photograph's summary, and its picture as JPEG."""
     edge_px = sharpest_edge_px(mosaic) if kind == "target" else None
-    look = Look(number, name, kind, range_mm, *exposure(mosaic), edge_px, histogram(mosaic))
-    return look, picture(mosaic)
+    summary = FrameSummary(number, name, kind, range_mm, *exposure(mosaic), edge_px, histogram(mosaic))
+    return summary, picture(mosaic)
 
 
 def exposure(mosaic: Mosaic) -> tuple[float, float]:

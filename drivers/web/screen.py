@@ -1,4 +1,4 @@
-"""One screen that a web page fills: what is wanted on it, what its page says of itself, what is wrong with it.
+"""One screen that a web page fills: the picture ordered for it, its page's reports, what is wrong with it.
 
 The capture's thread orders pictures and waits; the server's thread brings the page's reports. All of it under one lock.
 """
@@ -31,11 +31,11 @@ Counter = Annotated[int, Field(ge=0, le=2**53)]
 
 
 class Report(BaseModel):
-    """What a page says of itself.
+    """A page's report of its own state.
 
     pixels: measured (height, width) of its canvas on the glass; exact: whether these are whole device pixels; zoom: of
     the fingers; shown: number of the picture it drew two frames ago, and crc, of the grey values read back from the
-    canvas; disturbed: how often its picture was not whole on the glass; asked: the last question that it answers.
+    canvas; disturbed: how often its picture was not whole on the glass; asked: the last request that it answers.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -93,15 +93,15 @@ class Screen:
         self._wake()
         return self.order
 
-    def ask(self) -> int:
-        """Ask the page for a fresh report; the number that it will answer with."""
+    def request_report(self) -> int:
+        """Request a fresh report from the page; the number that it will answer with."""
         with self.changed:
             self.asked += 1
         self._wake()
         return self.asked
 
     def open(self, page: object, wake: Callable[[], None]) -> None:
-        """A page's connection comes, in place of any before; `wake` is called, from any thread, when it is to be told."""
+        """A page's connection comes, in place of any before; `wake` is called, from any thread, when there is something new."""
         with self.changed:
             previous, self._page, self._wake, self._report = self._wake, page, wake, None
             self.changed.notify_all()
@@ -135,7 +135,7 @@ class Screen:
 
     @property
     def report(self) -> Report | None:
-        """The page's last word, unless it is lost."""
+        """The page's last report, unless it is lost."""
         return self._report if self._now() - self._heard <= SILENT_S else None
 
     @property
@@ -159,7 +159,7 @@ class Screen:
         return None
 
     def confirms(self, order: Order) -> bool:
-        """Whether the page says that this picture is on the glass as it should be."""
+        """Whether the page has reported this picture on the glass as it should be."""
         report = self.report
         return report is not None and self.problem is None and (report.shown, report.crc) == (order.number, order.crc)
 

@@ -23,7 +23,6 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo
 from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token
 from labkit.drivers.web.monitor import Monitor
@@ -41,7 +40,7 @@ MOST_BYTES = 2048
 
 MOST_MONITORS = 32
 AT_MOST_EVERY_S, AT_LEAST_EVERY_S = 0.2, 2.0
-"""How often the operator's page is told what is new, and any page that the server is there."""
+"""How often the operator's page gets what is new, and any page a sign that the server is there."""
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -78,16 +77,15 @@ def page_files() -> dict[str, bytes]:
 
 
 class WebServer:
-    """Listens on one address for the pages of all its users, which it counts for `Serving`."""
+    """Listens on one address: screens, which come and go, and the operator's page of `monitor`."""
 
-    def __init__(self, host: str, port: int, context: DeviceContext) -> None:
+    def __init__(self, host: str, port: int, monitor: Monitor) -> None:
         """Raises DisplayError if the address cannot be listened on."""
         self._socket = _listen(host, port)
         self._host, self.port = host, self._socket.getsockname()[1]
         self.token = kept_token(_state_folder())
         self.screens: dict[str, Screen] = {}
-        self.monitor = Monitor(context.wishes, context.operator)
-        self.users = 0
+        self.monitor = monitor
         self._monitors = 0
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -262,19 +260,19 @@ async def _converse(
     wake: _Alarm,
     pause_s: float,
 ) -> None:
-    """Hear a page and tell it what is new, until it goes, or `message` gives a code to end by."""
+    """Take a page's messages and send it what is new, until it goes, or `message` gives a code to end by."""
     listener = asyncio.create_task(_listen_to(socket, hear))
-    told: dict[str, Any] | None = None
-    told_at = 0.0
+    sent: dict[str, Any] | None = None
+    sent_at = 0.0
     try:
         while not listener.done():
             news = message()
             if isinstance(news, int):
                 await _within(socket.close(news))
                 return
-            if news != told or time.monotonic() - told_at > AT_LEAST_EVERY_S:
+            if news != sent or time.monotonic() - sent_at > AT_LEAST_EVERY_S:
                 await _within(socket.send_text(json.dumps(news)))
-                told, told_at = news, time.monotonic()
+                sent, sent_at = news, time.monotonic()
                 await asyncio.sleep(pause_s)
             await wake.wait(0.5)
     except (WebSocketDisconnect, TimeoutError, RuntimeError):
@@ -298,7 +296,7 @@ async def _within(step: Awaitable[None]) -> None:
 
 
 def _message(screen: Screen) -> dict[str, Any]:
-    """What a screen's page is told."""
+    """What is sent to a screen's page."""
     return {
         "name": screen.name,
         "panel": list(screen.panel.pixels),

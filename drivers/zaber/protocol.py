@@ -49,7 +49,7 @@ class Reply:
 
     @property
     def is_fault(self) -> bool:
-        """Whether the axis cannot be trusted to stand where it says."""
+        """Whether the axis cannot be trusted to stand where it reports."""
         return self.flag[0] == "F" or self.flag in UNREFERENCED
 
 
@@ -59,7 +59,7 @@ def checksum(text: str) -> str:
 
 
 def command_line(device: int, axis: int, number: int, command: str) -> bytes:
-    """A whole command; an empty one asks for the status."""
+    """A whole command; an empty one requests the status."""
     text = f"/{device} {axis} {number:02d} {command}".rstrip()
     return f"{text}:{checksum(text)}\n".encode()
 

@@ -1,7 +1,7 @@
 """A Zaber stage, in its ASCII protocol: zaber:/dev/ttyUSB0, the only device on its chain, or zaber:simulated.
 
 Rail positions are mm from the home sensor. The stage counts microsteps; their size is in the plan. Replies carry the id
-of their command and a checksum, so that late, stale and damaged ones are told apart and dropped.
+of their command and a checksum, so that late, stale and damaged ones are recognised and dropped.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from collections.abc import Callable
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Travel
-from labkit.devices.registry import open_controller
-from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail
+from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
 from labkit.drivers.zaber.protocol import FLAGS, REASONS, SPEED_UNIT, Reply, command_line, read_reply
 from labkit.errors import DeviceTimeoutError, PlanError, RailError
 from labkit.plan import Plan
@@ -32,16 +31,11 @@ HOMING_S = 60.0
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> ZaberRail:
     """The stage at zaber:PORT, or a simulated one at zaber:simulated. Raises PlanError, RailError."""
-    path = address.partition(":")[2]
-    if plan.rail is None or not path:
-        raise PlanError(f'rail.address = "{address}": give the port as well, such as zaber:/dev/ttyUSB0')
-    if plan.rail.microstep_um is None:
+    rail = rail_settings(address, plan)
+    if rail.microstep_um is None:
         raise PlanError("rail.microstep_um is missing: a Zaber needs it; see its data sheet, such as 0.49609375")
-    microstep_mm = plan.rail.microstep_um * 1e-3
-    if path != "simulated":
-        return ZaberRail(path, microstep_mm, plan.rail.run_up_mm)
-    port = open_controller(address, plan, context)
-    return ZaberRail(port.path, microstep_mm, plan.rail.run_up_mm, after_close=port.close)
+    path, after_close = open_port(address, plan, context)
+    return ZaberRail(path, rail.microstep_um * 1e-3, rail.run_up_mm, after_close=after_close)
 
 
 class ZaberRail(SerialRail):
@@ -122,7 +116,7 @@ class ZaberRail(SerialRail):
         return self._at_mm
 
     def _get_to_know(self) -> None:
-        """Limits and speed. Raises RailError for limits that leave no context."""
+        """Limits and speed. Raises RailError for limits that leave no room to move."""
         low, high, speed = (self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed"))
         self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import ExitStack, suppress
-from dataclasses import asdict
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
 from labkit.console import Console
 from labkit.errors import PlanError
+
+if TYPE_CHECKING:
+    from labkit.devices.context import Devices
+    from labkit.devices.operator import Operator
+    from labkit.plan import Plan
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -23,25 +29,28 @@ def devices(
     ctx: typer.Context,
     udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
 ) -> None:
-    """What is connected, who holds it, what may not be opened, and which drivers are installed."""
-    from labkit.devices.inventory import look_around, udev_rules
+    """What is connected, which program holds it, what may not be opened, and which drivers are installed."""
+    from labkit.devices.inventory import list_connected, udev_rules
 
     console: Console = ctx.obj
-    found = look_around()
+    connected = list_connected()
     if udev:
-        console.say(udev_rules(found))
-        console.answer({"udev": udev_rules(found)})
+        console.say(udev_rules(connected))
+        console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in (
-        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in found.usb]),
-        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in found.serial]),
-        ("Installed drivers", [[device, ", ".join(f"{n}:" for n in names)] for device, names in found.drivers.items()]),
+        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in connected.usb]),
+        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
+        (
+            "Installed drivers",
+            [[device, ", ".join(f"{n}:" for n in names)] for device, names in connected.drivers.items()],
+        ),
     ):
         console.say(title)
         console.table(rows or [["none"]], indent="  ")
-    for note in found.notes:
+    for note in connected.notes:
         console.warn(note)
-    console.answer(asdict(found))
+    console.answer(asdict(connected))
 
 
 @camera_app.command("settings")
@@ -128,7 +137,7 @@ def target_serve(
 
     console: Console = ctx.obj
     target = open_target(read_spec(spec))
-    context = DeviceContext(link=console.link, tell=console.warn)
+    context = DeviceContext(show_link=console.link, warn=console.warn)
     with ExitStack() as stack:
         plans = panel_plans(spec, panel or [], listen)
         displays = [stack.enter_context(open_display(address, plan, context)) for address, plan in plans]
@@ -136,63 +145,85 @@ def target_serve(
             serve_target(target, displays, context)
 
 
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")]
+Simulate = Annotated[bool, typer.Option("--simulate", help="Use simulated devices, whatever the plan names.")]
+NoPreflight = Annotated[bool, typer.Option("--no-preflight", help="Begin without looking first whether all is right.")]
+WithMonitor = Annotated[
+    bool, typer.Option("--monitor", help="Serve an operator's page; a web display brings one anyway.")
+]
+Listen = Annotated[
+    str | None,
+    typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642 for the lab's network."),
+]
+
+
 @app.command()
 def capture(
     ctx: typer.Context,
     plan: PlanPath,
     session: SessionPath,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")] = False,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="Use simulated devices, whatever the plan names.")
-    ] = False,
-    no_preflight: Annotated[
-        bool, typer.Option("--no-preflight", help="Begin without looking first whether all is right.")
-    ] = False,
-    monitor: Annotated[
-        bool, typer.Option("--monitor", help="Serve an operator's page; a web display brings one anyway.")
-    ] = False,
-    listen: Annotated[
-        str | None,
-        typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642 for the lab's network."),
-    ] = None,
+    resume: Resume = False,
+    simulate: Simulate = False,
+    no_preflight: NoPreflight = False,
+    monitor: WithMonitor = False,
+    listen: Listen = None,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
     from labkit.capture.capture import capture as run_capture
     from labkit.capture.sequence import missing, picture_for
-    from labkit.devices.context import DeviceContext
-    from labkit.devices.operator import Operator
-    from labkit.devices.registry import open_devices, open_monitor
     from labkit.plan import load_plan
     from labkit.session.session import JOURNAL, begin, refuse_existing
 
     console: Console = ctx.obj
-    flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
-    flags += ["--listen", listen] if listen else []
-    again = shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *flags])
     wanted = load_plan(plan)
     if not resume:
         refuse_existing(session)
-    context = DeviceContext(link=console.link, tell=console.warn, operator=Operator(console.still))
     with ExitStack() as stack:
-        going_on = resume and (session / JOURNAL).exists()
-        if going_on and not missing(opened := stack.enter_context(begin(plan, session, resume))):
-            console.say(f"{session}: {len(opened.frames)} frames, all that the plan asks for")
-            console.answer({"session": str(session), "frames": len(opened.frames)})
+        begun = resume and (session / JOURNAL).exists()
+        if begun and not missing(opened := stack.enter_context(begin(plan, session, resume))):
+            _report_capture(console, session, len(opened.frames), ", all that the plan asks for")
             return
-        if monitor or listen:
-            stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", wanted, context))
-        bench = stack.enter_context(open_devices(wanted, "simulated:" if simulate else None, context))
+        page = f"web://{listen}" if listen else "web:" if monitor else None
+        bench, operator = stack.enter_context(_open_bench(console, wanted, simulate, page))
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
+        again = _resume_command(plan, session, simulate, monitor, listen)
         console.hint = f"; every photograph so far is safe, go on with: {again}"
-        if not going_on:
+        if not begun:
             opened = stack.enter_context(begin(plan, session, resume))
-        report = stack.enter_context(console.progress("capturing"))
         for warning in opened.warnings:
             console.warn(warning)
-        ask = partial(context.operator.ask, wants="done") if context.operator.present else None
+        report = stack.enter_context(console.progress("capturing"))
+        ask = partial(operator.ask, wants="done") if operator.present else None
         run_capture(opened, bench, progress=report, ask=ask, warn=console.warn, check=not no_preflight)
-        frames = len(opened.frames)
-    console.say(f"{session}: {frames} frames")
+    _report_capture(console, session, len(opened.frames))
+
+
+@contextmanager
+def _open_bench(
+    console: Console, plan: Plan, simulate: bool, page_address: str | None
+) -> Iterator[tuple[Devices, Operator]]:
+    """The plan's devices and the operator beside them, with an operator's page where an address for it is given."""
+    from labkit.devices.context import DeviceContext
+    from labkit.devices.operator import Operator
+    from labkit.devices.registry import open_devices, open_monitor
+
+    context = DeviceContext(show_link=console.link, warn=console.warn, operator=Operator(console.still))
+    with ExitStack() as stack:
+        if page_address:
+            page = stack.enter_context(open_monitor(page_address, plan, context))
+            context = replace(context, observers=(page,))
+        yield stack.enter_context(open_devices(plan, "simulated:" if simulate else None, context)), context.operator
+
+
+def _resume_command(plan: Path, session: Path, simulate: bool, monitor: bool, listen: str | None) -> str:
+    """What to type to go on with a capture that was interrupted."""
+    flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
+    flags += ["--listen", listen] if listen else []
+    return shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *flags])
+
+
+def _report_capture(console: Console, session: Path, frames: int, remark: str = "") -> None:
+    console.say(f"{session}: {frames} frames{remark}")
     console.answer({"session": str(session), "frames": frames})
 
 

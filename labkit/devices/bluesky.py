@@ -56,7 +56,7 @@ class Step:
     def _run(self) -> None:
         try:
             self._action()
-        except Exception as error:  # whatever it is, who waits must be told
+        except Exception as error:  # whatever it is, it is for the thread that waits
             self._error = error
         with self._lock:
             self._over.set()
@@ -76,13 +76,13 @@ class ScanRail:
         self.name = name
         self._rail = rail
         self._settle_s = settle_s
-        self._asked_mm = float("nan")
+        self._sent_to_mm = float("nan")
         self.position = float("nan")
         self._measured_at = time.time()
 
     def set(self, value: float) -> Step:
         """Move there, and settle."""
-        self._asked_mm = float(value)
+        self._sent_to_mm = float(value)
         return Step(self._move, f"{self.name} to {value:g} mm")
 
     def stop(self, *, success: bool = False) -> None:
@@ -91,7 +91,7 @@ class ScanRail:
 
     def locate(self) -> dict[str, float]:
         """Where it was sent, and where it stands."""
-        return {"setpoint": self._asked_mm, "readback": self.position}
+        return {"setpoint": self._sent_to_mm, "readback": self.position}
 
     def read(self) -> Reading:
         """Where it stands."""
@@ -112,7 +112,7 @@ class ScanRail:
         return {f"{self.name}_travel": {"source": "labkit rail", "dtype": "array", "shape": [2], "units": "mm"}}
 
     def _move(self) -> None:
-        self.position = self._rail.move_to(self._asked_mm)
+        self.position = self._rail.move_to(self._sent_to_mm)
         time.sleep(self._settle_s)
         self._measured_at = time.time()
 
@@ -152,7 +152,7 @@ class ScanCamera:
         }
 
     def read_configuration(self) -> Reading:
-        """Who it says it is."""
+        """Its model and serial number."""
         value = f"{self._info.model} {self._info.serial}"
         return {f"{self.name}_model": {"value": value, "timestamp": self._taken_at}}
 

@@ -1,4 +1,4 @@
-"""What devices that are opened together share, and the bench that they make."""
+"""What the caller provides to devices that are opened together, and the bench that they make."""
 
 from __future__ import annotations
 
@@ -6,36 +6,33 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from queue import SimpleQueue
-from typing import Any
 
 from labkit.devices.observer import Observer
 from labkit.devices.operator import Operator
 from labkit.devices.protocols import Camera, Display, Rail
+from labkit.devices.shared import SharedParts
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceContext:
-    """What devices that are opened together share.
+    """What the caller provides to devices that are opened together. Opening or closing a device changes none of it.
 
-    A driver whose devices depend on each other keeps their common part in `shared`, under its address; the
-    simulated ones keep their bench there, and replace `wait`, for in their world time is not real. A driver adds to
-    `observers` who looks on, tells a person of a page to open by `link` (what it is, its URL) and of a hold-up by
-    `tell`, and puts into `wishes` what a person asked for on a page, such as a picture by name. `operator` is asked what
-    only a person can do.
+    shared: where devices that depend on each other find their common part; operator: answers questions; requests: what
+    a person picked on a page, such as a picture by name; observers: the caller's own, notified of a capture;
+    show_link: shows a person a page to open (what it is, its URL); warn: shows a person one line about a delay.
     """
 
-    shared: dict[str, Any] = field(default_factory=dict)
-    wait: Callable[[float], None] = time.sleep
-    observers: list[Observer] = field(default_factory=list)
-    link: Callable[[str, str], None] = lambda what, url: None
-    tell: Callable[[str], None] = lambda words: None
-    wishes: SimpleQueue[str] = field(default_factory=SimpleQueue)
+    shared: SharedParts = field(default_factory=SharedParts)
     operator: Operator = field(default_factory=Operator)
+    requests: SimpleQueue[str] = field(default_factory=SimpleQueue)
+    observers: tuple[Observer, ...] = ()
+    show_link: Callable[[str, str], None] = lambda what, url: None
+    warn: Callable[[str], None] = lambda text: None
 
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """A bench, ready: one camera, one rail, one display, how to wait (for seconds) beside them, and who looks on."""
+    """A bench, ready: one camera, one rail, one display, how to wait (for seconds) beside them, and its observers."""
 
     camera: Camera
     rail: Rail

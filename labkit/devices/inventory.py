@@ -1,4 +1,4 @@
-"""What is plugged in, who holds it, what may not be opened, and which drivers are installed: for `labkit devices`."""
+"""What is plugged in, which program holds it, what may not be opened, which drivers are installed: `labkit devices`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ IMAGE_CLASS = 6
 """USB interface class of still cameras (PTP), by the USB class codes."""
 
 STABLE_NAMES = Path("/dev/serial/by-id")
-"""Where udev keeps names of serial ports that do not change with the order of plugging."""
+"""Where Linux's udev keeps names of serial ports that do not change with the order of plugging."""
+
+PROC = Path("/proc")
+"""Where Linux lists the files that each program has open."""
 
 RULES_FILE = "/etc/udev/rules.d/70-labkit.rules"
 """A number below 73, or the tag uaccess comes too late."""
@@ -50,7 +53,7 @@ class SerialPort:
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """Everything found; drivers: names of those installed for camera, rail, display; notes: what was not seen."""
+    """What is connected; drivers: names of those installed for each of `GROUPS`; notes: what could not be looked at."""
 
     usb: tuple[UsbDevice, ...]
     serial: tuple[SerialPort, ...]
@@ -58,8 +61,8 @@ class Connected:
     notes: tuple[str, ...]
 
 
-def look_around() -> Connected:
-    """Look at USB, serial ports and entry points. What cannot be looked at is told in `notes`."""
+def list_connected() -> Connected:
+    """List USB devices, serial ports and entry points. `notes` says what could not be looked at."""
     notes: tuple[str, ...] = ()
     try:
         devices = tuple(_usb_devices())
@@ -69,6 +72,8 @@ def look_around() -> Connected:
     except usb.core.USBError as error:
         devices = ()
         notes = (f"USB was not looked at: {error}",)
+    if not PROC.is_dir():
+        notes += (f"which programs hold a device is not known: this system has no {PROC}",)
     ports = tuple(_serial_ports())
     for device in devices:
         if device.is_camera:
@@ -78,21 +83,21 @@ def look_around() -> Connected:
     return Connected(devices, ports, {device: installed(device) for device in GROUPS}, notes)
 
 
-def udev_rules(found: Connected) -> str:
-    """Rules that let whoever sits at this machine open the cameras and USB serial ports found, and keep others off."""
+def udev_rules(connected: Connected) -> str:
+    """Linux's rules that let the user at this machine open these cameras and USB serial ports, and keep others off."""
     lines = [
         f"# labkit devices --udev | sudo tee {RULES_FILE}",
         "# sudo udevadm control --reload && sudo udevadm trigger, then plug the devices in again",
     ]
     rules = [
         (device.vendor_product, device.name, 'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {ids}, {access}')
-        for device in found.usb
+        for device in connected.usb
         if device.is_camera
     ]
     rules += [
         # ModemManager takes every new port for a modem, and talks to it
         (port.vendor_product, port.name, 'SUBSYSTEM=="tty", {ids}, {access}, ENV{{ID_MM_DEVICE_IGNORE}}="1"')
-        for port in found.serial
+        for port in connected.serial
     ]
     written = set()
     for vendor_product, name, rule in rules:
@@ -114,37 +119,37 @@ def printable(name: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
-def holders(paths: Iterable[str], proc: Path = Path("/proc")) -> dict[str, tuple[str, ...]]:
+def holders(paths: Iterable[str], proc: Path = PROC) -> dict[str, tuple[str, ...]]:
     """Programs, as "name (process id)", that have each of these files open, this process aside.
 
-    Programs of other users are seen by root only.
+    Those of other users are listed for root only; without Linux's /proc there are none.
     """
-    found: dict[str, list[str]] = {path: [] for path in paths}
+    names_by_path: dict[str, list[str]] = {path: [] for path in paths}
     for folder in proc.glob("[0-9]*"):
         if folder.name == str(os.getpid()):
             continue
         with suppress(OSError):  # gone meanwhile, or somebody else's
             opened = {os.readlink(handle) for handle in (folder / "fd").iterdir()}
             name = printable((folder / "comm").read_text(encoding="utf-8", errors="replace").strip())
-            for path in opened & found.keys():
-                found[path].append(f"{name} ({folder.name})")
-    return {path: tuple(sorted(names)) for path, names in found.items()}
+            for path in opened & names_by_path.keys():
+                names_by_path[path].append(f"{name} ({folder.name})")
+    return {path: tuple(sorted(names)) for path, names in names_by_path.items()}
 
 
 def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[str, ...]:
     """What keeps us from opening a device, in words."""
-    found: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if not permitted:
-        found += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
+        notes += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
     if names:
         advice = "; let it go with: gio mount -s gphoto2" if any("gvfs" in name for name in names) else ""
-        found += (f"{where}: in use by {', '.join(names)}{advice}",)
-    return found
+        notes += (f"{where}: in use by {', '.join(names)}{advice}",)
+    return notes
 
 
 def _usb_devices() -> Iterator[UsbDevice]:
     devices = list(usb.core.find(find_all=True))
-    held = holders(_usb_file(device) for device in devices)
+    held = holders((_usb_file(device) for device in devices), PROC)
     for device in devices:
         file = _usb_file(device)
         yield UsbDevice(
@@ -163,7 +168,7 @@ def _usb_file(device: usb.core.Device) -> str:
 
 def _serial_ports() -> Iterator[SerialPort]:
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
-    held = holders(port.device for port in ports)
+    held = holders((port.device for port in ports), PROC)
     stable = {str(link.resolve()): str(link) for link in sorted(STABLE_NAMES.glob("*"))}
     for port in ports:
         yield SerialPort(

@@ -1,24 +1,26 @@
-"""Questions to the operator, answered at the terminal or on a page, by whoever comes first."""
+"""Questions to the operator, answered at the terminal or on a page, whichever answer comes first."""
 
 from __future__ import annotations
 
 import select
 import sys
-import termios
 import threading
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from typing import Literal, Protocol, TextIO
+from typing import Literal, Protocol, TextIO, runtime_checkable
 
 from labkit.errors import DeviceError, DeviceTimeoutError
 
 ANSWER_S = 3600.0
-LOOK_S = 0.1
+"""A question is given up after an hour; the capture then tries again."""
+
+POLL_S = 0.1
+"""How often the terminal and the pages are looked at in turn."""
 
 Wants = Literal["number", "done"]
-"""What answers a question: a number in any spelling, which who asks checks, or only that it is done."""
+"""What answers a question: a number in any spelling, which the caller checks, or only that it is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +32,21 @@ class Question:
     wants: Wants
 
 
-class Page(Protocol):
-    """A page that the operator may answer on."""
+@runtime_checkable
+class AnswerPage(Protocol):
+    """A page on which the operator may answer."""
 
     def wake(self) -> None:
         """A question has been opened or closed."""
         ...
 
     def refuse_abort(self) -> None:
-        """Asked while a question waits: raises KeyboardInterrupt if the operator wants to stop instead."""
+        """Called while a question waits: raises KeyboardInterrupt if the operator wants to stop instead."""
         ...
 
 
 class Operator:
-    """Whoever sits at the bench. One question at a time is asked, by the capture's thread; any thread may answer.
+    """The person at the bench. One question at a time, put by the capture's thread; any thread may answer.
 
     still: a context in which the terminal shows nothing else, so that one can type.
     """
@@ -54,7 +57,7 @@ class Operator:
         self._count = 0
         self._question: Question | None = None
         self._answer: str | None = None
-        self._pages: list[Page] = []
+        self._pages: list[AnswerPage] = []
 
     @property
     def present(self) -> bool:
@@ -76,50 +79,50 @@ class Operator:
         with self._changed:
             self._count += 1
             self._question, self._answer = Question(self._count, text, wants), None
-        self._ring()
+        self._notify()
         try:
             with self._still():
                 return self._wait(text if wants == "number" else f"{text}, then press Enter").strip()
         finally:
             with self._changed:
                 self._question = None
-            self._ring()
+            self._notify()
 
     def answer(self, number: int, text: str) -> bool:
         """Answer the question of that number; whether it was still open, and not answered by anyone else."""
         with self._changed:
-            heard = self._question is not None and self._question.number == number and self._answer is None
-            if heard:
+            accepted = self._question is not None and self._question.number == number and self._answer is None
+            if accepted:
                 self._answer = text
                 self._changed.notify_all()
-            return heard
+            return accepted
 
-    def attend(self, page: Page) -> None:
-        """A page is there to answer on."""
+    @contextmanager
+    def reached_by(self, page: AnswerPage) -> Iterator[None]:
+        """Within it questions may be answered on that page too. Contexts of one page may be nested."""
         self._pages.append(page)
+        try:
+            yield
+        finally:
+            self._pages.remove(page)
 
-    def leave(self, page: Page) -> None:
-        """It no longer is."""
-        self._pages.remove(page)
-
-    def _ring(self) -> None:
-        for page in tuple(self._pages):
+    def _notify(self) -> None:
+        for page in set(self._pages):
             page.wake()
 
     def _wait(self, prompt: str) -> str:
         deadline = time.monotonic() + ANSWER_S
         terminal = _terminal()
         if terminal is not None:
-            with suppress(termios.error):  # what was typed before is no answer to this
-                termios.tcflush(terminal, termios.TCIFLUSH)
+            _forget_typed(terminal)
             print(f"{prompt}:", file=sys.stderr, flush=True)
         while time.monotonic() < deadline:
             typed = _line(terminal) if terminal is not None else None
-            for page in tuple(self._pages):
+            for page in set(self._pages):
                 page.refuse_abort()
             with self._changed:
                 if self._answer is None and terminal is None:
-                    self._changed.wait(LOOK_S)
+                    self._changed.wait(POLL_S)
                 if self._answer is not None:
                     if terminal is not None:
                         print(f"answered on the operator's page: {self._answer or 'done'}", file=sys.stderr)
@@ -140,9 +143,17 @@ def _terminal() -> TextIO | None:
         return None
 
 
+def _forget_typed(terminal: TextIO) -> None:
+    """What was typed before a question is no answer to it."""
+    import termios
+
+    with suppress(termios.error):
+        termios.tcflush(terminal, termios.TCIFLUSH)
+
+
 def _line(terminal: TextIO) -> str | None:
     """What was typed, with its line's end; "" from a terminal that is closed, None if nothing comes for a moment."""
     try:
-        return terminal.readline() if select.select([terminal], [], [], LOOK_S)[0] else None
+        return terminal.readline() if select.select([terminal], [], [], POLL_S)[0] else None
     except (OSError, ValueError):
         return ""

@@ -7,11 +7,13 @@ wait in them has a time limit, and each device is a context manager that closes 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from types import TracebackType
+from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ Picture = Literal["white", "black"] | NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Who a camera says it is."""
+    """A camera's model, serial number and driver, as it reports them."""
 
     model: str
     serial: str
@@ -43,7 +45,7 @@ class ExposureSettings:
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """A raw file as it came from the camera: where it lies, how it was exposed, what else the camera said (JSON)."""
+    """A raw file as it came from the camera: its path, how it was exposed, what else the camera reported (JSON)."""
 
     path: Path
     exposure_s: float
@@ -64,7 +66,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What a device says of itself before a capture: what stands in the way, and what only a person can look at."""
+    """A device's own check before a capture: what stands in the way, and what only a person can check."""
 
     problems: tuple[str, ...] = ()
     by_hand: tuple[str, ...] = ()
@@ -103,16 +105,30 @@ class PanelInfo:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A display's word that a picture is on the glass: (height, width) of its lit part in panel pixels."""
+    """A display's confirmation that a picture is on the glass: (height, width) of its lit part in panel pixels."""
 
     pixels: tuple[int, int]
+
+
+class ClosesItself(ABC):
+    """For drivers to inherit: the context manager that every device is."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let the device go; again does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
 
 
 class Camera(AbstractContextManager["Camera"], Protocol):
     """A camera that delivers raw files."""
 
     def identify(self) -> CameraInfo:
-        """Who it is; finds it again, if it had dropped off its cable."""
+        """Its model and serial number; finds it again, if it had dropped off its cable."""
         ...
 
     def configure(self, settings: ExposureSettings) -> None:
@@ -139,7 +155,7 @@ class Coverable(Protocol):
 
 @runtime_checkable
 class Adjustable(Protocol):
-    """A camera that can say what there is to be set on it."""
+    """A camera that can list its settings."""
 
     def settings(self) -> tuple[Setting, ...]:
         """Everything that it offers."""
@@ -148,7 +164,7 @@ class Adjustable(Protocol):
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A device that can say whether it is fit for a capture."""
+    """A device that can check whether it is fit for a capture."""
 
     def check(self, frames: int) -> Check:
         """Whether that many more photographs can be expected of it."""
@@ -202,6 +218,15 @@ class Controller(Protocol):
         ...
 
 
+@runtime_checkable
+class Timekeeper(Protocol):
+    """A device with a time of its own, as simulated ones have: whoever waits beside it lets that time pass."""
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
 class Display(AbstractContextManager["Display"], Protocol):
     """A panel that shows targets, pixel for pixel."""
 
@@ -221,8 +246,8 @@ class Display(AbstractContextManager["Display"], Protocol):
 
 @runtime_checkable
 class Attentive(Protocol):
-    """A display that can lose its picture while a photograph is taken, and knows."""
+    """A display that can lose its picture while a photograph is taken, and notices."""
 
     def undisturbed(self) -> bool:
-        """Whether the picture was on the glass all the time since `show` returned; the display itself is asked."""
+        """Whether the picture was on the glass all the time since `show` returned, by the display's own report."""
         ...

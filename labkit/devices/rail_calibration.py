@@ -16,14 +16,14 @@ TAPE_MM = 3.0
 
 ENDLESS_MM = 1e5
 SHARES = (0.1, 0.5, 0.9)
-"""Where along its travel a rail is measured, unless told otherwise."""
+"""Where along its travel a rail is measured, unless positions are given."""
 
 
 @dataclass(frozen=True, slots=True)
 class RailZero:
     """range = range_at_zero_mm + direction * position, with the standard error of the zero and each reading's misfit.
 
-    std_mm is the scatter's, None for fewer than three readings; `scale` is how far the rail moved for each mm it says.
+    std_mm is the scatter's, None for fewer than three readings; `scale` is how far the rail moved for each mm that it reports.
     """
 
     direction: Literal[1, -1]
@@ -43,14 +43,16 @@ def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
                 raise PlanError(f"--at {mm:g}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm")
         return tuple(asked_mm)
     if travel.high_mm - travel.low_mm > ENDLESS_MM:
-        raise PlanError("this rail does not tell its travel: say where to measure, such as --at 10 --at 200 --at 390")
+        raise PlanError(
+            "this rail does not report its travel: give positions to measure at, such as --at 10 --at 200 --at 390"
+        )
     return tuple(round(travel.low_mm + share * (travel.high_mm - travel.low_mm), 1) for share in SHARES)
 
 
 def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> RailZero:
     """Direction and zero from (n,) rail positions and (n,) ranges measured there, in mm.
 
-    Raises DataError for fewer than two places, or for a rail that moves otherwise than it says by more than a tape errs.
+    Raises DataError for fewer than two places, or for a rail that moves otherwise than it reports by more than a tape errs.
     """
     at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0

@@ -1,19 +1,22 @@
 """Devices by address: what stands before the colon is the driver's name, an entry point.
 
 Groups `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and `labkit.controllers`; each entry is a
-callable (address, plan, context) -> device.
+callable (address, plan, context) -> device. What they receive is theirs to use and not to change.
 A lab adds its own device by an entry point of a package of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from importlib.metadata import entry_points
 from typing import Any
 
 from labkit.devices.context import DeviceContext, Devices
-from labkit.devices.protocols import Camera, Controller, Display, Rail
+from labkit.devices.observer import Monitor, Observed, Observer
+from labkit.devices.operator import AnswerPage
+from labkit.devices.protocols import Camera, Controller, Display, Rail, Timekeeper
 from labkit.errors import PlanError
 from labkit.plan import Plan
 
@@ -49,13 +52,16 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> Display:
     return display
 
 
-def open_monitor(address: str, plan: Plan, context: DeviceContext) -> AbstractContextManager[object]:
-    """An operator's page at an address such as web://0.0.0.0:8642, in the context before its devices, until the context ends.
+@contextmanager
+def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[Monitor]:
+    """An operator's page at an address such as web://0.0.0.0:8642, on which the context's operator can answer.
 
+    To have a capture shown on it, open the devices with dataclasses.replace(context, observers=(page,)).
     Raises PlanError, or what the driver raises.
     """
-    monitor: AbstractContextManager[object] = _open("monitor", address, plan, context)
-    return monitor
+    opened: AbstractContextManager[Monitor] = _open("monitor", address, plan, context)
+    with opened as page, context.operator.reached_by(page):
+        yield page
 
 
 def open_controller(address: str, plan: Plan, context: DeviceContext) -> Controller:
@@ -68,8 +74,9 @@ def open_controller(address: str, plan: Plan, context: DeviceContext) -> Control
 def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContext | None = None) -> Iterator[Devices]:
     """All three devices of a plan, opened together and closed together.
 
-    simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what they share, given
-    by a caller who wants to look into it. Raises PlanError if the plan lacks a table that capture needs.
+    simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
+    to them. Pages that a device serves can answer the operator's questions meanwhile. Raises PlanError if the plan lacks
+    a table that capture needs.
     """
     context = context or DeviceContext()
     if plan.camera is None or plan.rail is None or plan.display is None:
@@ -79,7 +86,19 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
         camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, context))
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, context))
         display = stack.enter_context(open_display(simulated or plan.display.address, plan, context))
-        yield Devices(camera, rail, display, context.wait, context.observers)
+        devices = (camera, rail, display)
+        observers = observers_of(context, devices)
+        for page in observers:
+            if isinstance(page, AnswerPage):
+                stack.enter_context(context.operator.reached_by(page))
+        waits = [device.wait for device in devices if isinstance(device, Timekeeper)]
+        yield Devices(camera, rail, display, waits[0] if waits else time.sleep, observers)
+
+
+def observers_of(context: DeviceContext, devices: Iterable[object]) -> tuple[Observer, ...]:
+    """The caller's observers and those that devices bring with them, such as a web display's monitor; each once."""
+    brought = [observer for device in devices if isinstance(device, Observed) for observer in device.observers]
+    return tuple({id(observer): observer for observer in (*context.observers, *brought)}.values())
 
 
 def _open(device: str, address: str, plan: Plan, context: DeviceContext) -> Any:

@@ -1,4 +1,4 @@
-"""Shows a target on displays until Ctrl-C, or whatever else a person picks on the operator's page."""
+"""Shows a target on displays until Ctrl-C, or whatever other picture a person picks on the operator's page."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.panel_image import panel_picture
 from labkit.devices.panels import PANELS
 from labkit.devices.protocols import Display, Picture
+from labkit.devices.registry import observers_of
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.errors import DisplayError, PlanError
 from labkit.plan import DisplaySettings, Plan, load_plan
@@ -20,6 +21,9 @@ from labkit.target import Target
 TARGET = "target"
 CHOICES = (TARGET, *PATTERNS)
 
+POLL_S = 0.2
+"""How often it is looked whether to go on."""
+
 RETRY_S = 1.0
 """After a display has failed; most of them have waited long before they say so."""
 
@@ -27,7 +31,7 @@ RETRY_S = 1.0
 def serve_target(
     target: Target, displays: Sequence[Display], context: DeviceContext, going: Callable[[], bool] = lambda: True
 ) -> None:
-    """Show the target on every display, then whatever context.wishes asks for of CHOICES, while `going`.
+    """Show the target on every display, then whatever of CHOICES comes by context.requests, while `going`.
 
     A display that is not right is waited for, without end. Raises TargetError for a panel that it does not fit.
     """
@@ -40,16 +44,17 @@ def serve_target(
 
     for display, queue in zip(displays, queues, strict=True):
         threading.Thread(target=_keep_showing, args=(display, queue, context, serving), daemon=True).start()
+    observers = observers_of(context, displays)
     picked = TARGET
     try:
         while going():
-            for observer in context.observers:
+            for observer in observers:
                 observer.noted("serving", choices=CHOICES, picked=picked)
             for queue, picture in zip(queues, pictures[picked], strict=True):
                 queue.put(picture)
-            picked = _next_wish(context, going) or picked
+            picked = _next_request(context, going) or picked
     finally:
-        ended.set()  # Ctrl-C: displays are closed next, and nobody is to be told of it
+        ended.set()  # Ctrl-C: displays are closed next, which is no trouble to warn of
 
 
 def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str, Plan]]:
@@ -64,25 +69,25 @@ def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str
         return [(settings.address, Plan.model_construct(display=settings))]
     if not panels:
         raise PlanError(f"which panel? Give --panel, one of {', '.join(sorted(PANELS))}; or a plan with [display]")
-    found = []
+    plans = []
     for number, panel in enumerate(panels, 1):
         address = f"web://{listen}" + (f"/{number}" if len(panels) > 1 else "")
-        found.append((address, Plan.model_construct(display=DisplaySettings(address=address, panel=panel))))
-    return found
+        plans.append((address, Plan.model_construct(display=DisplaySettings(address=address, panel=panel))))
+    return plans
 
 
 def _picture(name: str, target: Target, display: Display) -> Picture:
     return panel_picture(target, display.panel).grey if name == TARGET else pattern(name, display.panel)
 
 
-def _next_wish(context: DeviceContext, going: Callable[[], bool]) -> str | None:
+def _next_request(context: DeviceContext, going: Callable[[], bool]) -> str | None:
     while going():
         try:
-            wish = context.wishes.get(timeout=0.2)
+            request = context.requests.get(timeout=POLL_S)
         except Empty:
             continue
-        if wish in CHOICES:
-            return wish
+        if request in CHOICES:
+            return request
     return None
 
 
@@ -93,7 +98,7 @@ def _keep_showing(
     wanted: Picture | None = None
     while going():
         try:
-            wanted = queue.get(wanted is None, 0.2)
+            wanted = queue.get(wanted is None, POLL_S)
             continue
         except Empty:
             pass
@@ -104,5 +109,5 @@ def _keep_showing(
             wanted = None
         except DisplayError as error:
             if going():
-                context.tell(str(error))
+                context.warn(str(error))
                 time.sleep(RETRY_S)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,8 @@ from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
 from labkit.devices.context import DeviceContext
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.web.display import WebDisplay, open_display
 from labkit.drivers.web.server import WebServer
 from labkit.plan import DisplaySettings, Plan
@@ -22,6 +26,23 @@ from labkit.plan import DisplaySettings, Plan
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 Launch = Callable[[float], Browser]
+
+WAIT_S = 100.0
+"""What comes in a moment on an idle machine is awaited for as long as this on a loaded one, then the test fails."""
+
+
+def small_bench(plan: Plan) -> Bench:
+    """The simulated bench of a plan, with a halo cut short: a photograph of it takes a moment."""
+    return Bench(replace(settings_for(plan, 7), halo_um=100.0))
+
+
+def reads(page: Page, element: str, text: str) -> None:
+    """Wait until an element of a page holds a text."""
+    page.wait_for_function(
+        "([id, text]) => document.getElementById(id).textContent.includes(text)",
+        arg=[element, text],
+        timeout=1000 * WAIT_S,
+    )
 
 
 def plan_for(height: int, width: int) -> Plan:
@@ -32,23 +53,28 @@ def plan_for(height: int, width: int) -> Plan:
 
 @dataclass
 class Lab:
-    """A context with web displays in it, and what they said."""
+    """A context with web displays in it, and their warnings and links."""
 
     context: DeviceContext
-    told: list[str]
+    warned: list[str]
     links: dict[str, str]
+    opened: ExitStack
 
-    def display(self, height: int, width: int, name: str = "screen", hold_s: float = 20.0) -> WebDisplay:
-        port = self.server.port if self.context.shared else 0
-        if self.context.shared:
-            self.context.shared[f"web://127.0.0.1:{port}"] = self.server
-        opened = open_display(f"web://127.0.0.1:{port}/{name}", plan_for(height, width), self.context)
-        opened.hold_s = hold_s
-        return opened
+    def display(self, height: int, width: int, name: str = "screen", hold_s: float = WAIT_S) -> WebDisplay:
+        """On one server, at a port that the system chose."""
+        display = open_display(f"web://127.0.0.1:0/{name}", plan_for(height, width), self.context)
+        display.hold_s = hold_s
+        return self.opened.enter_context(display)
+
+    def ask(self, text: str) -> str:
+        """Ask the operator, who can answer on the page."""
+        with self.context.operator.reached_by(self.server.monitor):
+            return self.context.operator.ask(text)
 
     @property
     def server(self) -> WebServer:
-        server: WebServer = next(iter(self.context.shared.values()))
+        (server,) = self.context.shared.values()
+        assert isinstance(server, WebServer)
         return server
 
 
@@ -56,12 +82,18 @@ class Lab:
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     """Displays opened in it are closed with it."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    told: list[str] = []
+    warned: list[str] = []
     links: dict[str, str] = {}
-    made = Lab(DeviceContext(tell=told.append, link=links.__setitem__), told, links)
-    yield made
-    for server in set(made.context.shared.values()):
-        server.close()
+    context = DeviceContext(warn=warned.append, show_link=links.__setitem__)
+    with ExitStack() as opened:
+        yield Lab(context, warned, links, opened)
+    assert context.shared.values() == ()
+
+
+@pytest.fixture
+def display(lab: Lab) -> WebDisplay:
+    """A small one."""
+    return lab.display(60, 80)
 
 
 @pytest.fixture(scope="session")
@@ -111,7 +143,8 @@ class Glass:
 
     def reads(self, picture: NDArray[Any]) -> None:
         """Wait until the glass shows these grey values, and nothing else."""
-        for _ in range(400):
+        deadline_s = time.monotonic() + WAIT_S
+        while time.monotonic() < deadline_s:
             seen = self.seen()
             if np.array_equal(seen, np.repeat(picture[:, :, None], 3, axis=2)):
                 return
@@ -128,6 +161,7 @@ def glass(launch: Launch) -> Iterator[Callable[..., Glass]]:
 
     def make(url: str, height: int = 600, width: int = 800, scale: float = 1, script: str = "") -> Glass:
         page = launch(scale).new_context(no_viewport=True).new_page()
+        page.set_default_timeout(1000 * WAIT_S)
         one = Glass(page, [])
         made.append(one)
         one.resize(height, width)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Rail, Travel
+from labkit.devices.shared import SharedParts
 from labkit.drivers.grbl.protocol import Report, homing_s, moving_s, read_report, travel
 from labkit.drivers.grbl.rail import GrblRail, open_rail
 from labkit.drivers.simulated.bench import Bench
@@ -24,6 +25,8 @@ from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
 from labkit.drivers.simulated.world import BenchSettings, TruePanel, TrueSensor
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
 from tests.drivers.test_simulated_devices import plan
+
+from .stops import error_of_a_move_stopped, error_of_a_move_stopped_before_it_began
 
 FAST = {24: 60_000, 25: 600_000, 110: 60_000, 120: 20_000}
 STEP_MM = 0.004
@@ -208,20 +211,7 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         moving = threading.Event()
         controller = controller_of(port)
         controller.noticed = lambda command: moving.set() if controller.state == "Run" and command == "?" else None
-        failed: list[Exception] = []
-
-        def move() -> None:
-            try:
-                rail.move_to(-20.0)
-            except RailError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=move)
-        thread.start()
-        assert moving.wait(5)
-        rail.stop()
-        thread.join(10)
-        assert "was stopped" in str(failed[0])
+        assert "was stopped" in error_of_a_move_stopped(rail, -20.0, moving)
         assert -293.0 < carriage_mm(port) < -20.0
         # it still knows where it is, without homing, and is right
         assert rail.move_to(-100.0) == pytest.approx(-100.0, abs=STEP_MM)
@@ -232,16 +222,7 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        stopper = threading.Thread(target=rail.stop)
-
-        def stop(command: str) -> None:  # while the driver looks whether it may move
-            if command == "?" and not stopper.ident:
-                stopper.start()
-
-        controller_of(port).noticed = stop
-        with pytest.raises(RailError, match="was stopped"):
-            rail.move_to(-150.0)
-        stopper.join(10)
+        assert "was stopped" in error_of_a_move_stopped_before_it_began(rail, -150.0, controller_of(port), "?")
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(-150.0) == pytest.approx(-150.0, abs=0.01)
 
@@ -281,7 +262,7 @@ def test_a_hold_that_someone_pressed_is_told_and_homing_goes_on() -> None:
         rail.home()
         controller = controller_of(port)
         controller.noticed = lambda command: controller.receive(b"!") if command.startswith("G4") else None
-        with pytest.raises(RailError, match=r"was stopped \(it says Hold:\d\); home it"):
+        with pytest.raises(RailError, match=r"was stopped \(it reports Hold:\d\); home it"):
             rail.move_to(-20.0)
         controller.noticed = lambda command: None
         with pytest.raises(RailError, match="home it first"):
@@ -296,7 +277,9 @@ def test_a_counter_that_jumps_between_moves_is_noticed() -> None:
         rail.move_to(-100.0)
         with port.lock:
             controller_of(port).machine.position = (-93.0, -293.0, -293.0)
-        with pytest.raises(RailError, match=r"was left at -100\.000 mm and now says -93\.000 mm; its position is lost"):
+        with pytest.raises(
+            RailError, match=r"was left at -100\.000 mm and now reports -93\.000 mm; its position is lost"
+        ):
             rail.move_to(-150.0)
 
 
@@ -343,7 +326,7 @@ def test_an_address_without_a_port_is_refused() -> None:
 def test_a_simulated_controller_carries_the_simulated_benchs_camera() -> None:
     sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
     bench = Bench(BenchSettings(sensor=sensor, panel=panel))
-    with open_rail("grbl:simulated", plan(), DeviceContext({"simulated:": bench})) as rail:
+    with open_rail("grbl:simulated", plan(), DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
         rail.home()
         assert rail.move_to(60.0) == pytest.approx(60.0, abs=STEP_MM)
         # the bench's own scatter has a standard deviation of 0.02 mm

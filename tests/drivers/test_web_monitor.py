@@ -17,8 +17,8 @@ from labkit.devices.panel_image import panel_picture
 from labkit.devices.protocols import Picture, Shown
 from labkit.devices.registry import open_camera, open_rail
 from labkit.devices.serve_target import CHOICES, serve_target
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.preview import BINS, exposure, histogram
@@ -29,9 +29,11 @@ from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session, begin
 from labkit.target import open_target
 
-from .conftest import Glass, Lab
+from .conftest import WAIT_S, Glass, Lab, reads, small_bench
 
 OpenGlass = Callable[..., Glass]
+
+pytestmark = pytest.mark.timeout(300)  # of a machine that does much else
 
 PLAN = """
 [lens]
@@ -93,22 +95,20 @@ class Table:
         self.plan_file = folder / "plan.toml"
         self.plan_file.write_text(PLAN)
         plan = load_plan(self.plan_file)
-        bench = Bench(settings_for(plan, 7))
-        self.context = DeviceContext({"simulated:seed=7": bench}, bench.wait)
+        bench = small_bench(plan)
+        self.context = DeviceContext(shared=SharedParts({"simulated:seed=7": bench}))
         web = lab.display(400, 400)
         self.tab = glass(web.url, 400, 400)
         self.display = LitDisplay(web, self.tab, bench)
         self.monitor = lab.server.monitor
-        camera, rail = (
-            open_camera("simulated:seed=7", plan, self.context),
-            open_rail("simulated:seed=7", plan, self.context),
-        )
+        camera = open_camera("simulated:seed=7", plan, self.context)
+        rail = open_rail("simulated:seed=7", plan, self.context)
         self.devices = Devices(camera, rail, self.display, bench.wait, [self.monitor, self])
         self.operator = glass(lab.server.url("monitor"), 800, 1280)
         self.on_step: dict[str, Callable[[], Any]] = {}
 
     def noted(self, event: str, **fields: Any) -> None:
-        """A observer too: does to the bench what the test asks at a step."""
+        """An observer too: does to the bench what the test asks at a step."""
         if event == "doing" and fields["what"] in self.on_step:
             self.on_step.pop(fields["what"])()
 
@@ -125,11 +125,7 @@ class Table:
 
     def reads(self, element: str, words: str) -> None:
         """Wait until the operator's page says so."""
-        self.operator.page.wait_for_function(
-            "([id, words]) => document.getElementById(id).textContent.includes(words)",
-            arg=[element, words],
-            timeout=20_000,
-        )
+        reads(self.operator.page, element, words)
 
 
 @pytest.fixture
@@ -225,7 +221,7 @@ def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) 
     display = lab.display(400, 400)
     server, long = lab.server, "x" * 200
     page = glass(server.url("monitor"), 800, width).page
-    asking = threading.Thread(target=lab.context.operator.ask, args=(f"Set the rail {long}",), daemon=True)
+    asking = threading.Thread(target=lab.ask, args=(f"Set the rail {long}",), daemon=True)
     asking.start()
     server.monitor.noted("began", missing=9999, total=9999)
     server.monitor.noted("doing", what=long)
@@ -237,7 +233,7 @@ def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) 
     assert page.evaluate("document.documentElement.scrollWidth") == width
     page.fill("#reply", "1")
     page.click("#send")
-    asking.join(10)
+    asking.join(WAIT_S)
     assert not asking.is_alive()
     display.close()
 
@@ -267,7 +263,7 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
         assert operator.page.locator("#choices button").count() == len(CHOICES)
     finally:
         ended.set()
-        work.join(20)
+        work.join(WAIT_S)
 
 
 # ---- numbers
@@ -292,7 +288,7 @@ def test_the_histogram_counts_every_pixel_once() -> None:
 
 
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
-    monitor = Monitor(DeviceContext().wishes, Operator())
+    monitor = Monitor(DeviceContext().requests, Operator())
     monitor.noted("trouble", device="rail", attempt=1, error="stalled")
     assert monitor.snapshot()["devices"] == [{"device": "rail", "state": "bad", "text": "stalled"}]
     assert monitor.snapshot()["log"][-1]["text"] == "trouble with the rail, try 1: stalled"
@@ -302,7 +298,7 @@ def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
 
 def test_time_left_is_the_pace_so_far_without_the_pauses() -> None:
     clock = [0.0]
-    monitor = Monitor(DeviceContext().wishes, Operator(), now=lambda: clock[0])
+    monitor = Monitor(DeviceContext().requests, Operator(), now=lambda: clock[0])
 
     def left_s() -> Any:
         return monitor.snapshot()["left_s"]

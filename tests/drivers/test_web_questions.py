@@ -5,25 +5,28 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from labkit.capture.capture import capture
-from labkit.devices.context import DeviceContext, Devices
+from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, CameraInfo, ExposureSettings, RawFrame
-from labkit.devices.registry import open_camera, open_display, open_monitor, open_rail
-from labkit.drivers.simulated.setup import shared_bench
-from labkit.drivers.web.server import WebServer
+from labkit.devices.registry import observers_of, open_devices, open_display, open_monitor
+from labkit.devices.shared import SharedParts
 from labkit.errors import PlanError
 from labkit.plan import load_plan
 from labkit.session.session import Session, begin
 
-from .conftest import Glass
+from .conftest import WAIT_S, Glass, reads, small_bench
 from .test_web_monitor import PLAN
 
 OpenGlass = Callable[..., Glass]
+
+pytestmark = pytest.mark.timeout(300)  # of a machine that does much else
+
 BENCH = "simulated:seed=7"
 FRAMES = 9
 
@@ -56,8 +59,9 @@ class BareCamera:
 class Night:
     """A capture on a thread of its own, its operator's page in a browser."""
 
-    def __init__(self, server: WebServer, context: DeviceContext, glass: OpenGlass, folder: Path) -> None:
-        self.context, self.server, self._glass, self.folder = context, server, glass, folder
+    def __init__(self, context: DeviceContext, glass: OpenGlass, folder: Path) -> None:
+        self.context, self._glass, self.folder = context, glass, folder
+        self.bench, self.server = context.shared.values()
         self.ended: list[BaseException | None] = []
         self.page = self.open()
 
@@ -69,20 +73,16 @@ class Night:
         self._work.start()
 
     def end(self) -> BaseException | None:
-        self._work.join(30)
+        self._work.join(WAIT_S)
         return self.ended.pop()
 
     def reads(self, element: str, words: str, page: Any = None) -> None:
         """Wait until a page says so."""
-        (page or self.page).wait_for_function(
-            "([id, words]) => document.getElementById(id).textContent.includes(words)",
-            arg=[element, words],
-            timeout=20_000,
-        )
+        reads(page or self.page, element, words)
 
     def asked(self, words: str) -> None:
         self.reads("asked", words)
-        self.page.wait_for_selector("#question", state="visible", timeout=20_000)
+        self.page.wait_for_selector("#question", state="visible")
 
     def types(self, words: str) -> None:
         self.page.fill("#reply", words)
@@ -90,20 +90,17 @@ class Night:
 
     def _capture(self, resume: bool) -> None:
         plan_file = self.folder / "plan.toml"
-        plan = load_plan(plan_file)
-        bench = shared_bench(self.context, BENCH, plan)
         try:
-            with begin(plan_file, self.folder / "s", resume) as session:
-                camera = BareCamera(open_camera(BENCH, plan, self.context))
-                rail = open_rail("manual:", plan, self.context)
-                display = open_display(BENCH, plan, self.context)
-                devices = Devices(camera, rail, display, bench.wait, self.context.observers)
+            with (
+                begin(plan_file, self.folder / "s", resume) as session,
+                open_devices(session.plan, context=self.context) as devices,
+            ):
 
                 def ask(words: str) -> None:
                     self.context.operator.ask(words, "done")
-                    bench.covered = words.startswith("Put")
+                    self.bench.covered = words.startswith("Put")
 
-                capture(session, devices, ask=ask, check=False)
+                capture(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
             self.ended.append(None)
         except BaseException as error:
             self.ended.append(error)
@@ -113,13 +110,16 @@ class Night:
 def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(
-        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"')
+        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"').replace(
+            '"web:"', f'"{BENCH}"'
+        )
     )
-    context = DeviceContext()
-    with open_monitor("web://127.0.0.1:0", load_plan(tmp_path / "plan.toml"), context):
-        yield Night(context.shared["web://127.0.0.1:0"], context, glass, tmp_path)
-    assert context.observers == []
-    assert not context.operator._pages
+    plan = load_plan(tmp_path / "plan.toml")
+    context = DeviceContext(shared=SharedParts({BENCH: small_bench(plan)}))
+    with open_monitor("web://127.0.0.1:0", plan, context) as page:
+        yield Night(replace(context, observers=(page,)), glass, tmp_path)
+    assert len(context.shared.values()) == 1  # the bench
+    assert not context.operator.present
 
 
 def test_a_capture_is_led_from_the_page_alone(night: Night) -> None:
@@ -215,7 +215,7 @@ def test_a_question_is_text_not_html(night: Night) -> None:
     night.asked(evil)
     assert night.page.locator("#question img").count() == 0
     night.types("1")
-    asking.join(10)
+    asking.join(WAIT_S)
     assert not asking.is_alive()
 
 
@@ -224,22 +224,22 @@ def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monke
     (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
     plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
     assert plan.display is not None
-    with open_monitor("web:", plan, context) as server:
-        with open_display(plan.display.address, plan, context):
-            assert len(context.observers) == 1
-            assert list(context.shared.values()) == [server]
-        assert len(context.observers) == 1
+    with open_monitor("web:", plan, context) as page:
+        (server,) = context.shared.values()
+        with open_display(plan.display.address, plan, context) as display:
+            assert observers_of(replace(context, observers=(page,)), [display]) == (page,)
+            assert context.shared.values() == (server,)
         assert context.operator.present
-    assert context.observers == []
-    assert context.shared == {}
+        assert context.shared.values() == (server,)
+    assert context.shared.values() == ()
 
 
 def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN)
-    plan = load_plan(tmp_path / "plan.toml")
-    with open_monitor("web://127.0.0.1:0", plan, DeviceContext()) as server:
-        assert isinstance(server, WebServer)
+    plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
+    with open_monitor("web://127.0.0.1:0", plan, context):
+        (server,) = context.shared.values()
         assert server._socket.getsockname()[0] == "127.0.0.1"
-    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"):
-        open_monitor("web://h:x", plan, DeviceContext())
+    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"), open_monitor("web://h:x", plan, context):
+        pass

@@ -1,74 +1,30 @@
-"""The pages are on a lab's network: what must not get in, and must not stop a capture."""
+"""The pages are on a lab's network: requests that must not get in, where it listens, and its token."""
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import hmac
 import ipaddress
-import itertools
-import json
 import socket
 import stat
-import struct
-import threading
-import time
 import urllib.request
-import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Origin
+from websockets.exceptions import InvalidStatus
 
 from labkit.devices.context import DeviceContext
 from labkit.drivers.web import access
-from labkit.drivers.web import server as web_server
 from labkit.drivers.web.access import kept_token
 from labkit.drivers.web.address import parse_address
 from labkit.drivers.web.display import WebDisplay, open_display
 from labkit.drivers.web.server import reachable
 from labkit.errors import DisplayError, PlanError
 
-from .conftest import Lab, plan_for
+from .conftest import WAIT_S, Lab, plan_for
+from .web_requests import ask, page
 
 WEB = Path(__file__).parents[2] / "targets" / "web"
-
-
-@pytest.fixture
-def display(lab: Lab) -> Iterator[WebDisplay]:
-    opened = lab.display(60, 80)
-    yield opened
-    opened.close()
-
-
-def dial(lab: Lab) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", lab.server.port), timeout=10)
-
-
-def ask(lab: Lab, path: str, method: str = "GET", host: str | None = None, **headers: str) -> tuple[int, bytes, bytes]:
-    """(status, head, body) of one request, its path sent just as it is."""
-    host = f"127.0.0.1:{lab.server.port}" if host is None else host
-    lines = [f"{method} {path} HTTP/1.1", f"Host: {host}", "Connection: close"]
-    lines += [f"{name}: {value}" for name, value in headers.items()]
-    with dial(lab) as wire:
-        wire.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
-        answer = b"".join(iter(lambda: wire.recv(65536), b""))
-    head, _, body = answer.partition(b"\r\n\r\n")
-    return int(head.split()[1]), head.lower(), body
-
-
-def page(lab: Lab, name: str = "screen", origin: str | None = "") -> ClientConnection:
-    """A page's connection, as a browser makes it; by default from our own origin."""
-    here = f"127.0.0.1:{lab.server.port}"
-    url = f"ws://{here}/{lab.server.token}/{name}/socket"
-    whence = f"http://{here}" if origin == "" else origin
-    return connect(url, origin=whence and Origin(whence), open_timeout=10, compression=None)  # type: ignore[arg-type]
 
 
 def test_the_pages_own_files_are_served_as_they_are(lab: Lab, display: WebDisplay) -> None:
@@ -147,7 +103,7 @@ def test_an_ipv6_address_is_served_as_it_is_printed(lab: Lab) -> None:
         display = open_display("web://[::1]:0", plan_for(60, 80), lab.context)
     except DisplayError:
         pytest.skip("this machine has no IPv6")
-    with display, urllib.request.urlopen(display.url, timeout=10) as answer:
+    with display, urllib.request.urlopen(display.url, timeout=WAIT_S) as answer:
         assert display.url.startswith("http://[::1]:")
         assert answer.read() == (WEB / "display.html").read_bytes()
 
@@ -187,165 +143,6 @@ def test_a_long_head_or_body_is_cut_off(lab: Lab, display: WebDisplay) -> None:
     status, _, body = ask(lab, f"/{lab.server.token}/screen", **{"Content-Length": "1000000000"})
     assert status == 200  # answered, and none of the body awaited
     assert body == (WEB / "display.html").read_bytes()
-
-
-GOOD = (
-    '{"page": "0123456789abcdef", "pixels": [60, 80], "exact": true, "zoom": 1, "visible": true, '
-    '"shown": null, "crc": null, "disturbed": 0, "asked": 0}'
-)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "null", "[]", "{", GOOD[:-1], GOOD.replace("80", "-80"), GOOD.replace("80", "1e999"), GOOD.replace("80", "true"),
-        GOOD.replace("0123", "../."), GOOD.replace('"asked": 0', '"asked": 0, "more": 1'), GOOD.replace("1,", "NaN,", 1),
-        GOOD.replace("0,", "9" * 40 + ",", 1), "x" * 1_000_000, "[" * 2000,
-        b"\xff\xfe", '{"do": 5}', '{"do": "' + "x" * 99 + '"}', '{"answer": 1}', '{"answer": -1, "text": "1"}',
-        '{"answer": "1", "text": "1"}', '{"answer": 1, "text": "1\\u001b[2J"}', '{"answer": 1, "text": "1\\n"}',
-        '{"answer": 1, "text": "' + "1" * 25 + '"}', '{"answer": 1, "text": "1", "do": "abort"}', '{"answer": 1, "text": null}',
-        '{"answer": 1, "text": "½"}', '{"answer": 1.5, "text": "1"}', '{"answer": true, "text": "1"}',
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("name", ["screen", "monitor"])
-def test_a_message_that_is_none_ends_its_connection(
-    name: str, text: str | bytes, lab: Lab, display: WebDisplay
-) -> None:
-    with page(lab, name) as wire:
-        wire.send(text)
-        with pytest.raises(ConnectionClosed):
-            collections.deque((wire.recv(timeout=10) for _ in itertools.count()), maxlen=0)
-    assert display._screen.report is None
-    assert ask(lab, f"/{lab.server.token}/screen")[0] == 200
-
-
-def test_a_button_that_is_none_does_nothing(lab: Lab, display: WebDisplay) -> None:
-    with page(lab, "monitor") as wire:
-        wire.send('{"do": "rm -rf /"}')
-        wire.send('{"do": "abort"}')  # no capture is running
-        wire.recv(timeout=10)
-    assert lab.context.wishes.empty()
-    lab.server.monitor.refuse_abort()
-
-
-def test_an_answer_to_no_open_question_does_nothing(
-    lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    heard: list[str] = []
-    arrived = threading.Event()
-    answer = lab.server.monitor.answer
-
-    def hear(number: int, text: str) -> None:
-        answer(number, text)
-        arrived.set()
-
-    monkeypatch.setattr(lab.server.monitor, "answer", hear)
-    asking = threading.Thread(target=lambda: heard.append(lab.context.operator.ask("How far?")), daemon=True)
-    with page(lab, "monitor") as wire:
-        wire.send('{"answer": 1, "text": "too early"}')
-        assert arrived.wait(10)
-        asking.start()
-        while json.loads(wire.recv(timeout=10))["question"] != {"number": 1, "text": "How far?", "wants": "number"}:
-            pass
-        wire.send('{"answer": 0, "text": "of another"}')
-        wire.send('{"answer": 2, "text": "of the next"}')
-        with page(lab, "monitor") as stranger:
-            stranger.send('{"answer": 1, "text": "\\u001b]0;"}')
-            with pytest.raises(ConnectionClosed):
-                collections.deque((stranger.recv(timeout=10) for _ in itertools.count()), maxlen=0)
-        assert asking.is_alive()
-        wire.send('{"answer": 1, "text": "150"}')
-        asking.join(10)
-    assert heard == ["150"]
-
-
-def shows_still(lab: Lab, display: WebDisplay) -> None:
-    """A picture goes through to a page, whose glass is what it fetches, and comes back confirmed."""
-    with page(lab) as wire:
-        wire.send(GOOD)
-        order = display._screen.want(np.full((60, 80), 77, dtype=np.uint8))
-        body = ask(lab, f"/{lab.server.token}/screen/picture?{order.number}")[2]
-        crc = zlib.crc32(np.asarray(cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_GRAYSCALE)).tobytes())
-        wire.send(GOOD.replace('"shown": null, "crc": null', f'"shown": {order.number}, "crc": {crc}'))
-        display._hold(lambda: display._screen.confirms(order))
-
-
-def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDisplay) -> None:
-    with ExitStack() as stack:
-        for _ in range(10):
-            for _ in range(100):
-                stack.enter_context(dial(lab))
-            shows_still(lab, display)
-        held = [one for one in lab.server._server.server_state.connections if isinstance(one, access.Connection)]
-        assert len(held) <= access.MOST_STRANGERS + 20
-
-
-@pytest.mark.parametrize(
-    "start", [b"", b"G", b"GET /" + b"a" * 100, b"GET / HTTP/1.1\r\nHost: x\r\nX: ", b"\x16\x03\x01\x02"]
-)
-def test_a_slow_stranger_is_shown_out(
-    start: bytes, lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(access, "STRANGER_S", 0.3)
-    with dial(lab) as wire:
-        wire.sendall(start)
-        answer = b""
-        with contextlib.suppress(ConnectionResetError):
-            while more := wire.recv(1000):  # ends, or the socket's time limit raises
-                answer += more
-    assert answer in (b"", b"Invalid HTTP request received.") or answer.startswith(b"HTTP/1.1 400 ")
-
-
-def test_strangers_that_reset_or_never_read_stop_nothing(lab: Lab, display: WebDisplay) -> None:
-    deaf = dial(lab)
-    deaf.sendall(
-        f"GET /{lab.server.token}/page/display.js HTTP/1.1\r\nHost: 127.0.0.1:{lab.server.port}\r\n\r\n".encode()
-    )
-    for _ in range(50):
-        wire = dial(lab)
-        wire.sendall(b"GET / HT")
-        wire.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        wire.close()
-    shows_still(lab, display)
-    deaf.close()
-
-
-def test_a_page_that_neither_reads_nor_answers_is_let_go(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "PING_S", 0.2)
-    monkeypatch.setattr(web_server, "PONG_S", 0.3)
-    display = lab.display(60, 80)
-    here = f"127.0.0.1:{lab.server.port}"
-    with dial(lab) as wire:
-        head = [f"GET /{lab.server.token}/monitor/socket HTTP/1.1", f"Host: {here}", f"Origin: http://{here}"]
-        head += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
-        head += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", ""]
-        wire.sendall("\r\n".join(head).encode())
-        monitor = lab.server.monitor
-        while not monitor._listeners:  # the test's own time limit ends it
-            time.sleep(0.01)
-        while monitor._listeners:
-            monitor.noted("camera", model="x" * 10_000, serial="1")
-            time.sleep(0.01)
-        shows_still(lab, display)
-
-
-def test_what_is_no_text_does_not_silence_the_page(lab: Lab, display: WebDisplay) -> None:
-    lab.server.monitor.noted("camera", model="a name that is no UTF-8: \udcff", serial="\x00")
-    with page(lab, "monitor") as wire:
-        assert "\udcff" in json.loads(wire.recv(timeout=10))["log"][0]["text"]
-
-
-def test_many_operators_pages_are_too_many(lab: Lab, display: WebDisplay) -> None:
-    with ExitStack() as stack:
-        for _ in range(32):
-            stack.enter_context(page(lab, "monitor")).recv(timeout=10)
-        crowded = stack.enter_context(page(lab, "monitor"))
-        with pytest.raises(ConnectionClosed):
-            crowded.recv(timeout=10)
-        shows_still(lab, display)
-
-
-# ---- addresses and the token
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Rail
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.controllers.pty_port import LineFault, PtyPort
 from labkit.drivers.simulated.controllers.zaber import ZaberController
@@ -23,6 +24,8 @@ from labkit.drivers.zaber.protocol import checksum, command_line, read_reply
 from labkit.drivers.zaber.rail import ZaberRail, open_rail
 from labkit.errors import DeviceTimeoutError, PlanError, RailError, RailLimitError
 from tests.drivers.test_simulated_devices import plan
+
+from .stops import error_of_a_move_stopped, error_of_a_move_stopped_before_it_began
 
 MICROSTEP_MM = 0.49609375e-3
 TRANSCRIPT = Path(__file__).parent / "transcripts" / "zaber-ascii.txt"
@@ -198,20 +201,7 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         rail.home()
         moving = threading.Event()
         controller_of(port).noticed = lambda command: moving.set() if command.startswith("move") else None
-        failed: list[Exception] = []
-
-        def move() -> None:
-            try:
-                rail.move_to(140.0)
-            except RailError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=move)
-        thread.start()
-        assert moving.wait(5)
-        rail.stop()
-        thread.join(10)
-        assert "was stopped at" in str(failed[0])
+        assert "was stopped at" in error_of_a_move_stopped(rail, 140.0, moving)
         assert carriage_mm(port) < 139.0
         assert rail.move_to(20.0) == pytest.approx(20.0, abs=MICROSTEP_MM)
         assert carriage_mm(port) == pytest.approx(20.0, abs=MICROSTEP_MM)
@@ -221,16 +211,8 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        stopper = threading.Thread(target=rail.stop)
-
-        def stop(command: str) -> None:  # while the driver looks whether it may move
-            if command == "get pos" and not stopper.ident:
-                stopper.start()
-
-        controller_of(port).noticed = stop
-        with pytest.raises(RailError, match="was stopped before it moved"):
-            rail.move_to(100.0)
-        stopper.join(10)
+        error = error_of_a_move_stopped_before_it_began(rail, 100.0, controller_of(port), "get pos")
+        assert "was stopped before it moved" in error
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(100.0) == pytest.approx(100.0, abs=0.01)
 
@@ -258,7 +240,7 @@ def test_a_plan_that_says_too_little_is_refused(address: str, microstep_um: floa
 def test_a_simulated_stage_carries_the_simulated_benchs_camera() -> None:
     bench = Bench(replace(BenchSettings(), sensor=TrueSensor(rows=32, cols=48), panel=TruePanel(pixels=(300, 400))))
     wanted = plan(**{"direction = -1": "direction = -1\nmicrostep_um = 0.5"})
-    with open_rail("zaber:simulated", wanted, DeviceContext({"simulated:": bench})) as rail:
+    with open_rail("zaber:simulated", wanted, DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
         rail.home()
         assert rail.move_to(30.0) == pytest.approx(30.0, abs=0.001)
         # the bench's own scatter has a standard deviation of 0.02 mm

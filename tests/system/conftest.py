@@ -8,12 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from labkit.capture.sequence import picture_for
 from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import ExposureSettings, Picture
+from labkit.devices.registry import open_devices
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
-from labkit.plan import load_plan
+from labkit.plan import load_plan, parse_plan
 from tests.plans import SMALL, plan_text, simulated
+
+from .rails_in_trouble import DEVICES, Photographs
 
 ADDRESS = "simulated:seed=7"
 
@@ -43,4 +49,30 @@ def small_bench(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.
     settings = settings_for(load_plan(plan_file), 7)
     sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
     bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
-    return DeviceContext({ADDRESS: bench}, bench.wait)
+    return DeviceContext(shared=SharedParts({ADDRESS: bench}))
+
+
+@pytest.fixture
+def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where libgphoto2's virtual camera takes its pictures from."""
+    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
+    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
+    path.parent.mkdir(parents=True)
+    return path
+
+
+@pytest.fixture(scope="session")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+    """Taken on the simulated bench."""
+    folder = tmp_path_factory.mktemp("photographs")
+    plan = parse_plan(plan_text(SMALL, DEVICES), folder)
+    bench = Bench(replace(settings_for(plan, 1), halo_um=100.0))
+    with open_devices(plan, context=DeviceContext(shared=SharedParts({"simulated:": bench}))) as devices:
+        devices.camera.configure(ExposureSettings(0.02, 100))
+        devices.rail.home()
+        devices.rail.move_to(150.0)
+        pictures: dict[str, Picture] = {"white": "white", "target": picture_for(plan, devices).grey}
+        for name, picture in pictures.items():
+            devices.display.show(picture)
+            devices.camera.expose(folder / name)
+    return {name: (folder / f"{name}.dng").read_bytes() for name in pictures}

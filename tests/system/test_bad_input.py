@@ -19,6 +19,7 @@ from labkit.capture.capture import capture
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.errors import RawError
@@ -165,7 +166,7 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
     before = contents(folder / "frames")
     with (
         begin(plan_file, folder, resume=True) as session,
-        open_devices(session.plan, context=DeviceContext({ADDRESS: larger}, larger.wait)) as devices,
+        open_devices(session.plan, context=DeviceContext(shared=SharedParts({ADDRESS: larger}))) as devices,
         pytest.raises(RawError, match=r"dark_3, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × "),
     ):
         capture(session, devices, check=False)

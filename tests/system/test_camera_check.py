@@ -22,15 +22,6 @@ PLAN = plan_text(
 )
 
 
-@pytest.fixture
-def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the virtual camera takes its pictures from."""
-    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
-    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
-    path.parent.mkdir(parents=True)
-    return path
-
-
 def lay(path: Path, counts: NDArray[np.float64]) -> None:
     tags = RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=200)
     write_raw(path, np.clip(counts, 0, 16383).astype(np.uint16), tags)

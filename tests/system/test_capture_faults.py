@@ -22,6 +22,7 @@ from labkit.capture.capture import capture
 from labkit.devices.context import DeviceContext
 from labkit.devices.observer import Observer
 from labkit.devices.registry import open_devices
+from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.rail import SimulatedRail
 from labkit.drivers.simulated.setup import settings_for
@@ -84,7 +85,7 @@ class WatchedBench(Bench):
 
 
 def run(plan_file: Path, folder: Path, bench: Bench, *observers: Observer) -> Session:
-    context = DeviceContext({"simulated:": bench}, bench.wait, [*observers])
+    context = DeviceContext(shared=SharedParts({"simulated:": bench}), observers=tuple(observers))
     with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
         capture(session, devices)
     return session

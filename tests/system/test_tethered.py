@@ -11,6 +11,7 @@ import json
 import math
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from labkit.demo import compare
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame
 from labkit.devices.registry import open_devices
+from labkit.devices.shared import SharedParts
 from labkit.drivers.gphoto2.camera import Gphoto2Camera
 from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.bench import Bench
@@ -81,15 +83,6 @@ class CameraOnTheBench:
         write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
 
 
-@pytest.fixture
-def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the virtual camera takes its pictures from."""
-    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))
-    path = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
-    path.parent.mkdir(parents=True)
-    return path
-
-
 @pytest.mark.timeout(600)
 def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     tmp_path: Path, photograph: Path, monkeypatch: pytest.MonkeyPatch
@@ -100,7 +93,7 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     context = DeviceContext()
     with (
         open_devices(load_plan(plan_file), context=context) as simulated,
-        Gphoto2Camera("", f_number=4.0, keep=False, wait=context.wait, release_s=1.0) as tethered,
+        Gphoto2Camera("", f_number=4.0, keep=False, wait=time.sleep, release_s=1.0) as tethered,
         begin(plan_file, tmp_path / "session", resume=False) as session,
     ):
         bench: Bench = next(iter(context.shared.values()))
@@ -181,7 +174,7 @@ def _counts_of_the_simulated_camera(plan_file: Path, folder: Path, like: Bench) 
     """
     bench = Bench(like.settings)
     bench._seen = like._seen
-    context = DeviceContext({"simulated:seed=3": bench}, bench.wait)
+    context = DeviceContext(shared=SharedParts({"simulated:seed=3": bench}))
     with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
         capture(session, devices, check=False)
     return _counts(session)

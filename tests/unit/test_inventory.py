@@ -1,8 +1,9 @@
-"""What is plugged in, as USB and serial ports tell it."""
+"""What is plugged in, as USB and serial ports report it."""
 
 import os
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +12,7 @@ import usb.core
 from serial.tools import list_ports
 
 from labkit.devices import inventory
-from labkit.devices.inventory import Connected, SerialPort, UsbDevice, holders, look_around, udev_rules
+from labkit.devices.inventory import Connected, SerialPort, UsbDevice, holders, list_connected, udev_rules
 
 
 class FakeUsbDevice(list[list[SimpleNamespace]]):
@@ -36,7 +37,7 @@ class FakeUsbDevice(list[list[SimpleNamespace]]):
 def test_a_camera_is_told_by_its_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [FakeUsbDevice(6), FakeUsbDevice(9, readable=False)]
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter(found))
-    assert look_around().usb == (
+    assert list_connected().usb == (
         UsbDevice("001,004", "04b0:0430", "Nikon DSC D7000", is_camera=True),
         UsbDevice("001,004", "04b0:0430", "", is_camera=False),
     )
@@ -47,7 +48,7 @@ def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.
         raise usb.core.NoBackendError("No backend available")
 
     monkeypatch.setattr(usb.core, "find", no_backend)
-    found = look_around()
+    found = list_connected()
     assert found.usb == ()
     assert "apt-get install libusb" in found.notes[0]
 
@@ -56,7 +57,7 @@ def test_serial_ports_are_listed_by_path(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     ports = [fake_port(f"/dev/ttyUSB{i}") for i in (91, 90)]
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
-    assert look_around().serial == (
+    assert list_connected().serial == (
         SerialPort("/dev/ttyUSB90", "CH340", "1a86:7523"),
         SerialPort("/dev/ttyUSB91", "CH340", "1a86:7523"),
     )
@@ -74,7 +75,7 @@ def test_a_program_that_holds_a_port_is_named(monkeypatch: pytest.MonkeyPatch) -
             assert f"sleep ({program.pid})" in holders([path])[path]
             monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
             monkeypatch.setattr(list_ports, "comports", lambda: [fake_port(path)])
-            assert f"{path}: in use by sleep ({program.pid})" in " ".join(look_around().notes)
+            assert f"{path}: in use by sleep ({program.pid})" in " ".join(list_connected().notes)
         finally:
             program.kill()
     assert holders([path])[path] == ()
@@ -89,19 +90,30 @@ def test_this_very_process_is_not_told_as_a_holder() -> None:
     os.close(far)
 
 
+def test_without_proc_it_is_noted_that_holders_are_not_known(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    # as on macOS
+    monkeypatch.setattr(inventory, "PROC", tmp_path / "proc")
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
+    monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
+    assert list_connected().notes == (f"which programs hold a device is not known: this system has no {tmp_path}/proc",)
+    assert holders(["/dev/null"], tmp_path / "proc") == {"/dev/null": ()}
+
+
 def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [])
     held = {"/dev/bus/usb/001/004": ("gvfsd-gphoto2 (812)",)}
-    monkeypatch.setattr(inventory, "holders", lambda paths: {path: held.get(path, ()) for path in paths})
-    assert look_around().notes == ("usb:001,004: in use by gvfsd-gphoto2 (812); let it go with: gio mount -s gphoto2",)
+    monkeypatch.setattr(inventory, "holders", lambda paths, proc: {path: held.get(path, ()) for path in paths})
+    assert list_connected().notes == (
+        "usb:001,004: in use by gvfsd-gphoto2 (812); let it go with: gio mount -s gphoto2",
+    )
 
 
 def test_a_missing_permission_points_to_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert [note for note in look_around().notes if "/dev/null: no permission" in note and "--udev" in note]
+    assert [note for note in list_connected().notes if "/dev/null: no permission" in note and "--udev" in note]
 
 
 def connection(**changes: Any) -> Connected:
@@ -130,7 +142,7 @@ def test_a_devices_name_cannot_add_a_rule(monkeypatch: pytest.MonkeyPatch) -> No
     evil = 'x\nSUBSYSTEM=="usb", RUN+="/bin/sh"'
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/ttyUSB90", evil)])
-    found = look_around()
+    found = list_connected()
     assert "\n" not in found.serial[0].name
     direct = UsbDevice("001,004", "04b0:0430", evil, is_camera=True)
     for rules in (udev_rules(found), udev_rules(connection(usb=(direct,)))):

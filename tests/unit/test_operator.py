@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -48,7 +50,6 @@ class Reader:
     def __init__(self, operator: Operator, act: Callable[[int], object] = lambda number: None) -> None:
         self._operator, self._act = operator, act
         self.aborts = False
-        operator.attend(self)
 
     def wake(self) -> None:
         if self._operator.question is not None:
@@ -57,6 +58,11 @@ class Reader:
     def refuse_abort(self) -> None:
         if self.aborts:
             raise KeyboardInterrupt
+
+
+def test_who_asks_nobody_needs_no_terminal_driver() -> None:
+    code = "import sys; sys.modules['termios'] = None; import labkit.cli.main, labkit.devices.registry"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
 
 
 def test_without_terminal_or_page_there_is_nobody_to_ask(nobody: None) -> None:
@@ -109,17 +115,17 @@ def test_a_terminal_that_is_closed_ends_the_question(terminal: Type) -> None:
 
 def test_a_page_goes_on_when_the_terminal_is_closed(terminal: Type) -> None:
     operator = Operator()
-    Reader(operator)
     soon(lambda: (terminal(b""), soon(lambda: operator.answer(1, "5"))))
-    assert operator.ask("Set it") == "5"
+    with operator.reached_by(Reader(operator)):
+        assert operator.ask("Set it") == "5"
 
 
 def test_a_page_answers_without_a_terminal(nobody: None) -> None:
     operator = Operator()
     heard = []
-    Reader(operator, lambda number: heard.append(operator.answer(number, "12")))
-    assert operator.present
-    assert operator.ask("Set it") == "12"
+    with operator.reached_by(Reader(operator, lambda number: heard.append(operator.answer(number, "12")))):
+        assert operator.present
+        assert operator.ask("Set it") == "12"
     assert heard == [True]
 
 
@@ -127,24 +133,26 @@ def test_a_page_answers_before_the_terminal_and_the_terminal_is_told(
     terminal: Type, capfd: pytest.CaptureFixture[str]
 ) -> None:
     operator = Operator()
-    Reader(operator, lambda number: operator.answer(number, "12"))
-    assert operator.ask("Set it") == "12"
+    with operator.reached_by(Reader(operator, lambda number: operator.answer(number, "12"))):
+        assert operator.ask("Set it") == "12"
     assert "answered on the operator's page: 12" in capfd.readouterr().err
 
 
 def test_the_first_of_two_answers_is_heard(nobody: None) -> None:
     operator = Operator()
     heard: list[bool] = []
-    Reader(operator, lambda number: heard.extend(operator.answer(number, text) for text in ("1", "2")))
-    assert operator.ask("Set it") == "1"
+    page = Reader(operator, lambda number: heard.extend(operator.answer(number, text) for text in ("1", "2")))
+    with operator.reached_by(page):
+        assert operator.ask("Set it") == "1"
     assert heard == [True, False]
 
 
 def test_a_late_answer_is_not_one_to_the_next_question(nobody: None) -> None:
     operator = Operator()
     heard: list[bool] = []
-    Reader(operator, lambda number: heard.extend(operator.answer(one, str(one)) for one in (number - 1, number)))
-    assert [operator.ask("Put the cap on", "done"), operator.ask("Take it off", "done")] == ["1", "2"]
+    page = Reader(operator, lambda n: heard.extend(operator.answer(number, str(number)) for number in (n - 1, n)))
+    with operator.reached_by(page):
+        assert [operator.ask("Put the cap on", "done"), operator.ask("Take it off", "done")] == ["1", "2"]
     assert heard == [False, True, False, True]
     assert not operator.answer(2, "again")
 
@@ -153,8 +161,8 @@ def test_a_page_that_aborts_ends_the_question_as_ctrl_c_does(nobody: None) -> No
     operator = Operator()
     page = Reader(operator)
     page.aborts = True
-    with pytest.raises(KeyboardInterrupt):
-        operator.ask("Set it")
-    assert operator.question is None
-    operator.leave(page)
+    with operator.reached_by(page), operator.reached_by(page):  # by its monitor and by its display
+        with pytest.raises(KeyboardInterrupt):
+            operator.ask("Set it")
+        assert operator.question is None
     assert not operator.present

@@ -57,7 +57,7 @@ def test_measured_places_lie_along_the_travel_or_where_asked() -> None:
     [
         (Travel(0, 300), [400, 5], "--at 400: the rail goes from 0 to 300 mm"),
         (Travel(0, 300), [5, 5], "two positions or more"),
-        (Travel(-1e6, 1e6), [], "does not tell its travel"),
+        (Travel(-1e6, 1e6), [], "does not report its travel"),
     ],
 )
 def test_places_that_cannot_be_measured_at_are_refused(travel: Travel, asked: list[float], words: str) -> None:

@@ -63,15 +63,15 @@ def serve(display: Slow, context: DeviceContext, act: Callable[[], None]) -> Non
 
 def test_a_later_pick_is_not_undone_by_one_that_failed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serving, "RETRY_S", 0.0)
-    told: list[str] = []
-    display, context = Slow(fails=1), DeviceContext(tell=told.append)
+    warned: list[str] = []
+    display, context = Slow(fails=1), DeviceContext(warn=warned.append)
 
     def act() -> None:
         assert display.begun.acquire(timeout=10)  # the target, which will fail
-        context.wishes.put("white")
-        while not context.wishes.empty():
+        context.requests.put("white")
+        while not context.requests.empty():
             time.sleep(0.01)
-        time.sleep(0.3)  # for the wish to reach the display's queue
+        time.sleep(0.3)  # for the request to reach the display's queue
         display.leave.release()
         assert display.begun.acquire(timeout=10)
         display.leave.release()
@@ -79,7 +79,7 @@ def test_a_later_pick_is_not_undone_by_one_that_failed(monkeypatch: pytest.Monke
 
     serve(display, context, act)
     assert display.shown == [255]
-    assert told == ["its page is turned"]
+    assert warned == ["its page is turned"]
 
 
 def test_a_picture_is_tried_until_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,13 +96,13 @@ def test_a_picture_is_tried_until_it_is_shown(monkeypatch: pytest.MonkeyPatch) -
     assert len(display.shown) == 1
 
 
-def test_a_wish_that_is_no_picture_changes_nothing() -> None:
+def test_a_request_that_is_no_picture_changes_nothing() -> None:
     display, context = Slow(fails=0), DeviceContext()
 
     def act() -> None:
         assert display.begun.acquire(timeout=10)  # the target
-        for wish in ("no such picture", "black"):
-            context.wishes.put(wish)
+        for request in ("no such picture", "black"):
+            context.requests.put(request)
         display.leave.release()
         assert display.begun.acquire(timeout=10)
         display.leave.release()
