@@ -219,7 +219,7 @@ def write_session(folder: Path, seed: int) -> None:
         shoot("flat", 4, f"{stand.range_mm:g}", 0.9 * mosaic(dict.fromkeys(COLOURS, one)))
         for colour in COLOURS:
             truth.append({"range_mm": stand.range_mm, "channel": colour, "waves": list(waves[colour].values())})
-            middle = slice(REACH - 250, REACH + 251)
+            middle = slice(REACH - 140, REACH + 141)  # 156 um: within the window that labkit writes
             stored[f"{stand.range_mm:g}_{colour}"] = psfs[colour][middle, middle]
     with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("file", "kind", "range_mm"), *rows])
