@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from labkit.analysis.results import Results
 from labkit.analysis.wavefronts import fit_session
 from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.world import Truth
 from labkit.plan import parse_plan
 from labkit.session.session import Session
 
@@ -57,7 +59,7 @@ CASES = (
 
 
 def run(case: Case, folder: Path) -> list[dict[str, Any]]:
-    """Capture, fit, and compare with the truth; one row a fit, and one for the focus."""
+    """Capture, fit, and compare with the truth; one row a fit. Prints a summary of the case."""
     text, context = case.plan(), DeviceContext()
     with (
         open_devices(parse_plan(text, Path()), context=context) as devices,
@@ -66,7 +68,24 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         capture(session, devices)
     results = fit_session(Session.open(folder))
     (bench,) = context.shared.values()
-    truth = bench.truth
+    rows = _compared(results, bench.truth)
+    chi2 = [row["chi2"] for row in rows]
+    print(
+        f"{case}:",
+        f"defocus error <= {max(row['defocus'] for row in rows):.4f} waves",
+        f"wavefront error <= {max(row['rms'] for row in rows):.4f} waves",
+        f"chi2 per pixel {min(chi2):.3f} to {max(chi2):.3f}",
+        f"accepted {sum(row['accepted'] for row in rows)} of {len(rows)}",
+        *_focus_compared(results, bench.truth),
+        f"{sum(row['seconds'] for row in rows):.0f} s of fitting",
+        sep="\n  ",
+        flush=True,
+    )
+    return rows
+
+
+def _compared(results: Results, truth: Truth) -> list[dict[str, Any]]:
+    """Errors of each fit."""
     visits = {visit.range_mm: visit for visit in truth.visits}
     rows: list[dict[str, Any]] = []
     for w in results.wavefronts:
@@ -84,26 +103,21 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
                 "seconds": w.fit.seconds,
             }
         )
+    return rows
+
+
+def _focus_compared(results: Results, truth: Truth) -> list[str]:
+    """Errors of best focus and pupil magnification, in words."""
     focus = results.focus
     assert focus is not None
     off = [b - truth.best_focus_mm[c] for c, b in zip(focus.channels, focus.best_focus_mm, strict=True)]
     magnification = focus.pupil_magnification - truth.pupil_magnification
-    z_focus = np.append(off, magnification) / focus.std
-    chi2 = [row["chi2"] for row in rows]
-    print(
-        f"{case}:",
-        f"defocus error <= {max(row['defocus'] for row in rows):.4f} waves",
-        f"wavefront error <= {max(row['rms'] for row in rows):.4f} waves",
-        f"chi2 per pixel {min(chi2):.3f} to {max(chi2):.3f}",
-        f"accepted {sum(row['accepted'] for row in rows)} of {len(rows)}",
+    z = np.append(off, magnification) / focus.std
+    return [
         f"best focus error <= {np.abs(off).max():.4f} mm",
         f"mp error {magnification:+.4f} +- {focus.std[-1]:.4f}",
-        f"errors of focus over standard errors {np.round(z_focus, 1).tolist()}",
-        f"{sum(row['seconds'] for row in rows):.0f} s of fitting",
-        sep="\n  ",
-        flush=True,
-    )
-    return rows
+        f"errors of focus over standard errors {np.round(z, 1).tolist()}",
+    ]
 
 
 def main() -> None:

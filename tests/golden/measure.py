@@ -17,7 +17,7 @@ from .simulate import write_session
 Floats = npt.NDArray[np.float64]
 
 
-def fit(folder: Path, session: Path) -> None:
+def import_and_fit(folder: Path, session: Path) -> None:
     """Import and fit through the commands, as a lab would."""
     for command in (
         ["import", str(folder / "frames.csv"), str(folder / "plan.toml"), str(session)],
@@ -81,5 +81,9 @@ if __name__ == "__main__":
             folder = Path(base) / seed
             folder.mkdir()
             write_session(folder, int(seed))
-            fit(folder, folder / "session")
-            print(f"seed {seed}:", ", ".join(f"{k} {v:.3g}" for k, v in errors(folder, folder / "session").items()), flush=True)
+            import_and_fit(folder, folder / "session")
+            print(
+                f"seed {seed}:",
+                ", ".join(f"{k} {v:.3g}" for k, v in errors(folder, folder / "session").items()),
+                flush=True,
+            )

@@ -43,4 +43,5 @@ def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(half: float, centre: 
     ours = torus.sample(drawn * blur)
     exact = torus.sample(spectrum_of_cells(torus, target, centre, half) * blur)
     # the noise of a pixel of 25,000 electrons is 6e-3 of white, of the mean of 10,000 of them 6e-5
-    assert np.std(ours - exact) < 6e-5
+    # is far above the 1.4e-5 that were measured
+    assert np.std(ours - exact) < 2.8e-5
