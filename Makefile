@@ -1,4 +1,4 @@
-# make demo, make test, make check, make bench: each sets up what it needs first.
+# make demo, make test, make fast, make check, make coverage, make lowest, make bench: each sets up what it needs first.
 # Needs make and Python 3.11 or newer with venv (Debian: apt-get install make python3 python3-venv).
 
 PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
@@ -7,14 +7,36 @@ BIN := .venv/bin
 # Tests run one process a core; more threads than that only get in each other's way.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test chromium check types bench sony-raw clean
+.PHONY: demo test fast coverage lowest chromium umockdev check types bench readme sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
 
-# Tests of USB trouble want Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi; without them they are skipped.
-test: .venv/installed-test chromium
+test: .venv/installed-test chromium umockdev
 	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist worksteal
+
+# What says within a minute whether something is broken.
+FAST := $(ONE_THREAD) BIN/python -m pytest -q -n auto --dist worksteal -m 'not slow' tests/unit
+fast: .venv/installed-test
+	$(subst BIN/,$(BIN)/,$(FAST))
+
+# COVERAGE_OF: the tests that are counted.
+COVERAGE_OF ?= tests
+coverage: .venv/installed-test
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist worksteal --cov --cov-report=term --cov-report=html:build/coverage $(COVERAGE_OF)
+
+# The oldest versions that pyproject.toml allows, installed and tried.
+OLDEST := import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	print(*(r.replace(">=", "==") for r in p["dependencies"] + p["optional-dependencies"]["test"]), sep="\n")
+lowest: .venv-lowest/installed
+	$(subst BIN/,.venv-lowest/bin/,$(FAST))
+
+.venv-lowest/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m venv --clear .venv-lowest
+	$(BIN)/python -c '$(OLDEST)' > .venv-lowest/oldest.txt
+	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check -r .venv-lowest/oldest.txt
+	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	touch $@
 
 # The display page is tested in a real browser; without one, those tests are skipped and say so.
 chromium:
@@ -22,10 +44,17 @@ chromium:
 		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends chromium; } >/dev/null 2>&1 || \
 		echo "no Chromium, and apt-get cannot install it: the web pages will not be tested" >&2
 
+# USB trouble is played to libgphoto2 by umockdev; without it, those tests are skipped and say so.
+umockdev:
+	@{ command -v umockdev-wrapper && \
+		/usr/bin/python3 -c 'import gi; gi.require_version("UMockdev", "1.0"); from gi.repository import UMockdev'; } >/dev/null 2>&1 || \
+		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends umockdev gir1.2-umockdev-1.0 python3-gi; } >/dev/null 2>&1 || \
+		echo "no umockdev, and apt-get cannot install it: USB trouble will not be tested" >&2
+
 check: types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest -q tests/unit/test_imports.py
+	$(BIN)/python -m pytest -q tests/unit/test_imports.py tests/unit/test_house.py tests/unit/test_readme.py
 
 # mypy sees the packages where they will be installed, through links: drivers/ is labkit/drivers there.
 types: .venv/installed-dev
@@ -37,6 +66,10 @@ types: .venv/installed-dev
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
+
+# The README's tables, from benchmarks/claims.toml and the studies' results.
+readme: .venv/installed-test
+	$(BIN)/python -m benchmarks.claims
 
 # A whole raw of a real mirrorless camera, out of another project's source archive: fetched, tested against, not kept here.
 sony-raw: .venv/installed-test
@@ -61,4 +94,4 @@ sony-raw: .venv/installed-test
 	touch $@ .venv/installed-test .venv/installed
 
 clean:
-	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage*

@@ -17,6 +17,7 @@ from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.world import Truth
 from labkit.plan import parse_plan
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
@@ -58,7 +59,7 @@ CASES = (
 
 
 def run(case: Case, folder: Path) -> list[dict[str, Any]]:
-    """Capture, fit, and compare with the truth; one row a fit, and one for the focus."""
+    """Capture, fit, and compare with the truth; one row a fit. Prints a summary of the case."""
     text, context = case.plan(), DeviceContext()
     with (
         open_devices(parse_plan(text, Path()), context=context) as devices,
@@ -72,7 +73,7 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(w: Wavefront, truth: Any) -> dict[str, Any]:
+def _row(w: Wavefront, truth: Truth) -> dict[str, Any]:
     """A wavefront beside its truth."""
     modes, visits = truth.modes_waves[w.channel], {visit.range_mm: visit for visit in truth.visits}
     true = np.array([modes.get(j, 0.0) for j in w.noll])
@@ -88,7 +89,7 @@ def _row(w: Wavefront, truth: Any) -> dict[str, Any]:
     }
 
 
-def _print(case: Case, rows: list[dict[str, Any]], results: Results, truth: Any) -> None:
+def _print(case: Case, rows: list[dict[str, Any]], results: Results, truth: Truth) -> None:
     """One session's errors, in words."""
     focus = results.focus
     assert focus is not None

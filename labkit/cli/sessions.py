@@ -135,6 +135,7 @@ def report(
     """The measurement as one HTML page with figures."""
     from labkit.report.html import write_report
     from labkit.results import Results
+    from labkit.session.session import Session
 
     console: Console = ctx.obj
     _ = Session.open(session).plan  # one that was altered is named before anything is reported

@@ -9,16 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.claims import limit
+
+CLAIM = "real_photograph"
 ROOT = Path(__file__).parents[2]
 PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "ipol"
 
 
 @pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/ipol")
-@pytest.mark.timeout(900)
+@pytest.mark.slow
 def test_a_real_photograph_is_explained(tmp_path: Path) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
     outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
-    assert outcome.residual < 4.5  # grey levels; the signal's own is 26
+    assert outcome.residual < limit(CLAIM, "residual_levels")  # the signal varies by 26
     for axis, theirs in example["DELBRACIO"].items():
-        np.testing.assert_allclose(outcome.mtf[axis], theirs, rtol=0, atol=0.02)
+        np.testing.assert_allclose(outcome.mtf[axis], theirs, rtol=0, atol=limit(CLAIM, "mtf"))
     assert (tmp_path / "work" / "real_photograph.png").stat().st_size > 10_000
