@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy import special
 
+from labkit.optics.mtf import Direction
 from labkit.optics.psf import diffraction_mtf
 from labkit.optics.zernike import mode_name
 from labkit.report.quantities import millimetres, plus_minus
@@ -16,6 +17,7 @@ from labkit.results import Focus, Residuals, Results, Wavefront
 from labkit.types import Floats
 
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
+DIRECTIONS: dict[Direction, object] = {"x": SOLID, "y": DASHED}
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
 
@@ -154,8 +156,8 @@ def mtf_chart(measurement: Results, ranges_mm: Sequence[float | None]) -> Figure
         for fit in measurement.at_range(range_mm):
             colour = inks[fit.channel].colour
             grid = np.linspace(0, last, 200)
-            for azimuth, style in ((0.0, SOLID), (90.0, DASHED)):
-                curve = fit.mtf(grid, azimuth)
+            for direction, style in DIRECTIONS.items():
+                curve = fit.mtf(grid, direction)
                 axes.plot(grid, curve.value, color=colour, ls=style)
                 axes.fill_between(grid, curve.value - curve.std, curve.value + curve.std, color=colour, alpha=0.2, lw=0)
             perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, fit.f_number))

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.optics.metrics import mtf50
+from labkit.optics.mtf import mtf50
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.quantities import MINUS, UNKNOWN, fixed, millimetres, plus_minus
@@ -137,7 +137,7 @@ def _fit_rows(m: Results) -> list[dict[str, Any]]:
 
 
 def _fit_row(fit: Wavefront) -> dict[str, Any]:
-    along_x, along_y = (mtf50(fit.fitted, azimuth) for azimuth in (0.0, 90.0))
+    along_x, along_y = (mtf50(fit.fitted, direction) for direction in ("x", "y"))
     verdict = fit.test
     return {
         "range": UNKNOWN if fit.range_mm is None else f"{fit.range_mm:g}",

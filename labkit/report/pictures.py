@@ -1,7 +1,7 @@
 """Pictures of a fit: the chip beside its model and residual, and the point-spread functions side by side."""
 
 from collections.abc import Sequence
-from math import floor, log10
+from math import ceil, floor, log10
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 
-from labkit.optics.metrics import radius_of_energy
 from labkit.report.quantities import millimetres
 from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
 from labkit.results import Residuals, Results, Wavefront
@@ -55,13 +54,23 @@ def _chip(axes: Axes, image: Floats, title: str, colours: str, low: float, high:
 
 def psf_half_width_um(results: Results) -> float:
     """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with context around it."""
-    widths = [max(1.3 * radius_of_energy(w.fitted, 0.9).value, 4 * airy_radius_um(w)) for w in results]
+    widths = [max(1.3 * _encircled_um(w, 0.9), 4 * airy_radius_um(w)) for w in results]
     return float(min(max(widths), MOST_HALF_WIDTH_AIRY * max(w.wavelength_nm * 1e-3 * w.f_number for w in results)))
 
 
 def airy_radius_um(wavefront: Wavefront) -> float:
     """Radius of the first dark ring of a perfect lens; the first zero of J1 over pi, times wavelength and f-number."""
     return 1.2197 * wavefront.wavelength_nm * 1e-3 * wavefront.f_number
+
+
+def _encircled_um(wavefront: Wavefront, share: float) -> float:
+    """Radius about the centre that holds a share of the light in the PSF's window; to a sample, to choose a scale by."""
+    spacing_um = wavefront.wavelength_nm * 1e-3 * wavefront.f_number / 3
+    psf = wavefront.psf(spacing_um)
+    at = np.arange(psf.shape[0]) - psf.shape[0] // 2
+    radius = np.hypot(at[:, None], at[None, :]).ravel()
+    order = np.argsort(radius)
+    return float(radius[order][np.searchsorted(np.cumsum(psf.ravel()[order]), share)] * spacing_um)
 
 
 def psf_picture(measurement: Results, ranges_mm: Sequence[float | None], half_width_um: float) -> Figure:
@@ -103,7 +112,7 @@ def psf_picture(measurement: Results, ranges_mm: Sequence[float | None], half_wi
 
 def _psf(axes: Axes, wavefront: Wavefront, half_width_um: float, colours: Colormap) -> None:
     spacing_um = wavefront.wavelength_nm * 1e-3 * wavefront.f_number / SAMPLES_PER_AIRY
-    psf = wavefront.psf(spacing_um, half_width_um)
+    psf = wavefront.psf(spacing_um, 2 * ceil(half_width_um / spacing_um) + 1)
     edge = psf.shape[0] / 2 * spacing_um
     axes.imshow(
         psf,

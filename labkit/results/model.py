@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from labkit.optics import metrics
-from labkit.optics.metrics import Curve, FittedWavefront
+from labkit.optics.mtf import Curve, Direction, mtf
+from labkit.optics.strehl import strehl
+from labkit.optics.wavefront import FittedWavefront, at_focus
 from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -152,12 +155,12 @@ class Wavefront:
 
     @property
     def strehl(self) -> Uncertain:
-        """Strehl ratio, defocus included; ``w.at_focus().strehl`` leaves it out."""
-        return metrics.strehl(self.fitted)
+        """Strehl ratio, defocus included; ``strehl(w.at_focus())`` leaves it out."""
+        return strehl(self.fitted)
 
     def at_focus(self) -> FittedWavefront:
         """The wavefront without its defocus: what the lens does at best focus."""
-        return metrics.at_focus(self.fitted)
+        return at_focus(self.fitted)
 
     def rms(self, without: tuple[int, ...] = ()) -> Uncertain:
         """Root of the sum of squares over the modes, but for some; waves RMS."""
@@ -165,15 +168,18 @@ class Wavefront:
 
     def opd(self, samples: int) -> Floats:
         """(samples, samples) optical path difference over the pupil, waves at the reference; nan outside."""
-        return metrics.opd_map(self.fitted, samples)
+        return metrics.opd_map(self.fitted, samples).value
 
-    def psf(self, spacing_um: float, half_width_um: float | None = None) -> Floats:
-        """(n, n) point-spread function of the optics alone: unit sum, n odd, rows down and columns right as on the sensor."""
-        return metrics.psf(self.fitted, spacing_um, half_width_um)
+    def psf(self, spacing_um: float, size: int | None = None) -> Floats:
+        """(size, size) point-spread function of the optics alone, unit sum, rows down and columns right as on the sensor.
 
-    def mtf(self, frequency_per_mm: Floats, azimuth_deg: float = 0.0) -> Curve:
-        """MTF of the optics alone with standard errors, along a direction: 0 is along the rows, 90 down the columns."""
-        return metrics.mtf(self.fitted, frequency_per_mm, azimuth_deg)
+        size: odd; by default the window reaches 32 lambda N from its centre.
+        """
+        return metrics.psf(self.fitted, spacing_um, size).value
+
+    def mtf(self, frequency_per_mm: ArrayLike, direction: Direction | float = "x") -> Curve:
+        """MTF of the optics alone with standard errors, along "x" (right), "y" (down), or degrees from x towards y."""
+        return mtf(self.fitted, frequency_per_mm, direction)
 
 
 @dataclass(frozen=True)

@@ -102,10 +102,10 @@ def psfs(results: Results) -> dict[str, npt.NDArray[Any]]:
     """PSFs of the optics alone on one grid for all: unit sum, centred, odd; and their spacing_um."""
     airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in results.wavefronts]
     spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
-    half_width_um = PSF_HALF_WIDTH_AIRY * max(airy_um)
+    size = 2 * int(np.ceil(PSF_HALF_WIDTH_AIRY * max(airy_um) / spacing_um)) + 1
     arrays: dict[str, npt.NDArray[Any]] = {"spacing_um": np.array(spacing_um)}
     for w in results.wavefronts:
-        arrays[f"psf_{w.key}"] = w.psf(spacing_um, half_width_um).astype(np.float32)
+        arrays[f"psf_{w.key}"] = w.psf(spacing_um, size).astype(np.float32)
     return arrays
 
 

@@ -116,7 +116,7 @@ def carpet() -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where the target stands: range, tilts about the sensor's rows and columns, roll (degrees), shift (pixels, right and down)."""
+    """Range of the target, tilts about the sensor's rows and columns, roll (degrees), shift (pixels, right and down)."""
 
     range_mm: float
     tilts_deg: tuple[float, float]

@@ -1,0 +1,86 @@
+"""A session is fitted again: by other modes, by another plan, in part. Nothing whole is lost; each result knows its plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from labkit.analysis.fit import fit
+from labkit.capture.capture import capture
+from labkit.cli import run
+from labkit.devices.registry import open_devices
+from labkit.errors import DataError
+from labkit.plan import Plan
+from labkit.results import Results
+from labkit.session.session import Session
+from tests.plans import SMALL, plan_text, simulated
+
+from .conftest import ADDRESS
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Captured once and fitted whole, with few modes, for the tests here to fit again."""
+    folder = tmp_path_factory.mktemp("refit")
+    few = {"camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2}, "fit": {"zernike_noll": [4, 6]}}
+    text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
+    with Session.create(folder / "session", text, folder) as opened, open_devices(opened.plan) as devices:
+        capture(opened, devices, check=False)
+    fit(folder / "session", workers=1)
+    return folder / "session"
+
+
+def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(session: Path) -> None:
+    partial = fit(session, ranges_mm=2050.5, workers=1)
+    assert partial.folder == session / "results" / "2050.5mm"
+    assert len(partial) == 1
+    whole = Results.load(session)
+    assert len(whole) == 2
+    assert whole.focus is not None
+
+
+def test_a_partial_fit_is_not_put_in_the_place_of_a_whole_one(session: Path) -> None:
+    with pytest.raises(DataError, match="holds 2000_G too, which this fit would not replace: give it another name"):
+        fit(session, ranges_mm=2050.5, name="latest", workers=1)
+    assert len(Results.load(session)) == 2
+
+
+def test_other_modes_and_another_lens_are_kept_with_what_they_gave(session: Path) -> None:
+    other = Session.open(session).plan.replace(lens={"f_number": 8.1})
+    results = fit(session, plan=other, noll=(4, 5), name="f8.1", workers=1)
+    again = Results.load(session, "f8.1")
+    assert again.plan == results.plan
+    assert (again.plan.lens.f_number, again.plan.fit.zernike_noll) == (8.1, (4, 5))
+    assert [w.f_number for w in again] == [8.1, 8.1]
+    assert again.plan_sha256 != Results.load(session).plan_sha256
+    assert Session.open(session).plan.lens.f_number == 8.0
+
+
+def test_the_command_line_fits_again_too(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = tmp_path / "other.toml"
+    plan.write_text(Session.open(session).plan.replace(lens={"f_number": 7.9}).to_toml())
+    args = ["--json", "fit", str(session), "--plan", str(plan), "--noll", "4:5", "--name", "by-plan", "--workers", "1"]
+    assert run(args) == 0
+    assert json.loads(capsys.readouterr().out)["plan"]["lens"]["f_number"] == 7.9
+    assert Results.load(session, "by-plan").plan == Plan.load(plan).replace(fit={"zernike_noll": (4, 5)})
+
+
+@pytest.mark.parametrize("noll", ["4", "4-22", "22:4", "1:6", "4:99999"])
+def test_modes_that_are_none_are_refused_in_a_line(
+    noll: str, session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["fit", str(session), "--noll", noll]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_where_the_target_stood_is_kept(session: Path) -> None:
+    (w, _) = Results.load(session)
+    assert w.placement is not None
+    (top, left), (rows, columns) = w.placement.origin_px, w.placement.shape_px
+    corners = w.placement.corners_px
+    assert corners.shape == (1, 4, 2)
+    # the cut has the target in it, with a margin, in pixels of the whole frame
+    assert (corners.min(axis=(0, 1)) > [top, left]).all()
+    assert (corners.max(axis=(0, 1)) < [top + rows, left + columns]).all()
