@@ -7,9 +7,10 @@ import numpy as np
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.charts import half_contrast, mtf
-from labkit.report.quantities import MINUS, UNKNOWN, decimals, fixed, millimetres, plus_minus
+from labkit.report.quantities import MINUS, UNKNOWN, fixed, millimetres, plus_minus
 from labkit.report.reading import Estimate, Focus, Measurement, Verdict, Wavefront
 from labkit.report.style import channel_inks
+from labkit.uncertain import decimals
 
 SECTIONS = {
     "focus": "Focus",

@@ -1,17 +1,11 @@
 """Numbers as a reader wants them: as many digits as the standard error supports."""
 
-from math import floor, isfinite, log10
+from math import isfinite
+
+from labkit.uncertain import decimals
 
 MINUS = "\N{MINUS SIGN}"
 UNKNOWN = "\N{EM DASH}"
-
-
-def decimals(std: float, most: int = 6) -> int:
-    """Decimal places that give a standard error two significant digits."""
-    if not (isfinite(std) and std > 0):
-        return 4
-    rounded = float(f"{std:.1e}")  # 0.0996 becomes 0.10
-    return min(max(0, 1 - floor(log10(rounded))), most)
 
 
 def fixed(value: float | None, places: int) -> str:

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["types", "errors"],
+    ["types", "errors", "uncertain"],
     ["files", "arrays"],
     ["plan"],
     ["target"],

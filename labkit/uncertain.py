@@ -1,0 +1,90 @@
+"""A number with its standard error, printed to as many digits as the error supports."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+LARGE, SMALL = 1e7, 1e-4  # from here on, and below, a power of ten is taken out
+DIGITS = 6  # of a number that has no error to say how many
+
+
+def decimals(std: float, most: int = DIGITS) -> int:
+    """Decimal places that give a standard error two significant digits; 4 where there is no error."""
+    if not (math.isfinite(std) and std > 0):
+        return 4
+    rounded = float(f"{std:.1e}")  # 0.0996 becomes 0.10
+    return min(max(0, 1 - math.floor(math.log10(rounded))), most)
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A value and its standard error, nan where that is unknown, infinite where the data do not determine the value.
+
+    unit: printed after both, such as "mm". Raises ValueError for a negative standard error.
+
+    >>> print(Uncertain(3024.0, 0.4, "mm"))
+    3024.00 ± 0.40 mm
+    """
+
+    value: float
+    std: float = math.nan
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", float(self.value))
+        object.__setattr__(self, "std", float(self.std))
+        if self.std < 0:
+            raise ValueError(f"std = {self.std:g}: a standard error is 0 or more")
+
+    def __str__(self) -> str:
+        number, exponent = self._number()
+        return self._with_unit(f"({number})e{exponent:+03d}" if exponent else number)
+
+    def __format__(self, spec: str) -> str:
+        """For a number's format (".2f", "+.3g") both numbers in it, for any other (">24") the text of `str` in it."""
+        if spec[-1:] not in tuple("eEfFgG"):
+            return format(str(self), spec)
+        return self._with_unit(f"{self.value:{spec}} ± {_error(self.std, spec.lstrip('+ '))}")
+
+    def _repr_html_(self) -> str:
+        number, exponent = self._number()
+        power = f"({number}) × 10<sup>{exponent}</sup>" if exponent else number
+        return power.replace("-", "\N{MINUS SIGN}") + (f" {html.escape(self.unit)}" if self.unit else "")
+
+    def as_json(self) -> dict[str, float | None]:
+        """{"value": ..., "std": ...}, null for what is not finite: JSON has no other name for it."""
+        return {name: x if math.isfinite(x) else None for name, x in (("value", self.value), ("std", self.std))}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], unit: str = "") -> Uncertain:
+        """What `as_json` wrote; nan for null. Raises ValueError for anything else."""
+        numbers = [data.get(name) for name in ("value", "std")] if isinstance(data, Mapping) else [data]
+        if len(numbers) != 2 or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in numbers):
+            raise ValueError(f'{data!r}: a value with its standard error is {{"value": 3024.0, "std": 0.4}}')
+        value, std = (math.nan if x is None else min(max(x, -math.inf), math.inf) for x in numbers)
+        return cls(value, std, unit)
+
+    def _with_unit(self, number: str) -> str:
+        return f"{number} {self.unit}" if self.unit else number
+
+    def _number(self) -> tuple[str, int]:
+        """Text of value and error, and the power of ten that is taken out of both."""
+        if not math.isfinite(self.value):
+            return "not determined" if math.isnan(self.value) else f"{self.value:g}", 0
+        known = math.isfinite(self.std) and self.std > 0
+        largest = max(abs(self.value), self.std) if known else abs(self.value)
+        exponent = 0 if SMALL <= largest < LARGE or largest == 0 else math.floor(math.log10(largest))
+        value, std = self.value / 10.0**exponent, self.std / 10.0**exponent
+        if not known:
+            return f"{value:.{DIGITS}g} ± {_error(std, 'g')}", exponent
+        places = decimals(std, most=15)
+        rounded = round(value, places) + 0.0  # no minus zero
+        return f"{rounded:.{places}f} ± {std:.{places}f}", exponent
+
+
+def _error(std: float, spec: str) -> str:
+    return "unknown" if math.isnan(std) else format(std, spec)
