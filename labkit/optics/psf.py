@@ -103,6 +103,21 @@ class Pupil:
             np.multiply(-factor, (np.conj(field) * self._to_image(pupil * mode)).imag, out=slope)
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
+    def psf_at(self, waves: Floats, at_um: Floats) -> tuple[Floats, Floats]:
+        """The PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives per wave RMS.
+
+        Scaled as `psf` is, but on any grid and without the fold at the window's borders; what `size` and `spacing_um` set is
+        the pupil's sampling alone. R. Soummer et al., Opt. Express 15, 15935 (2007).
+        """
+        turn = np.exp(-2j * np.pi / (self.size * self.spacing_um) * np.outer(at_um, self._offsets))
+        pupil = self._pupil_function(waves)
+        field = turn @ pupil @ turn.T
+        factor = 4 * np.pi * self.reference_um / self.wavelength_um / self._light
+        slopes = np.empty((len(self.noll), *field.shape))
+        for slope, mode in zip(slopes, self.modes, strict=True):
+            np.multiply(-factor, (np.conj(field) * (turn @ (pupil * mode) @ turn.T)).imag, out=slope)
+        return np.asarray(np.abs(field) ** 2 / self._light), slopes
+
     def psf_hessian(self, waves: Floats) -> Iterator[tuple[int, int, Floats]]:
         """Second derivatives of the PSF, per wave RMS squared: (i, j, (size, size)) for each pair of modes i <= j.
 

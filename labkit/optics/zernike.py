@@ -45,6 +45,14 @@ def noll_to_nm(j: int) -> tuple[int, int]:
     return n, m if j % 2 == 0 else -m
 
 
+def nm_to_noll(n: int, m: int) -> int:
+    """The Noll mode of radial order n and signed azimuthal order m. Raises ValueError where there is none."""
+    if abs(m) > n or (n - m) % 2:
+        raise ValueError(f"no Zernike polynomial has radial order {n} and azimuthal order {m}")
+    first = n * (n + 1) // 2 + 1
+    return next(j for j in range(first, first + n + 1) if noll_to_nm(j) == (n, m))
+
+
 def is_even(j: int) -> bool:
     """Whether Noll mode j has even radial order: Z(-w) = Z(w). Such modes change sign in the twin."""
     return noll_to_nm(j)[0] % 2 == 0
@@ -72,3 +80,24 @@ def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
         return sqrt(n + 1) * radial(n, 0, rho)
     angular = np.cos(m * theta) if m > 0 else np.sin(-m * theta)
     return sqrt(2 * (n + 1)) * radial(n, m, rho) * angular
+
+
+@cache
+def cartesian(j: int) -> Floats:
+    """Noll mode j as a polynomial in x and y: (n + 1, n + 1), entry [p, q] the coefficient of x^p y^q; read only.
+
+    rho^m cos(m theta) and rho^m sin(m theta) are the real and the imaginary part of (x + iy)^m.
+    """
+    n, signed = noll_to_nm(j)
+    m, odd = abs(signed), int(signed < 0)
+    table = np.zeros((n + 1, n + 1))
+    for k in range((n - m) // 2 + 1):
+        half = (n - m) // 2 - k
+        factor = (-1) ** k * comb(n - k, k) * comb(n - 2 * k, half)
+        for q in range(half + 1):
+            for r in range(odd, m + 1, 2):
+                part = comb(half, q) * comb(m, r) * (-1) ** ((r - odd) // 2)
+                table[2 * q + m - r, 2 * (half - q) + r] += factor * part
+    table *= sqrt(n + 1) if m == 0 else sqrt(2 * (n + 1))
+    table.flags.writeable = False
+    return table

@@ -1,0 +1,149 @@
+"""What a lens test reports of a fitted wavefront, each number with its standard error by the delta method.
+
+Angles run from x (right, along the sensor's rows) towards y (down its columns), as the pupil's do. Path differences are
+in waves at the reference wavelength.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.arrays import positive
+from labkit.optics.psf import Pupil
+from labkit.optics.wavefront import FittedWavefront, modes_at
+from labkit.optics.zernike import nm_to_noll
+from labkit.types import Bools, Floats
+from labkit.uncertain import Uncertain
+
+PUPIL_SAMPLES = 240  # across; the PSF of a pupil of samples repeats itself after so many lambda N
+HALF_WIDTH_AIRY = 32.0  # of a PSF's usual window: 0.6 % of the light lies beyond
+RIM_ANGLES, RADII = 512, 129  # where a wavefront's extremes are looked for: they are known to 1e-3 of themselves
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Psf:
+    """A sampled PSF, (n, n), n odd, unit sum, its centre at [n // 2, n // 2], rows down and columns right; std: its errors."""
+
+    spacing_um: float
+    value: Floats
+    std: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpdMap:
+    """Path difference over the pupil, (n, n) waves at the reference wavelength, nan outside it; std: its errors."""
+
+    value: Floats
+    std: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Directed:
+    """A pair of modes as one: magnitude, waves RMS, and the angle at which the path difference is greatest, degrees."""
+
+    magnitude: Uncertain
+    angle_deg: Uncertain
+
+
+def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
+    """The PSF of the optics alone on a grid of a spacing, with standard errors.
+
+    size: samples along a side, odd; by default the window reaches 32 lambda N from the centre. Raises ValueError for an even
+    size, and for a spacing above lambda N, which undersamples so much that the samples' sum depends on where they lie.
+    """
+    airy_um = wavefront.wavelength_um * wavefront.f_number
+    if not positive("spacing_um", spacing_um, "um") <= airy_um:
+        raise ValueError(f"spacing_um = {spacing_um:g}: at most lambda N is needed, here {airy_um:g} um")
+    half = int(np.ceil(HALF_WIDTH_AIRY * airy_um / spacing_um)) if size is None else size // 2
+    if size is not None and (size < 1 or size % 2 == 0):
+        raise ValueError(f"size = {size}: an odd number of samples is needed, so that one is the centre")
+    apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
+    w = wavefront
+    pupil = Pupil(
+        w.wavelength_um, w.reference_um, w.f_number, airy_um / 2, int(np.ceil(2 * apart_um / airy_um)), w.noll
+    )
+    value, slopes = pupil.psf_at(w.waves, spacing_um * np.arange(-half, half + 1))
+    total = value.sum()
+    slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
+    return Psf(spacing_um, value / total, np.sqrt(w.variance(slopes)) / total)
+
+
+def opd_map(wavefront: FittedWavefront, samples: int, without: Collection[int] = ()) -> OpdMap:
+    """Path difference on samples x samples squares that cover the pupil's diameter, at their centres.
+
+    without: Noll modes to leave out. Raises ValueError for fewer than one sample.
+    """
+    if samples < 1:
+        raise ValueError(f"samples = {samples}: at least 1 is needed")
+    wavefront = wavefront.without(without)
+    at = (2 * np.arange(samples) + 1 - samples) / samples
+    y, x = np.meshgrid(at, at, indexing="ij")
+    inside: Bools = np.hypot(x, y) <= 1
+    value, std = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
+    modes = modes_at(wavefront.noll, x[inside], y[inside])
+    value[inside] = wavefront.waves @ modes
+    std[inside] = np.sqrt(wavefront.variance(modes))
+    return OpdMap(value, std)
+
+
+def rms(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
+    """RMS of the path difference about its mean. without: Noll modes to leave out; the errors are as `magnitude`'s."""
+    return magnitude(wavefront.without({1, *without}))
+
+
+def magnitude(wavefront: FittedWavefront) -> Uncertain:
+    """Root of the sum of the squared coefficients, waves RMS.
+
+    Near zero it has no derivative and errors only make it larger, so the standard error comes from that of its square, of which
+    mean and variance are known exactly for normal errors: sqrt(r^2 + e) - r at r^2 with an RMS error e. Far from zero, that is
+    the delta method's.
+    """
+    a, covariance = wavefront.waves, wavefront.covariance
+    value = float(np.linalg.norm(a))
+    if not np.isfinite(covariance).all():
+        return Uncertain(value, np.sqrt(np.trace(covariance)), "waves")
+    error = np.sqrt(4 * a @ covariance @ a + 2 * np.sum(covariance**2) + np.trace(covariance) ** 2)
+    return Uncertain(value, error / (np.sqrt(value**2 + error) + value) if error > 0 else 0.0, "waves")
+
+
+def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
+    """The greatest path difference less the least, to 1e-3 of itself, over the pupil with its rim.
+
+    without: Noll modes to leave out. The error is that of the difference between these two points.
+    """
+    wavefront = wavefront.without(without)
+    if not wavefront.noll:
+        return Uncertain(0.0, 0.0, "waves")
+    rho, theta = np.meshgrid(np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES)
+    modes = modes_at(wavefront.noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(wavefront.noll), -1)
+    path = wavefront.waves @ modes
+    gradient = modes[:, path.argmax()] - modes[:, path.argmin()]
+    return Uncertain(np.ptp(path), np.sqrt(wavefront.variance(gradient)), "waves")
+
+
+def astigmatism(wavefront: FittedWavefront) -> Directed:
+    """Primary astigmatism, Noll 5 and 6; its angle within -90 to 90 degrees. Raises ValueError if they were not fitted."""
+    return _directed(wavefront, 2, 2)
+
+
+def coma(wavefront: FittedWavefront) -> Directed:
+    """Primary coma, Noll 7 and 8; its angle within -180 to 180 degrees. Raises ValueError if they were not fitted."""
+    return _directed(wavefront, 3, 1)
+
+
+def trefoil(wavefront: FittedWavefront) -> Directed:
+    """Primary trefoil, Noll 9 and 10; its angle within -60 to 60 degrees. Raises ValueError if they were not fitted."""
+    return _directed(wavefront, 3, 3)
+
+
+def _directed(wavefront: FittedWavefront, n: int, m: int) -> Directed:
+    cosine, sine = (wavefront.index(nm_to_noll(n, sign * m)) for sign in (1, -1))
+    pair = wavefront.without(set(wavefront.noll) - {wavefront.noll[cosine], wavefront.noll[sine]})
+    c, s = wavefront.waves[[cosine, sine]]
+    square = c**2 + s**2
+    unknown = 360 / m / np.sqrt(12)  # of an angle that may be any
+    across = np.zeros(len(wavefront.noll))
+    across[[cosine, sine]] = -s, c
+    std = np.degrees(np.sqrt(wavefront.variance(across)) / square) / m if square > 0 else unknown
+    return Directed(magnitude(pair), Uncertain(np.degrees(np.arctan2(s, c)) / m, min(std, unknown), "deg"))

@@ -1,0 +1,106 @@
+"""A fitted wavefront: its modes, their covariance, and the beam that they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labkit.arrays import positive, real_array
+from labkit.optics.zernike import zernike
+from labkit.types import Floats
+
+DEFOCUS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedWavefront:
+    """A wavefront, its errors, and the light it was measured in.
+
+    noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
+    waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
+    reaches the sensor. Pupil coordinates as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
+    Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
+    """
+
+    noll: tuple[int, ...]
+    waves: Floats
+    covariance: Floats
+    wavelength_um: float
+    reference_um: float
+    f_number: float
+
+    def __post_init__(self) -> None:
+        modes = len(self.noll)
+        if len(set(self.noll)) < modes or any(j < 1 for j in self.noll):
+            raise ValueError(f"noll = {self.noll}: Noll's modes are counted from 1, and each is given once")
+        for name in ("wavelength_um", "reference_um"):
+            positive(name, getattr(self, name), "um")
+        positive("f_number", self.f_number, "unitless")
+        object.__setattr__(self, "waves", real_array("waves", self.waves, (modes,), "waves RMS, one for each mode"))
+        covariance = np.asarray(self.covariance, float)
+        if covariance.shape != (modes, modes):
+            raise ValueError(f"covariance has shape {covariance.shape}; {(modes, modes)} is needed (waves RMS squared)")
+        if not np.allclose(covariance, covariance.T, rtol=1e-8, equal_nan=True):
+            raise ValueError(f"covariance, shape {covariance.shape}: it is not symmetric (waves RMS squared)")
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def std(self) -> Floats:
+        """(modes,) standard errors of the modes, waves RMS at the reference wavelength."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def cutoff_per_mm(self) -> float:
+        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm."""
+        return 1e3 / (self.wavelength_um * self.f_number)
+
+    @property
+    def radians_per_wave(self) -> float:
+        """Phase, in the light's own wavelength, of one wave of path at the reference wavelength."""
+        return 2 * np.pi * self.reference_um / self.wavelength_um
+
+    def index(self, j: int) -> int:
+        """Where Noll mode j stands in `noll`. Raises ValueError if it is not among them."""
+        if j not in self.noll:
+            raise ValueError(f"Noll mode {j} is not among the fitted: {', '.join(map(str, self.noll))}")
+        return self.noll.index(j)
+
+    def without(self, modes: Collection[int]) -> FittedWavefront:
+        """The same wavefront with some Noll modes left out, they and their covariances; those it has not are no error."""
+        kept = [k for k, j in enumerate(self.noll) if j not in modes]
+        noll = tuple(self.noll[k] for k in kept)
+        return replace(self, noll=noll, waves=self.waves[kept], covariance=self.covariance[np.ix_(kept, kept)])
+
+    def mapped(self, noll: tuple[int, ...], matrix: Floats) -> FittedWavefront:
+        """The wavefront of modes `noll` whose coefficients are a matrix (len(noll), modes) times these."""
+        return replace(self, noll=noll, waves=matrix @ self.waves, covariance=matrix @ self.covariance @ matrix.T)
+
+    def opd(self, x: Floats, y: Floats) -> Floats:
+        """Path difference at points of the pupil, waves at the reference; x, y: of one shape, the pupil's radius is 1."""
+        return np.asarray(np.tensordot(self.waves, modes_at(self.noll, x, y), 1))
+
+    def variance(self, gradient: Floats) -> Floats:
+        """(...) variance of numbers with gradients (modes, ...) by the coefficients, by the delta method."""
+        known = np.isfinite(np.diag(self.covariance))
+        part = np.tensordot(self.covariance[np.ix_(known, known)], gradient[known], 1)
+        variance = np.sum(gradient[known] * part, axis=0).clip(0)
+        for value, slope in zip(np.diag(self.covariance)[~known], gradient[~known], strict=True):
+            variance = variance + np.where(slope != 0, value, 0.0)
+        return np.asarray(variance)
+
+
+def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
+    """The wavefront as it would be at best focus: without Noll 4, and without its errors.
+
+    Best focus is meant as the focus of zero Noll defocus, that of least RMS. To second order in the other modes it is that of
+    the highest Strehl ratio too; through strong higher orders the two differ.
+    """
+    return wavefront.without((DEFOCUS,))
+
+
+def modes_at(noll: tuple[int, ...], x: Floats, y: Floats) -> Floats:
+    """(modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
+    rho, theta = np.hypot(x, y), np.arctan2(y, x)
+    return np.stack([zernike(j, rho, theta) for j in noll]) if noll else np.zeros((0, *np.shape(x)))
