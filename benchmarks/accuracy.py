@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
-from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.world import Truth
-from labkit.plan import parse_plan
+from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 
@@ -62,10 +62,10 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     """Capture, fit, and compare with the truth; one row a fit. Prints a summary of the case."""
     text, context = case.plan(), DeviceContext()
     with (
-        open_devices(parse_plan(text, Path()), context=context) as devices,
+        open_devices(Plan.parse(text, Path()), context=context) as devices,
         Session.create(folder, text, Path()) as session,
     ):
-        capture(session, devices)
+        run_plan(session, devices)
         (bench,) = context.shared.values()
     results = fit(folder)
     rows = [_row(w, bench.truth) for w in results]

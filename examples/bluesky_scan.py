@@ -14,11 +14,11 @@ from typing import Any
 from bluesky import RunEngine
 from bluesky.plans import scan
 
-from labkit.capture.sequence import picture_for
+from labkit.acquisition.sequence import picture_for
 from labkit.devices.bluesky import ScanCamera, ScanRail
 from labkit.devices.protocols import ExposureSettings
 from labkit.devices.registry import open_devices
-from labkit.plan import Plan, load_plan, parse_plan
+from labkit.plan import Plan
 
 SIMULATED = """
 lens = { focal_length_mm = 50.0, f_number = 8.0 }
@@ -55,6 +55,6 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
 
 
 if __name__ == "__main__":
-    chosen = load_plan(Path(sys.argv[2])) if len(sys.argv) > 2 else parse_plan(SIMULATED, Path())
+    chosen = Plan.load(Path(sys.argv[2])) if len(sys.argv) > 2 else Plan.parse(SIMULATED, Path())
     for range_mm, file in focus_scan(chosen, Path(sys.argv[1])):
         print(f"{range_mm:.3f} mm  {file}")

@@ -7,25 +7,29 @@ after an interruption: it goes on where it stopped. (`labkit demo` leaves a plan
 import sys
 from pathlib import Path
 
-from labkit.analysis.results import Results
-from labkit.analysis.wavefronts import fit_session
-from labkit.capture.capture import capture
-from labkit.devices.registry import open_devices
-from labkit.plan import load_plan
-from labkit.report.html import write_report
-from labkit.session.session import begin
+import numpy as np
+
+import labkit
 
 
-def measure(plan_path: Path, folder: Path) -> Results:
-    with open_devices(load_plan(plan_path)) as devices, begin(plan_path, folder, resume=True) as session:
-        capture(session, devices)
-        results = fit_session(session)
-    print("report:", write_report(session.results_folder()))
+def measure(plan_path: Path, folder: Path) -> labkit.Results:
+    """Capture, fit, report; then what a lens test asks of the first channel's sharpest wavefront."""
+    plan = labkit.Plan.load(plan_path).replace(fit={"zernike_noll": (4, 15)})
+    with labkit.open_devices(plan) as bench:
+        session = labkit.capture(plan, bench, folder, resume=True)
+    results = labkit.fit(session)
+    print("report:", labkit.write_report(results))
+    if results.focus is not None:
+        for channel, best in results.focus.best_focus_mm.items():
+            print(f"best focus {channel}: {best}")
+    w = min(results, key=lambda w: abs(w[4].value))
+    print(f"nearest to focus: {w.range_mm:g} mm, {w.channel}")
+    print("  defocus", w[4], "  Strehl ratio", w.strehl)
+    mtf = w.mtf(np.array([25.0, 50.0, 100.0]))
+    for frequency, value, std in zip(mtf.frequency_per_mm, mtf.value, mtf.std, strict=True):
+        print(f"  MTF at {frequency:g} cycles/mm: {labkit.Uncertain(value, std)}")
     return results
 
 
 if __name__ == "__main__":
-    focus = measure(Path(sys.argv[1]), Path(sys.argv[2])).focus
-    if focus is not None:
-        for channel, best_mm, std_mm in zip(focus.channels, focus.best_focus_mm, focus.std, strict=False):
-            print(f"best focus {channel}: {best_mm:.2f} ± {std_mm:.2f} mm")
+    measure(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -9,11 +9,11 @@ from math import dist, hypot
 from pathlib import Path
 from typing import Any
 
+from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
-from labkit.capture.capture import capture
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
-from labkit.plan import parse_plan
+from labkit.plan import Plan
 from labkit.report.html import write_report
 from labkit.results import Results
 from labkit.session.session import Session, refuse_existing
@@ -165,11 +165,11 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
     text = PLAN.format(address=f"simulated:seed={seed}")
     context = DeviceContext()
     with (
-        open_devices(parse_plan(text, Path()), context=context) as devices,
+        open_devices(Plan.parse(text, Path()), context=context) as devices,
         Session.create(folder, text, Path()) as session,
         progress("capturing") as report,
     ):
-        capture(session, devices, progress=report)
+        run_plan(session, devices, progress=report)
         # the bench is a driver's: all that is known of it here is that it can tell the truth
         (bench,) = context.shared.values()
     with progress("fitting") as report:

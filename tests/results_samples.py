@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from labkit.plan import parse_plan
+from labkit.plan import Plan
 from labkit.results import Focus, OptimumTest, Placement, Residuals, Results, Wavefront
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
 
-PLAN = parse_plan(
+PLAN = Plan.parse(
     plan_text(PORTRAIT, {"channel": [{"name": "R", "wavelength_nm": 650.0}, {"name": "B", "wavelength_nm": 450.0}]}),
     Path(),
 )

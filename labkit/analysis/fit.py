@@ -40,13 +40,11 @@ def fit(
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
-    plan: instead of the session's own, such as one with another lens or other modes; noll: first and last mode, instead of
-    the plan's. ranges_mm, channels: only these. workers: processes, by default one a processor. name: "latest" by default;
-    of a fit of only some ranges or channels, their names.
+    plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
+    only these. name: "latest" by default; of a fit of only some ranges or channels, their names.
 
-    Raises SessionError for photographs or a plan that are missing or were altered, DataError for frames that cannot be
-    fitted and for results that hold more wavefronts than this fit would put in their place, TargetError for a target that
-    is not in a frame. Too few ranges for a focus are no error: `Results.unanswered` says so.
+    Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
+    more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
@@ -54,13 +52,7 @@ def fit(
     plan = _plan(session, plan, noll)
     if damage := altered(session):
         raise SessionError("; ".join(damage))
-    every, keys = _wanted_keys(session, plan, None, None), _wanted_keys(session, plan, ranges_mm, channels)
-    name = name or ("latest" if keys == every else _partial_name(ranges_mm, channels))
-    folder = session.results_folder(name)  # before the work, in case it cannot be written to
-    if lost := sorted(kept_keys(folder) - keys):
-        raise DataError(
-            f"{folder} holds {', '.join(lost)} too, which this fit would not replace: give it another name (--name)"
-        )
+    folder = _folder(session, plan, ranges_mm, channels, name)  # before the work, in case it cannot be written to
     target = open_target(plan.target)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     tasks = [Task(optics_of(plan, o.channel), target, o) for o in observations]
@@ -89,6 +81,18 @@ def _plan(session: Session, plan: Plan | Path | str | None, noll: tuple[int, int
 def _plan_text(session: Session, plan: Plan) -> str:
     """The TOML whose checksum results carry: the session's own file, or that of the plan that took its place."""
     return (session.folder / "plan.toml").read_text(encoding="utf-8") if plan == session.plan else plan.to_toml()
+
+
+def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None) -> Path:
+    """Where the results go. Raises DataError where they would take the place of more than they are."""
+    keys = _wanted_keys(session, plan, ranges_mm, channels)
+    whole = keys == _wanted_keys(session, plan, None, None)
+    folder = session.results_folder(name or ("latest" if whole else _partial_name(ranges_mm, channels)))
+    if lost := sorted(kept_keys(folder) - keys):
+        raise DataError(
+            f"{folder} holds {', '.join(lost)} too, which this fit would not replace: give it another name (--name)"
+        )
+    return folder
 
 
 def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[str]:

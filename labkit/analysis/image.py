@@ -38,19 +38,17 @@ def fit_image(
     gain: float | None = None,
     read_noise: float | None = None,
 ) -> Wavefront:
-    """The wavefront of one colour, from photographs of a target at one range, its light and its pose estimated with it.
+    """The wavefront of one colour, from photographs in memory of a target at one range.
 
-    counts: (rows, columns) or (frames, rows, columns), the black level removed, nothing demosaiced. cfa_pattern: "mono", or of
-    the 2 × 2 cell row by row, such as "RGGB", whose colour `channel` is fitted. mask: of the same shape, True where a pixel is
-    good. corners_px: (4, 2) [row, column] of the target's corners, or (frames, 4, 2), if they need not be searched for.
-    mm_per_pixel: on the target, about, if it is known. gain: counts per electron; read_noise: counts; estimated from these
-    frames alone where they are not given. There are no flats: uneven light is estimated to low order.
+    counts: (rows, columns) or (frames, rows, columns), black level removed, nothing demosaiced. cfa_pattern: "mono", or the
+    2 × 2 cell row by row, such as "RGGB", whose colour `channel` is fitted. mask: of counts' shape, True where a pixel is good.
+    corners_px: (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search; mm_per_pixel: on the
+    target, about. gain: counts per electron, read_noise: counts; estimated from these frames where not given. There are no
+    flats: uneven light is estimated to low order. Of twins the one is taken whose largest even mode is positive.
 
-    Of a wavefront and its twin, which look the same, the one is returned whose largest even mode is positive. Raises
-    ValueError for arrays of other shapes, TargetError where the target is not in a frame, DataError where too little of it is.
+    Raises ValueError for other shapes, TargetError where the target is not in a frame, DataError where no pixel sees it.
 
-    >>> target = labkit.open_target("sierpinski:order=4,size_mm=15.6")
-    >>> w = labkit.fit_image(counts, target, optics)
+    >>> w = labkit.fit_image(counts, labkit.open_target("sierpinski:order=4,size_mm=15.6"), optics)
     """
     images = _frames("counts", counts)
     good = (
@@ -60,24 +58,21 @@ def fit_image(
     )
     pattern = pattern_of(cfa_pattern)
     places = ((0, 0),) if pattern == MONO else places_of(pattern, channel)
-    every = 1 if pattern == MONO else 2
     corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
-    rows, columns = cut_around(corners, images.shape[1:])
-    poses = [Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners]
-    frames = []
-    for image, usable, pose in zip(images[:, rows, columns], good[:, rows, columns], poses, strict=True):
-        used = _of_channel(image.shape, places, every) & usable
-        frames.append(_frame(image, used if target.surround is not None else used & sees_target_only(pose, used.shape)))
+    cut = rows, columns = cut_around(corners, images.shape[1:])
+    poses = tuple(Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners)
+    period = 1 if pattern == MONO else 2
+    usable = good[:, rows, columns] & _of_channel(images[0][cut].shape, places, period)
     observation = Observation(
         range_mm=None,
         measured_range_mm=None,
         channel=channel,
         names=(),
-        frames=tuple(frames),
-        poses=tuple(poses),
+        frames=tuple(_frame(*one, target) for one in zip(images[:, rows, columns], usable, poses, strict=True)),
+        poses=poses,
         noise=_noise(images, gain, read_noise),
         places=places,
-        period=every,
+        period=period,
         origin_px=(rows.start, columns.start),
     )
     task = Task(optics, target, observation)
@@ -115,7 +110,9 @@ def _of_channel(shape: Sequence[int], places: Sequence[tuple[int, int]], every: 
     return used
 
 
-def _frame(image: Floats, used: Bools) -> FrameData:
+def _frame(image: Floats, used: Bools, pose: Pose, target: Target) -> FrameData:
+    if target.surround is None:
+        used = used & sees_target_only(pose, used.shape)
     if not used.any():
         raise DataError("no usable pixel on the target: look at mask and corners_px")
     one = np.ones(image.shape)

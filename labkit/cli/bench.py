@@ -56,7 +56,7 @@ def devices(
 @camera_app.command("settings")
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """Everything that a camera lets be set or read."""
-    from labkit.capture.camera_check import offered, open_alone
+    from labkit.acquisition.camera_check import offered, open_alone
 
     console: Console = ctx.obj
     alone = open_alone(where)
@@ -75,7 +75,7 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
 @camera_app.command("test")
 def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """Take one photograph, keep nothing of it: focus, clipping, noise."""
-    from labkit.capture.camera_check import open_alone, take_test_frame
+    from labkit.acquisition.camera_check import open_alone, take_test_frame
 
     console: Console = ctx.obj
     alone = open_alone(where)
@@ -169,13 +169,13 @@ def capture(
     listen: Listen = None,
 ) -> None:
     """Run a plan: flats and photographs of the target at every range."""
-    from labkit.capture.capture import capture as run_capture
-    from labkit.capture.sequence import missing, picture_for
-    from labkit.plan import load_plan
+    from labkit.acquisition.capture import run_plan as run_capture
+    from labkit.acquisition.sequence import missing, picture_for
+    from labkit.plan import Plan
     from labkit.session.session import JOURNAL, begin, refuse_existing
 
     console: Console = ctx.obj
-    wanted = load_plan(plan)
+    wanted = Plan.load(plan)
     if not resume:
         refuse_existing(session)
     with ExitStack() as stack:
@@ -241,10 +241,10 @@ def rail_calibrate(
     from labkit.devices.context import DeviceContext
     from labkit.devices.rail_calibration import find_zero, stops
     from labkit.devices.registry import open_rail
-    from labkit.plan import load_plan
+    from labkit.plan import Plan
 
     console: Console = ctx.obj
-    wanted = load_plan(plan)
+    wanted = Plan.load(plan)
     if wanted.rail is None:
         raise PlanError("the plan has no [rail]")
     with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:

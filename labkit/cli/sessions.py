@@ -71,18 +71,24 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
 
 
+OnlyRanges = Annotated[list[float] | None, typer.Option("--range", metavar="MM", help="Only this range; again.")]
+OnlyChannels = Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this channel; again.")]
+OtherPlan = Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Instead of the session's own.")]
+Modes = Annotated[str | None, typer.Option(metavar="FIRST:LAST", help="Of Zernike's, by Noll: such as 4:22.")]
+ResultsName = Annotated[str | None, typer.Option(metavar="NAME", help="Of the results; by default latest.")]
+Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")]
+
+
 @app.command()
 def fit(
     ctx: typer.Context,
     session: SessionPath,
-    range_mm: Annotated[
-        list[float] | None, typer.Option("--range", metavar="MM", help="Only this range; again.")
-    ] = None,
-    channel: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this channel; again.")] = None,
-    plan: Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Instead of the session's own.")] = None,
-    noll: Annotated[str | None, typer.Option(metavar="FIRST:LAST", help="Modes, such as 4:22.")] = None,
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="Of the results; by default latest.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+    range_mm: OnlyRanges = None,
+    channel: OnlyChannels = None,
+    plan: OtherPlan = None,
+    noll: Modes = None,
+    name: ResultsName = None,
+    workers: Workers = None,
 ) -> None:
     """Flat field, wavefronts, best focus."""
     from labkit.analysis.fit import fit as fit_session
@@ -156,11 +162,11 @@ def advise(
 ) -> None:
     """Before capture: what the target, the light and the ranges of a plan will tell."""
     from labkit.analysis.advise import advise as advise_on
-    from labkit.plan import load_plan
+    from labkit.plan import Plan
     from labkit.summary import advice_rows
 
     console: Console = ctx.obj
-    advice = advise_on(load_plan(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
+    advice = advise_on(Plan.load(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
     told, focus = advice_rows(advice)
     console.table(told)
     console.table(focus)
@@ -175,7 +181,7 @@ def study(
     name: Annotated[str, typer.Argument(metavar="NAME", help="which; a wrong one lists them")],
     quick: Annotated[bool, typer.Option("--quick", help="A few trials: to see that it works.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write its figure, CSV and JSON here.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+    workers: Workers = None,
 ) -> None:
     """An experiment of the thesis; prints its claims beside ours as JSON."""
     from labkit.execute import default_workers

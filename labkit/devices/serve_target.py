@@ -15,7 +15,7 @@ from labkit.devices.protocols import Display, Picture
 from labkit.devices.registry import observers_of
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.errors import DisplayError, PlanError
-from labkit.plan import DisplaySettings, Plan, load_plan
+from labkit.plan import DisplaySettings, Plan
 from labkit.target import Target
 
 TARGET = "target"
@@ -63,7 +63,7 @@ def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str
     Of these plans only [display] is there. Raises PlanError.
     """
     if not panels and spec.endswith(".toml"):
-        settings = load_plan(Path(spec)).display
+        settings = Plan.load(Path(spec)).display
         if settings is None:
             raise PlanError(f"plan {spec}: it has no [display]; add one, or give --panel")
         return [(settings.address, Plan.model_construct(display=settings))]

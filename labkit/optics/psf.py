@@ -56,7 +56,7 @@ class Pupil:
         rho, theta = np.hypot(x, y), np.arctan2(y, x)
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "amplitude", disc_area(offsets, self.radius))
-        object.__setattr__(self, "modes", np.stack([zernike(j, rho, theta) for j in self.noll]))
+        object.__setattr__(self, "modes", np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape))
 
     @property
     def radius(self) -> float:

@@ -13,9 +13,6 @@ from labkit.plan.tables import (
     TargetSpec,
 )
 
-load_plan = Plan.load
-parse_plan = Plan.parse
-
 __all__ = [
     "CameraSettings",
     "Channel",
@@ -27,6 +24,4 @@ __all__ = [
     "Sensor",
     "Table",
     "TargetSpec",
-    "load_plan",
-    "parse_plan",
 ]

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from labkit.errors import PlanError, SessionError
 from labkit.files import check_name, copy_durably, sha256_of, sync_folder, writing
-from labkit.plan import Plan, load_plan, parse_plan
+from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
 from labkit.session.frame import FRAMES, NEEDED, Frame, event_problem, frame_of, pending
 from labkit.session.journal import Event, JournalWriter, read_journal
@@ -62,7 +62,7 @@ class Session:
         Raises PlanError, or SessionError if `folder` exists and is not empty.
         """
         folder = Path(folder)
-        plan = parse_plan(plan_text, Path(plan_folder))
+        plan = Plan.parse(plan_text, Path(plan_folder))
         refuse_existing(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         beside = folder.parent / f".{folder.name}.{os.getpid()}.new"
@@ -163,7 +163,7 @@ class Session:
         """Put another plan in place of the session's. Raises PlanError, or SessionError once there is a photograph."""
         if self.frames:
             raise SessionError(f"session {self.folder} has photographs: its plan stays")
-        plan = parse_plan(plan_text, plan_folder)
+        plan = Plan.parse(plan_text, plan_folder)
         self._write("replanned", **store_plan(plan, plan_text, self.folder, (JOURNAL, FRAMES, RESULTS)))
         self._plan = None
 
@@ -237,25 +237,29 @@ def refuse_existing(folder: Path) -> None:
         raise SessionError(f"{folder} cannot be made: {above} is no folder")
 
 
-def begin(plan_path: str | Path, folder: str | Path, resume: bool) -> Session:
-    """A session to capture into: a new one, or with `resume` the one in `folder` if there is one.
+def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
+    """A session to capture into: a new one, or with `resume` the one in `folder` if there is one. plan: or its path.
 
     Until its first photograph a session takes up what has changed in the plan; a preflight may ask for that. Raises
     SessionError where a session is there and resume is not set or its plan was altered, PlanError where its photographs
     were taken by another plan.
     """
-    plan_path, folder = Path(plan_path), Path(folder)
-    plan, text = load_plan(plan_path), plan_path.read_text(encoding="utf-8-sig")
+    folder = Path(folder)
+    if isinstance(plan, Plan):
+        name, text, place = "given", plan.to_toml(), Path()
+    else:
+        name, plan_path, plan = str(plan), Path(plan), Plan.load(plan)
+        text, place = plan_path.read_text(encoding="utf-8-sig"), plan_path.parent
     if not resume or not (folder / JOURNAL).exists():
-        return Session.create(folder, text, plan_path.parent)
+        return Session.create(folder, text, place)
     with ExitStack() as on_failure:
         session = on_failure.enter_context(Session.append(folder))
         if not session.frames:  # a crash may have cut a change of plan short
             if session.plan_damage() or changed_tables(session.plan, plan):
-                session.replan(text, plan_path.parent)
+                session.replan(text, place)
         elif changed := ", ".join(f"[{name}]" for name in changed_tables(session.plan, plan)):
             raise PlanError(
-                f"plan {plan_path} differs in {changed} from the one that the photographs in {folder} were taken by, "
+                f"plan {name} differs in {changed} from the one that the photographs in {folder} were taken by, "
                 f"{folder / PLAN}: go on with that one, or give a new folder"
             )
         on_failure.pop_all()

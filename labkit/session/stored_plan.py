@@ -10,7 +10,7 @@ from pathlib import Path
 
 from labkit.errors import SessionError
 from labkit.files import check_name, checksum_problem, copy_durably, sha256_of, write_atomically
-from labkit.plan import Plan, load_plan
+from labkit.plan import Plan
 from labkit.session.journal import Event
 
 PLAN = "plan.toml"
@@ -44,7 +44,7 @@ def plan_as_run(folder: Path, planned: Event) -> Plan:
             f"{'; '.join(damage)}: a session's plan stays as it was run; restore it, or analyse with another one: "
             f"labkit fit {folder} --plan OTHER.toml"
         )
-    return load_plan(folder / PLAN)
+    return Plan.load(folder / PLAN)
 
 
 def plan_damage(folder: Path, planned: Event) -> list[str]:

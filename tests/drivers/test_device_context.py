@@ -11,7 +11,7 @@ import pytest
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices, open_monitor
-from labkit.plan import Plan, parse_plan
+from labkit.plan import Plan
 from tests.plans import SMALL, plan_text, simulated
 
 WEB = "web://127.0.0.1:0"
@@ -19,7 +19,7 @@ WEB = "web://127.0.0.1:0"
 
 def plan(rail: str = "simulated:", display: str = "simulated:") -> Plan:
     places: dict[str, Any] = {"rail": {"address": rail, "microstep_um": 0.5}, "display": {"address": display}}
-    return parse_plan(plan_text(SMALL, simulated([2000, 2050], 1950.0), places), Path())
+    return Plan.parse(plan_text(SMALL, simulated([2000, 2050], 1950.0), places), Path())
 
 
 def held(context: DeviceContext) -> tuple[Any, ...]:

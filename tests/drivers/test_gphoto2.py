@@ -23,7 +23,7 @@ from labkit.drivers.gphoto2.camera import Gphoto2Camera
 from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import CameraError, DeviceError, DeviceTimeoutError, PlanError
-from labkit.plan import Sensor, parse_plan
+from labkit.plan import Plan, Sensor
 from labkit.raw.decode import read_raw
 from tests.plans import SMALL, plan_text
 
@@ -313,10 +313,10 @@ def test_the_photograph_of_an_exposure_in_flight_is_not_overwritten(
 
 
 def test_it_is_opened_by_address(scene: Scene) -> None:
-    with open_camera("gphoto2:", parse_plan(plan_text(SMALL), Path()), DeviceContext()) as camera:
+    with open_camera("gphoto2:", Plan.parse(plan_text(SMALL), Path()), DeviceContext()) as camera:
         assert camera.identify().serial == "0.1"
     with pytest.raises(PlanError, match="allowed is gphoto2: for the only camera"):
-        open_camera("gphoto2:nikon", parse_plan(plan_text(SMALL), Path()), DeviceContext())
+        open_camera("gphoto2:nikon", Plan.parse(plan_text(SMALL), Path()), DeviceContext())
 
 
 def test_a_body_that_wants_live_view_first_is_given_it(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:

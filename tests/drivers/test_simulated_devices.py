@@ -19,7 +19,7 @@ from labkit.drivers.simulated.rail import SimulatedRail
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueSensor
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
-from labkit.plan import Plan, parse_plan
+from labkit.plan import Plan
 from tests.plans import IPAD, SMALL, plan_text, simulated
 
 TEXT = plan_text(
@@ -34,7 +34,7 @@ def plan(**changes: str) -> Plan:
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
-    return parse_plan(text, Path())
+    return Plan.parse(text, Path())
 
 
 def a_bench(*faults: Fault) -> Bench:
@@ -158,7 +158,7 @@ def test_two_simulated_worlds_in_one_room_are_refused() -> None:
     text = TEXT.replace('"simulated:"', '"simulated:seed=2"', 1)
     with (
         pytest.raises(PlanError, match="give simulated devices the same address"),
-        open_devices(parse_plan(text, Path())),
+        open_devices(Plan.parse(text, Path())),
     ):
         pass
 
@@ -176,7 +176,7 @@ def test_an_unknown_driver_is_told_with_those_installed() -> None:
 
 
 def test_a_plan_without_devices_cannot_be_opened() -> None:
-    bare = parse_plan(TEXT[: TEXT.index("[rail]")], Path())
+    bare = Plan.parse(TEXT[: TEXT.index("[rail]")], Path())
     with pytest.raises(PlanError, match=r"has no \[rail\], \[display\]"), open_devices(bare):
         pass
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.capture.capture import capture
+from labkit.acquisition.capture import run_plan
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.operator import Operator
 from labkit.devices.panel_image import panel_picture
@@ -23,7 +23,7 @@ from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.preview import BINS, exposure, histogram
 from labkit.finder.sharpness import sharpest_edge_px
-from labkit.plan import TargetSpec, load_plan
+from labkit.plan import Plan, TargetSpec
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session, begin
@@ -94,7 +94,7 @@ class Table:
     def __init__(self, lab: Lab, glass: OpenGlass, folder: Path) -> None:
         self.plan_file = folder / "plan.toml"
         self.plan_file.write_text(PLAN)
-        plan = load_plan(self.plan_file)
+        plan = Plan.load(self.plan_file)
         bench = small_bench(plan)
         self.context = DeviceContext(shared=SharedParts({"simulated:seed=7": bench}))
         web = lab.display(400, 400)
@@ -120,7 +120,7 @@ class Table:
 
     def capture(self, folder: Path, resume: bool = False) -> Session:
         with begin(self.plan_file, folder, resume) as session:
-            capture(session, self.devices, check=False)
+            run_plan(session, self.devices, check=False)
         return session
 
     def reads(self, element: str, words: str) -> None:

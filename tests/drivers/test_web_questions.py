@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from labkit.capture.capture import capture
+from labkit.acquisition.capture import run_plan
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, CameraInfo, ExposureSettings, RawFrame
 from labkit.devices.registry import observers_of, open_devices, open_display, open_monitor
 from labkit.devices.shared import SharedParts
 from labkit.errors import PlanError
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.session.session import Session, begin
 
 from .conftest import WAIT_S, Glass, reads, small_bench
@@ -100,7 +100,7 @@ class Night:
                     self.context.operator.ask(words, "done")
                     self.bench.covered = words.startswith("Put")
 
-                capture(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
+                run_plan(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
             self.ended.append(None)
         except BaseException as error:
             self.ended.append(error)
@@ -114,7 +114,7 @@ def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             '"web:"', f'"{BENCH}"'
         )
     )
-    plan = load_plan(tmp_path / "plan.toml")
+    plan = Plan.load(tmp_path / "plan.toml")
     context = DeviceContext(shared=SharedParts({BENCH: small_bench(plan)}))
     with open_monitor("web://127.0.0.1:0", plan, context) as page:
         yield Night(replace(context, observers=(page,)), glass, tmp_path)
@@ -222,7 +222,7 @@ def test_a_question_is_text_not_html(night: Night) -> None:
 def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
-    plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
+    plan, context = Plan.load(tmp_path / "plan.toml"), DeviceContext()
     assert plan.display is not None
     with open_monitor("web:", plan, context) as page:
         (server,) = context.shared.values()
@@ -237,7 +237,7 @@ def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monke
 def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN)
-    plan, context = load_plan(tmp_path / "plan.toml"), DeviceContext()
+    plan, context = Plan.load(tmp_path / "plan.toml"), DeviceContext()
     with open_monitor("web://127.0.0.1:0", plan, context):
         (server,) = context.shared.values()
         assert server._socket.getsockname()[0] == "127.0.0.1"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labkit.calibration.calibrate import Calibration, calibrate, channel_data
 from labkit.finder.find_target import find_target, grey_image
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session
 from labkit.target import open_target
@@ -40,7 +40,7 @@ def calibration(session: Session) -> Calibration:
 
 
 def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
-    plan = load_plan(plan_path)
+    plan = Plan.load(plan_path)
     mosaic = read_raw(path, plan.sensor)
     return find_target(grey_image(mosaic.counts, mosaic.pattern), open_target(plan.target))
 
@@ -50,7 +50,7 @@ def test_a_still_target_is_found_twice_in_the_same_place_and_of_the_right_size(r
     folder = GOLDEN / "open"
     first, second = (found_in(folder / f"target_{range_mm}_{k}.dng", folder / "plan.toml") for k in range(2))
     assert np.max(np.abs(first - second)) < 0.05
-    plan = load_plan(folder / "plan.toml")
+    plan = Plan.load(folder / "plan.toml")
     f, pitch = plan.lens.focal_length_mm, plan.sensor.pixel_pitch_um * 1e-3
     side = plan.target.size_mm * f / (range_mm - f) / pitch
     sides = np.linalg.norm(first - np.roll(first, 1, axis=0), axis=1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labkit.capture.sequence import picture_for
+from labkit.acquisition.sequence import picture_for
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import ExposureSettings, Picture
 from labkit.devices.registry import open_devices
@@ -16,7 +16,7 @@ from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
-from labkit.plan import load_plan, parse_plan
+from labkit.plan import Plan
 from tests.plans import SMALL, plan_text, simulated
 
 from .rails_in_trouble import DEVICES, Photographs
@@ -46,7 +46,7 @@ def make_context() -> ContextMaker:
 
 def small_bench(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> DeviceContext:
     """A context with the plan's bench in it, with faults, and with more or less light than the plan expects."""
-    settings = settings_for(load_plan(plan_file), 7)
+    settings = settings_for(Plan.load(plan_file), 7)
     sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
     bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
     return DeviceContext(shared=SharedParts({ADDRESS: bench}))
@@ -65,7 +65,7 @@ def photograph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
     """Taken on the simulated bench."""
     folder = tmp_path_factory.mktemp("photographs")
-    plan = parse_plan(plan_text(SMALL, DEVICES), folder)
+    plan = Plan.parse(plan_text(SMALL, DEVICES), folder)
     bench = Bench(replace(settings_for(plan, 1), halo_um=100.0))
     with open_devices(plan, context=DeviceContext(shared=SharedParts({"simulated:": bench}))) as devices:
         devices.camera.configure(ExposureSettings(0.02, 100))

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from labkit.capture.capture import capture
-from labkit.capture.sequence import missing
+from labkit.acquisition.capture import run_plan
+from labkit.acquisition.sequence import missing
 from labkit.devices.context import Devices
 from labkit.devices.protocols import (
     Camera,
@@ -165,7 +165,7 @@ def run(setup: Setup, bench: Bench, folder: Path, resume: bool = False, check: b
     plan.write_text(plan_text(SMALL, DEVICES, ONE_OF_EACH, {"rail": {"range_at_zero_mm": setup.zero_mm}}))
     try:
         with setup.rail(bench.port) as rail, begin(plan, folder, resume) as session:
-            capture(session, bench.devices(rail), check=check)
+            run_plan(session, bench.devices(rail), check=check)
     except LabkitError as error:
         return str(error)
     return None

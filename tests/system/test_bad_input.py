@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from labkit.capture.capture import capture
+from labkit.acquisition.capture import run_plan
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
@@ -23,7 +23,7 @@ from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.errors import RawError
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.session.session import Session, begin
 
 from .conftest import ADDRESS, ContextMaker
@@ -36,7 +36,7 @@ def folder(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> Path:
         begin(plan_file, tmp_path / "session", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
-        capture(session, devices, check=False)
+        run_plan(session, devices, check=False)
     return tmp_path / "session"
 
 
@@ -161,7 +161,7 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
     text = plan_file.read_text()
     plan_file.write_text(text.replace("darks = 3", "darks = 4"))
     (folder / "plan.toml").write_text(plan_file.read_text())  # one dark more is wanted
-    settings = settings_for(load_plan(plan_file), 7)
+    settings = settings_for(Plan.load(plan_file), 7)
     larger = Bench(replace(settings, sensor=replace(settings.sensor, rows=settings.sensor.rows + 32)), [])
     before = contents(folder / "frames")
     with (
@@ -169,7 +169,7 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
         open_devices(session.plan, context=DeviceContext(shared=SharedParts({ADDRESS: larger}))) as devices,
         pytest.raises(RawError, match=r"dark_3, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × "),
     ):
-        capture(session, devices, check=False)
+        run_plan(session, devices, check=False)
     assert contents(folder / "frames") == before
     assert [path.name for path in (folder / "rejected").iterdir()] == ["dark_3.dng"]
 
@@ -183,7 +183,7 @@ def test_too_few_ranges_for_a_focus_are_said_after_all_that_could_be_fitted(
         begin(plan_file, tmp_path / "session", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
-        capture(session, devices, check=False)
+        run_plan(session, devices, check=False)
     assert run(["fit", str(tmp_path / "session"), "--workers", "1"]) == 2
     out, err = capfd.readouterr()
     results = tmp_path / "session" / "results" / "latest" / "results.json"

@@ -38,7 +38,7 @@ def a_rail(*faults: LineFault, speed: float = 60_000) -> Iterator[tuple[PtyPort,
 
 def test_the_example_scans_through_focus(tmp_path: Path) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "bluesky_scan.py"))
-    plan = example["parse_plan"](example["SIMULATED"], Path())
+    plan = example["Plan"].parse(example["SIMULATED"], Path())
     found = example["focus_scan"](plan, tmp_path / "scan")
     assert [range_mm for range_mm, _ in found] == pytest.approx([2000, 2025, 2050], abs=0.005)
     for _, file in found:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.capture.capture import capture
-from labkit.capture.sequence import missing
+from labkit.acquisition.capture import run_plan
+from labkit.acquisition.sequence import missing
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.world import Fault
@@ -22,7 +22,7 @@ from labkit.errors import (
     RailError,
     SessionError,
 )
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
@@ -34,7 +34,7 @@ ALL = 3 + 2 * (2 + 2)
 
 def run(plan_file: Path, folder: Path, context: DeviceContext, resume: bool = False, check: bool = True) -> Session:
     with begin(plan_file, folder, resume) as session, open_devices(session.plan, context=context) as devices:
-        capture(session, devices, check=check)
+        run_plan(session, devices, check=check)
     return session
 
 
@@ -154,7 +154,7 @@ def test_ctrl_c_stops_the_rail_and_leaves_a_session_that_resume_finishes(
         open_devices(session.plan, context=context) as devices,
         pytest.raises(KeyboardInterrupt),
     ):
-        capture(session, devices, progress=interrupt)
+        run_plan(session, devices, progress=interrupt)
     assert session.events[-1]["event"] == "interrupted"
     assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
 
@@ -196,7 +196,7 @@ def test_a_plan_may_be_mended_until_the_first_photograph(
     plan_file.write_text(right)
     session = run(plan_file, tmp_path / "s", make_context(plan_file), resume=True)
     assert len(session.frames) == ALL
-    assert session.plan == load_plan(plan_file)
+    assert session.plan == Plan.load(plan_file)
     assert [event["event"] for event in session.events].count("replanned") == 1
     assert verify(Session.open(tmp_path / "s")) == []
 
@@ -237,8 +237,8 @@ def test_a_person_is_asked_for_the_cap_where_the_camera_has_none(
     ):
         bare = Devices(BareCamera(devices), devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
         with pytest.raises(PlanError, match=r"run this at a terminal or with --monitor, or set camera\.darks = 0"):
-            capture(session, bare)
-        capture(session, bare, ask=ask)
+            run_plan(session, bare)
+        run_plan(session, bare, ask=ask)
     assert asked == ["Put the cap on the lens", "Take the cap off the lens"]
     assert len(session.frames) == ALL
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.capture.capture import capture
+from labkit.acquisition.capture import run_plan
 from labkit.devices.context import DeviceContext
 from labkit.devices.observer import Observer
 from labkit.devices.registry import open_devices
@@ -28,7 +28,7 @@ from labkit.drivers.simulated.rail import SimulatedRail
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
 from labkit.errors import DeviceError, InputError, RailError
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
 from labkit.types import Floats32
@@ -69,7 +69,7 @@ class WatchedBench(Bench):
     drawn: dict[tuple[float, bytes], Floats32] = {}  # noqa: RUF012
 
     def __init__(self, plan_file: Path, *faults: Fault) -> None:
-        super().__init__(settings_for(load_plan(plan_file), 1), faults)
+        super().__init__(settings_for(Plan.load(plan_file), 1), faults)
         self.seen: dict[str, tuple[str, float]] = {}
 
     def expose(self, exposure_s: float, iso: int, name: str) -> NDArray[np.uint16]:
@@ -87,7 +87,7 @@ class WatchedBench(Bench):
 def run(plan_file: Path, folder: Path, bench: Bench, *observers: Observer) -> Session:
     context = DeviceContext(shared=SharedParts({"simulated:": bench}), observers=tuple(observers))
     with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
-        capture(session, devices)
+        run_plan(session, devices)
     return session
 
 

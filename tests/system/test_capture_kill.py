@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.capture.capture import capture
-from labkit.capture.sequence import missing
+from labkit.acquisition.capture import run_plan
+from labkit.acquisition.sequence import missing
 from labkit.devices.registry import open_devices
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
@@ -32,7 +32,7 @@ CLEAN.set_forkserver_preload([__name__])
 def run(plan_file: Path, folder: Path, check: bool = True) -> None:
     context = small_bench(plan_file)
     with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
-        capture(session, devices, check=check)
+        run_plan(session, devices, check=check)
 
 
 def journal_bytes(folder: Path) -> int:

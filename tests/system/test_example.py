@@ -8,7 +8,7 @@ import pytest
 
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 ROOT = Path(__file__).parents[2]
@@ -26,10 +26,13 @@ def test_the_example_measures_a_lens(tmp_path: Path, capsys: pytest.CaptureFixtu
     plan_path.write_text(PLAN)
     measure = runpy.run_path(str(ROOT / "examples" / "measure_lens.py"))["measure"]
     results = measure(plan_path, tmp_path / "session")
-    truth = Bench(settings_for(load_plan(plan_path), seed=1)).truth
+    truth = Bench(settings_for(Plan.load(plan_path), seed=1)).truth
     assert results.focus is not None
+    best = results.focus["G"]
     # four standard errors, and the rail's scatter, which they do not know of
-    std_mm = np.hypot(results.focus.std[0], settings_for(load_plan(plan_path), seed=1).rail.scatter_mm)
-    assert results.focus.best_focus_mm[0] == pytest.approx(truth.best_focus_mm["G"], abs=4 * std_mm)
-    assert "report.html" in capsys.readouterr().out
+    std_mm = np.hypot(best.std, settings_for(Plan.load(plan_path), seed=1).rail.scatter_mm)
+    assert best.value == pytest.approx(truth.best_focus_mm["G"], abs=4 * std_mm)
+    printed = capsys.readouterr().out
+    assert f"best focus G: {best}" in printed
+    assert "MTF at 100 cycles/mm" in printed
     assert (tmp_path / "session" / "results" / "latest" / "report.html").stat().st_size > 10_000

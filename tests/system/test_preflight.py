@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labkit.capture.capture import capture
-from labkit.capture.sequence import picture_for
+from labkit.acquisition.capture import run_plan
+from labkit.acquisition.sequence import picture_for
 from labkit.devices.context import Devices
 from labkit.devices.protocols import Check, ExposureSettings, Picture, Shown
 from labkit.devices.registry import open_devices
@@ -20,7 +20,7 @@ from labkit.errors import DataError, DeviceError, InputError, LabkitError, Targe
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.target import open_target
@@ -64,7 +64,7 @@ def problems_of(
         display = Display(devices, turned)
         devices = Devices(devices.camera, devices.rail, display, devices.wait)  # type: ignore[arg-type]
         with pytest.raises(LabkitError) as caught:
-            capture(session, devices)
+            run_plan(session, devices)
     assert Session.open(folder).frames == ()
     assert "\n" not in str(caught.value)
     return caught.value
@@ -78,7 +78,7 @@ def test_what_is_right_is_noted_with_blur_margin_and_room(
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
-        capture(session, devices, warn=said.append)
+        run_plan(session, devices, warn=said.append)
     (noted,) = [event for event in session.events if event["event"] == "preflight"]
     assert noted["problems"] == []
     assert said == []
@@ -94,7 +94,7 @@ def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
-        capture(session, devices)
+        run_plan(session, devices)
     moves = [event["range_mm"] for event in session.events if event["event"] == "moved"]
     assert moves == [2050.5, 2000, 2050.5]
 
@@ -170,7 +170,7 @@ def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_conte
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file, faults)) as devices,
     ):
-        capture(session, devices)
+        run_plan(session, devices)
     assert len(session.frames) == 11
 
 
@@ -180,7 +180,7 @@ SHARP = plan_text(PORTRAIT, simulated([2600, 3000, 3400], 2400.0), {"display": I
 def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(SHARP)
-    plan = load_plan(path)
+    plan = Plan.load(path)
     target = open_target(plan.target)
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     with open_devices(plan) as devices:

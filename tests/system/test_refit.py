@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
-from labkit.capture.capture import capture
 from labkit.cli import run
 from labkit.devices.registry import open_devices
 from labkit.errors import DataError
@@ -27,7 +27,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     few = {"camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2}, "fit": {"zernike_noll": [4, 6]}}
     text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
     with Session.create(folder / "session", text, folder) as opened, open_devices(opened.plan) as devices:
-        capture(opened, devices, check=False)
+        run_plan(opened, devices, check=False)
     fit(folder / "session", workers=1)
     return folder / "session"
 

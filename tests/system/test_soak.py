@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labkit.capture.capture import capture
+from labkit.acquisition.capture import run_plan
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.controllers import grbl as grbl_simulator
 from labkit.session.session import begin
@@ -53,7 +53,7 @@ def test_memory_threads_and_handles_stay_flat_over_500_frames(
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
-        capture(session, devices, progress=lambda done, total, step: held.update({done: Held.now()}))
+        run_plan(session, devices, progress=lambda done, total, step: held.update({done: Held.now()}))
     assert len(session.frames) == FRAMES
     assert verify(session) == []
     settled = [held[done] for done in range(SETTLED, FRAMES + 1)]

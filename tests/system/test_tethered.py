@@ -20,8 +20,8 @@ import pytest
 from numpy.typing import NDArray
 
 import labkit.drivers.simulated.bench
+from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
-from labkit.capture.capture import capture
 from labkit.demo import compare
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.protocols import CameraInfo, Check, ExposureSettings, RawFrame
@@ -32,7 +32,7 @@ from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import DeviceError
-from labkit.plan import load_plan
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
@@ -92,14 +92,14 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     plan_file.write_text(PLAN)
     context = DeviceContext()
     with (
-        open_devices(load_plan(plan_file), context=context) as simulated,
+        open_devices(Plan.load(plan_file), context=context) as simulated,
         Gphoto2Camera("", f_number=4.0, keep=False, wait=time.sleep, release_s=1.0) as tethered,
         begin(plan_file, tmp_path / "session", resume=False) as session,
     ):
         bench: Bench = next(iter(context.shared.values()))
         camera = CameraOnTheBench(tethered, bench, photograph)
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
-        capture(session, devices, check=False)
+        run_plan(session, devices, check=False)
     # more photographs than the virtual camera's card holds, so it was opened again on the way
     assert len(session.frames) == 4 + 3 * (6 + 2)
     assert verify(session) == []
@@ -133,7 +133,7 @@ def tethered_capture(
         camera = CameraOnTheBench(tethered, next(iter(bench_room.shared.values())), photograph)
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
         said: list[str] = []
-        capture(session, devices, warn=said.append)
+        run_plan(session, devices, warn=said.append)
     assert said[0].startswith("check by hand: ")
     assert "; ISO 100" in said[0]
     return session
@@ -176,5 +176,5 @@ def _counts_of_the_simulated_camera(plan_file: Path, folder: Path, like: Bench) 
     bench._seen = like._seen
     context = DeviceContext(shared=SharedParts({"simulated:seed=3": bench}))
     with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
-        capture(session, devices, check=False)
+        run_plan(session, devices, check=False)
     return _counts(session)

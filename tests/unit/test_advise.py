@@ -10,14 +10,14 @@ from labkit.analysis.advise import advise, best_order
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
-from labkit.plan import Plan, parse_plan
+from labkit.plan import Plan
 
 TEXT = PLAN.format(address="simulated:")
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return parse_plan(TEXT, Path())
+    return Plan.parse(TEXT, Path())
 
 
 def test_errors_are_those_that_a_session_of_this_plan_had(plan: Plan) -> None:
@@ -87,7 +87,7 @@ def test_a_pattern_that_tells_nothing_is_said_not_raised(tmp_path: Path) -> None
     (tmp_path / "grey.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([255] * 16))
     image = 'kind = "image"\nfile = "grey.pgm"\nsize_mm = 46.8\nsurround = "white"\n'
     text = TEXT[: TEXT.index('kind = "sierpinski"')] + image + TEXT[TEXT.index("\n[fit]") :]
-    advice = advise(parse_plan(text, tmp_path), ranges_mm=[3000.0])
+    advice = advise(Plan.parse(text, tmp_path), ranges_mm=[3000.0])
     assert not isfinite(advice.ranges[0].std_defocus_waves)
     assert any("leave open" in note for note in advice.notes)
     assert advice.as_json()["ranges"][0]["std_defocus_waves"] is None

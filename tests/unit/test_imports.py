@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["types", "errors", "uncertain"],
+    ["types", "errors", "uncertain", "version"],
     ["files", "arrays", "images"],
     ["plan"],
     ["target"],
@@ -23,7 +23,8 @@ ROOMS = [
     ["finder"],
     ["calibration"],
     ["devices"],
-    ["capture"],
+    ["acquisition"],
+    ["results"],
     ["analysis"],
     ["report"],
     ["experiments"],
@@ -153,5 +154,5 @@ def test_no_driver_reaches_a_simulator() -> None:
 
 def test_the_mathematics_reaches_no_session_and_no_device() -> None:
     for path in modules("labkit/optics", "labkit/imaging", "labkit/inference"):
-        below = {"session", "raw", "devices", "capture", "drivers", "analysis", "report"}
+        below = {"session", "raw", "devices", "acquisition", "drivers", "analysis", "report"}
         assert {m for m in reached(path) if room(m) in below} == set(), name(path)

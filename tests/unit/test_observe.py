@@ -13,7 +13,7 @@ import labkit.analysis.observe
 import labkit.calibration.stack
 from labkit.analysis.observe import Observation, observe
 from labkit.errors import DataError
-from labkit.plan import Sensor, load_plan
+from labkit.plan import Plan, Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
@@ -90,6 +90,6 @@ def test_flats_of_another_range_are_taken_with_a_warning(bench: Bench) -> None:
 def test_another_plan_than_the_sessions_may_be_given(bench: Bench, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text((bench.session.folder / "plan.toml").read_text().replace("[40, 60]", "[44, 60]"))
-    plan = load_plan(other)
+    plan = Plan.load(other)
     observations, _ = observe(bench.session, plan, open_target(plan.target), range_mm=2000.0)
     assert observations[0].corners_px[0][0] == pytest.approx([44, 60])

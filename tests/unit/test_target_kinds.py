@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from labkit.errors import PlanError, TargetError
-from labkit.plan import TargetSpec, parse_plan
+from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, open_target
 from labkit.target_file import read_spec, render_file
 from labkit.targets.noise import noise_cells
@@ -129,7 +129,7 @@ PLAN = plan_text(PORTRAIT, {"target": {"kind": None, "order": None, "size_mm": 3
 )
 def test_a_plan_that_lacks_what_its_target_needs_is_refused_in_one_line(lines: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=says) as caught:
-        parse_plan(PLAN + lines, tmp_path)
+        Plan.parse(PLAN + lines, tmp_path)
     assert "\n" not in str(caught.value)
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labkit.capture.log import CaptureLog
-from labkit.capture.sequence import Shot, bench_settings
+from labkit.acquisition.log import CaptureLog
+from labkit.acquisition.sequence import Shot, bench_settings
 from labkit.devices.context import Devices
 from labkit.devices.protocols import Attentive, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
 from labkit.errors import DeviceError, DisplayError, RailLimitError

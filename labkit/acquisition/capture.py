@@ -14,18 +14,19 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from labkit.capture.log import CaptureLog
-from labkit.capture.patient import PatientDevices
-from labkit.capture.preflight import preflight
-from labkit.capture.sequence import Shot, bench_settings, missing, picture_for, shots
+from labkit.acquisition.log import CaptureLog
+from labkit.acquisition.patient import PatientDevices
+from labkit.acquisition.preflight import preflight
+from labkit.acquisition.sequence import Shot, bench_settings, missing, picture_for, shots
 from labkit.devices.context import Devices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Picture, RawFrame
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, PlanError, RawError
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
-from labkit.session.session import EXPOSING, Session
+from labkit.session.session import EXPOSING, Session, begin
 from labkit.types import Progress, no_progress
 
 Ask = Callable[[str], object]
@@ -35,6 +36,30 @@ REJECTED = "rejected"
 
 
 def capture(
+    plan: Plan | Path | str,
+    bench: Devices,
+    folder: Path | str,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+    ask: Ask | None = None,
+    warn: Callable[[str], None] | None = None,
+    check: bool = True,
+) -> Session:
+    """Run a plan into a new session folder; returns the session, to read.
+
+    plan: or its path; bench: opened devices; resume: go on with the session if it is there already. The others, and what is
+    raised, as in `run_plan`; SessionError besides for a folder that is taken.
+
+    >>> with labkit.open_devices(plan) as bench:
+    ...     session = labkit.capture(plan, bench, "night-3")
+    """
+    with begin(plan, folder, resume) as session:
+        run_plan(session, bench, progress=progress, ask=ask, warn=warn, check=check)
+    return Session.open(folder)
+
+
+def run_plan(
     session: Session,
     devices: Devices,
     *,

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from labkit.capture.log import CaptureLog
-from labkit.capture.patient import PatientDevices
+from labkit.acquisition.log import CaptureLog
+from labkit.acquisition.patient import PatientDevices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError

@@ -15,7 +15,7 @@ from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
-from labkit.plan import Plan, load_plan, parse_plan
+from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import pixel_noise
 from labkit.raw.mosaic import MONO, Mosaic
@@ -80,7 +80,7 @@ def open_alone(where: str) -> Alone:
     """The camera of a plan, or at an address such as "gphoto2:". Raises PlanError, or what the driver raises."""
     path = Path(where)
     planned = path.suffix == ".toml" or path.is_file()
-    plan = load_plan(path) if planned else parse_plan(BARE.format(address=where), Path())
+    plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
     if plan.camera is None:
         raise CameraError(f"plan {where} has no [camera]: add it, or give an address such as gphoto2:")
     return Alone(open_camera(plan.camera.address, plan, DeviceContext()), plan, planned)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from labkit.capture.sequence import Shot
+from labkit.acquisition.sequence import Shot
 from labkit.devices.observer import Observer
 from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session
