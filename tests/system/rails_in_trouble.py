@@ -33,7 +33,8 @@ from labkit.drivers.simulated.controllers.pty_port import Kind, LineFault, PtyPo
 from labkit.drivers.simulated.controllers.zaber import ZaberController
 from labkit.drivers.zaber.rail import ZaberRail
 from labkit.errors import LabkitError
-from labkit.session.session import Session, begin, verify
+from labkit.session.session import Session, begin
+from labkit.session.verify import verify
 from tests.plans import SMALL, plan_text, simulated
 
 DEVICES = simulated([2100, 2150, 2050], 1950.0)
