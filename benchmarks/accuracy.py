@@ -6,19 +6,24 @@ Each session is captured on the simulated bench and fitted without its truth, wh
 import argparse
 import re
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from labkit.analysis.focus import FocusFit
 from labkit.analysis.wavefronts import fit_session
 from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
+from labkit.drivers.simulated.world import Truth
+from labkit.inference.fit import WavefrontFit
 from labkit.plan import parse_plan
 from labkit.session.session import Session
+from labkit.types import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,26 +71,33 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         capture(session, devices)
     results = fit_session(Session.open(folder))
     (bench,) = context.shared.values()
-    truth = bench.truth
+    truth: Truth = bench.truth
     visits = {visit.range_mm: visit for visit in truth.visits}
-    rows: list[dict[str, Any]] = []
+    rows = []
     for w in results.wavefronts:
-        modes = truth.modes_waves[w.channel]
-        true = np.array([modes.get(j, 0.0) for j in w.fit.noll])
+        true = np.array([truth.modes_waves[w.channel].get(j, 0.0) for j in w.fit.noll])
         true[0] = visits[w.range_mm].defocus_waves[w.channel]
-        error = w.fit.waves - true
-        rows.append(
-            {
-                "defocus": abs(error[0]),
-                "rms": float(np.linalg.norm(error)),
-                "z": error / w.fit.std,
-                "chi2": w.fit.chi2_per_pixel,
-                "accepted": w.fit.verdict.accepted,
-                "seconds": w.fit.seconds,
-            }
-        )
-    focus = results.focus
-    assert focus is not None
+        rows.append(_row(w.fit, true))
+    assert results.focus is not None
+    _print(case, rows, results.focus, truth)
+    return rows
+
+
+def _row(fit: WavefrontFit, true: Floats) -> dict[str, Any]:
+    """Of the table: one fit beside its true modes, waves RMS."""
+    error = fit.waves - true
+    return {
+        "defocus": abs(error[0]),
+        "rms": float(np.linalg.norm(error)),
+        "z": error / fit.std,
+        "chi2": fit.chi2_per_pixel,
+        "accepted": fit.verdict.accepted,
+        "seconds": fit.seconds,
+    }
+
+
+def _print(case: Case, rows: Sequence[dict[str, Any]], focus: FocusFit, truth: Truth) -> None:
+    """A case's largest errors."""
     off = [b - truth.best_focus_mm[c] for c, b in zip(focus.channels, focus.best_focus_mm, strict=True)]
     magnification = focus.pupil_magnification - truth.pupil_magnification
     z_focus = np.append(off, magnification) / focus.std
@@ -103,7 +115,6 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
         sep="\n  ",
         flush=True,
     )
-    return rows
 
 
 def main() -> None:
