@@ -19,7 +19,7 @@ from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
-from labkit.drivers.simulated.world import Truth
+from labkit.drivers.simulated.world import Truth, Visit
 from labkit.inference.fit import WavefrontFit
 from labkit.plan import parse_plan
 from labkit.session.session import Session
@@ -72,7 +72,7 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
     results = fit_session(Session.open(folder))
     (bench,) = context.shared.values()
     truth: Truth = bench.truth
-    visits = {visit.range_mm: visit for visit in truth.visits}
+    visits: dict[float | None, Visit] = {visit.range_mm: visit for visit in truth.visits}
     rows = []
     for w in results.wavefronts:
         true = np.array([truth.modes_waves[w.channel].get(j, 0.0) for j in w.fit.noll])

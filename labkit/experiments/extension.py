@@ -103,10 +103,10 @@ def work(task: Task) -> Answer:
         inside = np.zeros_like(known)
         inside[EXTERIOR:-EXTERIOR, EXTERIOR:-EXTERIOR] = True
         known = known & inside
-    seen, filled, seconds = np.where(known, truth, 0.0), {}, {}
+    given, filled, seconds = np.where(known, truth, 0.0), {}, {}
     for name, method in methods().items():
         began = perf_counter()
-        filled[name] = method(seen, known)
+        filled[name] = method(given, known)
         seconds[name] = perf_counter() - began
     return Answer(truth, known, filled, seconds)
 

@@ -1,4 +1,4 @@
-"""How much of a wavefront each target tells: its Cramér-Rao bound against read noise, thesis Figure 3.9."""
+"""How well each target determines a wavefront: its Cramér-Rao bound against read noise, thesis Figure 3.9."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ SPECS = {
     "slanted edge": TargetSpec(kind="slanted_edge", angle_deg=5.0, size_mm=SIZE_MM),
     "noise": TargetSpec(kind="noise", cells=35, size_mm=SIZE_MM),
 }
-"""Squares of checkerboard and noise in the size that tells most of a few: 7.8 and 2 pixels."""
+"""Squares of checkerboard and noise in the best size of a few: 7.8 and 2 pixels."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Answer:
 
 
 def work(task: tuple[float, int]) -> Answer:
-    """The bound for one wavefront, the pixels so many times as far apart as Nyquist asks."""
+    """The bound for one wavefront, the pixels so many times as far apart as Nyquist's."""
     times, seed = task
     trial = draw_trial(np.random.default_rng([36, seed]))
     sampled = replace(optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2)
