@@ -154,7 +154,7 @@ def global_fits() -> None:
 
 if __name__ == "__main__":
     poppy.conf.use_multiprocessing = False
-    line("12 modes, 106 x 106 pixels where nothing else is said", "measured", "wanted")
+    line("12 modes, 106 x 106 pixels where nothing else stands", "measured", "wanted")
     evaluation()
     psfs()
     local_fit()

@@ -1,4 +1,4 @@
-"""How well tests tell global from local optima at the conditions of thesis §3.8: `python -m benchmarks.local_tests`."""
+"""How well tests distinguish global from local optima at the conditions of thesis §3.8: `python -m benchmarks.local_tests`."""
 
 import argparse
 import json
@@ -18,7 +18,7 @@ from labkit.inference.goodness_of_fit import SIGNIFICANCE, judge
 from labkit.inference.optimum_tests import bootstrap, embedding, one_sided, recalibrated, shipped_psf_basis, two_sided
 from labkit.types import Floats
 
-CLIMBS = 6
+STARTS = 6
 WRONG = 0.03  # waves RMS from the truth and its twin: twenty times the bound
 
 
@@ -44,7 +44,7 @@ TESTS: dict[str, Callable[[Problem, State], float]] = {
 @dataclass(frozen=True)
 class Answer:
     """p-values in the order of TESTS: at the right optimum; at one of data drawn from it, fitted anew; and at a wrong one,
-    where a climb ended in one. seconds: of each test."""
+    where a start ended in one. seconds: of each test."""
 
     right: list[float]
     drawn: list[float]
@@ -53,8 +53,8 @@ class Answer:
 
 
 def work(task: tuple[float, int, int]) -> Answer:
-    """One picture: the optimum beside the truth, and the first wrong one of some climbs from random starts."""
-    snr, seed, climbs = task
+    """One picture: the optimum beside the truth, and the first wrong one of some random starts."""
+    snr, seed, starts = task
     rng = np.random.default_rng([18, round(snr), seed])
     trial = draw_trial(rng, snr=snr)
     problem = replace(trial.problem, noise=recalibrated(trial.noise, rng))
@@ -69,10 +69,10 @@ def work(task: tuple[float, int, int]) -> Answer:
         right.append(float(test(problem, state)))
         seconds.append(perf_counter() - began)
     drawn = bootstrap(problem, state, all_tests, rng, 1)[0].tolist()
-    for _ in range(climbs):
-        found = maximize(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
-        if np.linalg.norm(trial.error(found.state.waves)) > WRONG:
-            return Answer(right, drawn, all_tests(problem, found.state), seconds)
+    for _ in range(starts):
+        end = maximize(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
+        if np.linalg.norm(trial.error(end.state.waves)) > WRONG:
+            return Answer(right, drawn, all_tests(problem, end.state), seconds)
     return Answer(right, drawn, None, seconds)
 
 
@@ -111,16 +111,16 @@ def main() -> None:
     parser.add_argument("--snr", type=float, nargs="+", default=[50.0, 75.0])
     parser.add_argument("--workers", type=int, default=default_workers())
     parser.add_argument("--keep", type=Path, default=Path("build/local_tests.jsonl"), help="where trials are kept")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     kept: dict[tuple[float, int, int], Answer] = {}
-    asked.keep.parent.mkdir(parents=True, exist_ok=True)
-    with asked.keep.open("a+") as file:
+    arguments.keep.parent.mkdir(parents=True, exist_ok=True)
+    with arguments.keep.open("a+") as file:
         file.seek(0)
         kept = {tuple(task): Answer(**answer) for task, answer in map(json.loads, file)}
-        for snr in asked.snr:
-            tasks = [(snr, seed, CLIMBS if seed < asked.wrong else 0) for seed in range(asked.trials)]
+        for snr in arguments.snr:
+            tasks = [(snr, seed, STARTS if seed < arguments.wrong else 0) for seed in range(arguments.trials)]
             left = [task for task in tasks if task not in kept]
-            for index, answer in run_all(work, left, asked.workers):
+            for index, answer in run_all(work, left, arguments.workers):
                 kept[left[index]] = answer
                 print(json.dumps([left[index], asdict(answer)]), file=file, flush=True)
             print(f"SNR {snr:g}: {table([kept[task] for task in tasks])}", flush=True)

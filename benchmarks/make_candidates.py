@@ -10,11 +10,11 @@ from labkit.files import write_atomically
 from labkit.inference.candidates import NOLL, highest_on_shell, is_trivial, strehl
 
 SHELLS = np.arange(0.02, 0.2001, 0.02)
-STARTS, SEED, SAME = 100, 39, 0.1  # climbs a shell; the same maximum within this share of its RMS
+STARTS, SEED, SAME = 100, 39, 0.1  # starts a shell; the same maximum within this share of its RMS
 
 
 def main() -> None:
-    """Many climbs on every shell, begun at random and at what the shell below had; the different ends are kept."""
+    """Many maximisations on every shell, begun at random and at what the shell below had; the different ends are kept."""
     rng = np.random.default_rng(SEED)
     rms, waves, below = [], [], np.empty((0, len(NOLL)))
     for shell in SHELLS:

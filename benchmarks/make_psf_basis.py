@@ -19,7 +19,7 @@ WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 
 
 def main() -> None:
-    """Climb from random starts in noise-free pictures of random wavefronts; keep what ends elsewhere."""
+    """Maximise from random starts in noise-free pictures of random wavefronts; keep what ends elsewhere."""
     model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), upright(), window_airy=NEAR_WINDOW)
     cases = []
     for seed in range(WAVEFRONTS):
@@ -28,17 +28,17 @@ def main() -> None:
         truth = trial.state(trial.waves)
         problem = expected(Problem(model, (trial.frame,), trial.noise), truth)
         for _ in range(STARTS):
-            found = maximize(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
-            if np.linalg.norm(trial.error(found.state.waves)) > 0.02:
-                seen = problem.relative(found.state)[0]
-                variance = predict(seen, problem.frames[0], found.state.detectors()[0])[1]
-                cases.append((problem, found.state, 1 / variance))
+            end = maximize(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
+            if np.linalg.norm(trial.error(end.state.waves)) > 0.02:
+                relative = problem.relative(end.state)[0]
+                variance = predict(relative, problem.frames[0], end.state.detectors()[0])[1]
+                cases.append((problem, end.state, 1 / variance))
     basis = find_psf_basis(cases, DEGREES)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, directions=basis.directions.astype(np.float32))
     path = Path(labkit.inference.__file__).with_name("psf_basis.npz")
     write_atomically(path, buffer.getvalue())
-    print(f"{len(cases)} wrong optima of {WAVEFRONTS * STARTS} climbs; {path.stat().st_size} bytes")
+    print(f"{len(cases)} wrong optima of {WAVEFRONTS * STARTS} starts; {path.stat().st_size} bytes")
 
 
 if __name__ == "__main__":

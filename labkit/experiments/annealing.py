@@ -1,5 +1,6 @@
 """Time to the optimum, our search beside SciPy's `dual_annealing` with the same likelihood and gradient: thesis Figure 4.19."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -8,9 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import dual_annealing
 
-from labkit.execute import run_all
 from labkit.experiments.conditions import NOLL, draw_trial
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.types import Floats
 
 SEVEN = tuple(range(4, 11))
@@ -78,47 +78,43 @@ def run(setting: Setting) -> Outcome:
     """Mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
     cap = 20.0 if setting.quick else 600.0
     tasks = [Task(noll, seed, cap) for noll in (SEVEN, NOLL) for seed in range(1 if setting.quick else 20)]
-    answers: dict[int, Answer] = {}
-    for index, answer in run_all(work, tasks, setting.workers):
-        answers[index] = answer
-        setting.progress(len(answers), len(tasks), f"{len(tasks[index].noll)} modes")
+    answers = all_answers(setting, work, tasks, lambda task: f"{len(task.noll)} modes")
     rows = [
         {
             "modes": len(task.noll),
             "seed": task.seed,
-            "search_seconds": answers[k].search,
-            "search_found": answers[k].found,
-            "annealing_seconds": answers[k].annealing,
-            "annealing_capped": answers[k].capped,
+            "search_seconds": answer.search,
+            "search_found": answer.found,
+            "annealing_seconds": answer.annealing,
+            "annealing_capped": answer.capped,
         }
-        for k, task in enumerate(tasks)
+        for task, answer in zip(tasks, answers, strict=True)
     ]
     claims = []
     for noll, thesis in ((SEVEN, 5.0), (NOLL, None)):
-        own = [answers[k] for k, task in enumerate(tasks) if task.noll == noll]
-        ours, theirs = (float(np.mean([getattr(a, key) for a in own])) for key in ("search", "annealing"))
-        label = f"{len(noll)} modes"
-        claims += [
-            Claim(f"mean time of the annealing over that of the search, {label}", thesis, theirs / ours, "", len(own)),
-            Claim(f"mean time of the search, {label}", None, ours, "s", len(own)),
-            Claim(f"mean time of the annealing, {label}, capped at {cap:g} s", None, theirs, "s", len(own)),
-            Claim(f"annealings that ran into the cap, {label}", None, float(sum(a.capped for a in own)), "", len(own)),
-        ]
+        claims += _claims(len(noll), thesis, cap, [a for a, t in zip(answers, tasks, strict=True) if t.noll == noll])
+    return Outcome(claims, rows, lambda: draw(rows, cap))
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(5.2, 3.8), layout="constrained")
-        axes = figure.subplots()
-        for noll, marker in ((SEVEN, "o"), (NOLL, "s")):
-            own = [row for row in rows if row["modes"] == len(noll)]
-            axes.loglog(
-                [r["search_seconds"] for r in own],
-                [r["annealing_seconds"] for r in own],
-                marker,
-                label=f"{len(noll)} modes",
-            )
-        axes.axhline(cap, linewidth=0.8, linestyle=":", color="0.5")
-        axes.set(xlabel="our search / s", ylabel="dual annealing / s", title="Time to the optimum, from nothing")
-        axes.legend()
-        return figure
 
-    return Outcome(claims, rows, draw)
+def _claims(modes: int, thesis: float | None, cap: float, answers: Sequence[Answer]) -> list[Claim]:
+    ours, theirs = (float(np.mean([getattr(a, key) for a in answers])) for key in ("search", "annealing"))
+    label, n = f"{modes} modes", len(answers)
+    return [
+        Claim(f"mean time of the annealing over that of the search, {label}", thesis, theirs / ours, "", n),
+        Claim(f"mean time of the search, {label}", None, ours, "s", n),
+        Claim(f"mean time of the annealing, {label}, capped at {cap:g} s", None, theirs, "s", n),
+        Claim(f"annealings that ran into the cap, {label}", None, float(sum(a.capped for a in answers)), "", n),
+    ]
+
+
+def draw(rows: list[dict[str, Any]], cap: float) -> Figure:
+    """Times of both, picture by picture."""
+    figure = Figure(figsize=(5.2, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for modes, marker in ((len(SEVEN), "o"), (len(NOLL), "s")):
+        of_both = [(row["search_seconds"], row["annealing_seconds"]) for row in rows if row["modes"] == modes]
+        axes.loglog(*zip(*of_both, strict=True), marker, label=f"{modes} modes")
+    axes.axhline(cap, linewidth=0.8, linestyle=":", color="0.5")
+    axes.set(xlabel="our search / s", ylabel="dual annealing / s", title="Time to the optimum, from nothing")
+    axes.legend()
+    return figure

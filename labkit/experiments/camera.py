@@ -31,7 +31,7 @@ class Camera:
     oversampling: int
 
     def mean(self, order: int, centre: Floats, sides: Floats, waves: Floats, noll: tuple[int, ...]) -> Floats:
-        """(frame, frame) share of the target's white that each pixel sees.
+        """(frame, frame) each pixel's share of the target's white.
 
         order: of the carpet, white squares on black. centre: (2,) pixel (row, col) of its middle, in the frame.
         sides: (2, 2) its sides in pixels, columns the carpet's own y and x. waves: (modes,) RMS at this wavelength.
@@ -41,8 +41,8 @@ class Camera:
         rows, columns = columns.T, rows.T  # the half axis is the last one
         affine = np.asarray(sides, float) * self.oversampling
         where = (np.asarray(centre) + (self.pixels - self.frame) // 2) * self.oversampling
-        own_y, own_x = (affine[0, k] * rows + affine[1, k] * columns for k in (0, 1))
-        carpet = abs(np.linalg.det(affine)) * white_transform(order, own_y, own_x)
+        along_y, along_x = (affine[0, k] * rows + affine[1, k] * columns for k in (0, 1))
+        carpet = abs(np.linalg.det(affine)) * white_transform(order, along_y, along_x)
         carpet = carpet * np.exp(-2j * np.pi * (where[0] * rows + where[1] * columns))
         pixel = np.sinc(rows * self.oversampling) * np.sinc(columns * self.oversampling)
         image = scipy.fft.irfft2(carpet * pixel * self._transfer(waves, noll), s=(fine, fine))

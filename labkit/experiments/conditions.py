@@ -55,7 +55,7 @@ class Trial:
         return State(np.asarray(waves, float), (self.pose,), np.array([WHITE]), np.zeros(1), self.noise.centre)
 
     def error(self, waves: Floats) -> Floats:
-        """(modes,) of an estimate or its twin, whichever is nearer: one picture cannot tell them apart."""
+        """(modes,) of an estimate or its twin, whichever is nearer: a picture does not distinguish them."""
         twin = waves * twin_signs(self.noll)
         return np.asarray(min((waves - self.waves, twin - self.waves), key=np.linalg.norm))
 
@@ -82,7 +82,7 @@ class Trial:
 def draw_trial(
     rng: np.random.Generator, *, snr: float = SNR, noll: tuple[int, ...] = NOLL, waves_rms: float = WAVES_RMS
 ) -> Trial:
-    """A random wavefront of a strength, seen from a random place nearly upright, with noise for an SNR.
+    """A random wavefront of a strength, at a random pose nearly upright, with noise for an SNR.
 
     Raises ValueError for an SNR that the photons' own noise does not allow.
     """

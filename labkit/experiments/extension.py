@@ -8,16 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from labkit.errors import InputError
-from labkit.execute import run_all
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.extend import fill
 from labkit.report.style import panels
-from labkit.types import Floats
-
-Mask = NDArray[np.bool_]
+from labkit.types import Bools, Floats
 
 PICTURES = ("camera", "moon", "coins", "brick", "grass", "page")  # scikit-image's, which lie on the disk with it
 SIDE = 128  # samples of a picture, each the mean of several
@@ -38,7 +34,7 @@ class Answer:
     """filled: (SIDE, SIDE) radiance by method; seconds: that each took."""
 
     truth: Floats
-    known: Mask
+    known: Bools
     filled: dict[str, Floats]
     seconds: dict[str, float]
 
@@ -65,7 +61,7 @@ def picture(name: str) -> Floats:
     return np.asarray(middle.reshape(SIDE, many, SIDE, many).mean(axis=(1, 3)))
 
 
-def masks(rng: np.random.Generator) -> dict[str, Mask]:
+def masks(rng: np.random.Generator) -> dict[str, Bools]:
     """(SIDE, SIDE) what is known: all but a checkerboard's squares, scattered samples, squares, or scratches."""
     row, col = np.indices((SIDE, SIDE))
     scratches = np.zeros((SIDE, SIDE), np.uint8)
@@ -80,12 +76,12 @@ def masks(rng: np.random.Generator) -> dict[str, Mask]:
     }
 
 
-def methods() -> dict[str, Callable[[Floats, Mask], Floats]]:
+def methods() -> dict[str, Callable[[Floats, Bools], Floats]]:
     """Name -> (image, known) -> image. Raises InputError where scikit-image is missing."""
     biharmonic = _skimage("restoration").inpaint_biharmonic
 
-    def by_opencv(how: int) -> Callable[[Floats, Mask], Floats]:
-        def filled(image: Floats, known: Mask) -> Floats:
+    def by_opencv(how: int) -> Callable[[Floats, Bools], Floats]:
+        def filled(image: Floats, known: Bools) -> Floats:
             # 8 bits, which both are made for: of a picture in floats one of them makes nonsense
             grey = np.rint(255 * image).astype(np.uint8)
             return np.where(known, image, cv2.inpaint(grey, (~known).astype(np.uint8), RADIUS, how) / 255.0)
@@ -107,10 +103,10 @@ def work(task: Task) -> Answer:
         inside = np.zeros_like(known)
         inside[EXTERIOR:-EXTERIOR, EXTERIOR:-EXTERIOR] = True
         known = known & inside
-    seen, filled, seconds = np.where(known, truth, 0.0), {}, {}
+    given, filled, seconds = np.where(known, truth, 0.0), {}, {}
     for name, method in methods().items():
         began = perf_counter()
-        filled[name] = method(seen, known)
+        filled[name] = method(given, known)
         seconds[name] = perf_counter() - began
     return Answer(truth, known, filled, seconds)
 
@@ -120,10 +116,8 @@ def run(setting: Setting) -> Outcome:
     names = list(masks(np.random.default_rng(0)))
     pictures, which = (PICTURES[:1], names[:2]) if setting.quick else (PICTURES, names)
     tasks = [Task(p, m, known) for known in (False, True) for p in pictures for m in which]
-    answers: dict[Task, Answer] = {}
-    for index, answer in run_all(work, tasks, setting.workers):
-        answers[tasks[index]] = answer
-        setting.progress(len(answers), len(tasks), f"{tasks[index].picture}, {tasks[index].mask}")
+    in_order = all_answers(setting, work, tasks, lambda task: f"{task.picture}, {task.mask}")
+    answers = dict(zip(tasks, in_order, strict=True))
     rows = [
         {
             "figure": "A.3" if task.exterior_known else "A.2",

@@ -1,24 +1,25 @@
-"""How often a quasi-Newton climb from no wavefront ends in a wrong optimum: thesis §4.1."""
+"""How often a quasi-Newton maximisation from no wavefront ends in a wrong optimum: thesis §4.1."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
-from labkit.execute import run_all
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.inference.fisher_scoring import maximize
 from labkit.types import Floats
 
 START_WAVES = 1e-3  # RMS: at exactly zero the likelihood has a saddle
-RIGHT_WAVES = 0.02  # RMS error below which the right optimum, or its twin, was found
+RIGHT_WAVES = 0.02  # RMS error below which the right optimum, or its twin, was reached
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Errors, waves RMS: of the quasi-Newton climb and of Fisher scoring from near zero, and of the latter from 0.2 waves."""
+    """Errors, waves RMS: of quasi-Newton and of Fisher scoring from near zero, and of the latter from 0.2 waves."""
 
     quasi_newton: float
     scoring: float
@@ -26,7 +27,7 @@ class Answer:
 
 
 def work(seed: int) -> Answer:
-    """Three climbs in one picture, its pose known to all of them."""
+    """Three maximisations in one picture, its pose known to all of them."""
     rng = np.random.default_rng([41, seed])
     trial = draw_trial(rng)
     near = random_waves(rng, len(trial.noll), START_WAVES)
@@ -53,54 +54,41 @@ def quasi_newton(trial: Trial, start: Floats) -> Floats:
 
 
 def run(setting: Setting) -> Outcome:
-    """Share of random wavefronts of 0.25 waves for which each climb ends in a wrong optimum."""
+    """Share of random wavefronts of 0.25 waves for which each maximisation ends in a wrong optimum."""
     trials = 2 if setting.quick else 50
-    answers: dict[int, Answer] = {}
-    for index, answer in run_all(work, list(range(trials)), setting.workers):
-        answers[index] = answer
-        setting.progress(len(answers), trials, "wavefronts")
+    answers = all_answers(setting, work, list(range(trials)), lambda seed: "wavefronts")
     rows = [
         {
-            "seed": k,
-            "quasi_newton_from_zero": answers[k].quasi_newton,
-            "fisher_scoring_from_zero": answers[k].scoring,
-            "fisher_scoring_from_0.2_waves": answers[k].scoring_from_random,
+            "seed": seed,
+            "quasi_newton_from_zero": answer.quasi_newton,
+            "fisher_scoring_from_zero": answer.scoring,
+            "fisher_scoring_from_0.2_waves": answer.scoring_from_random,
         }
-        for k in range(trials)
+        for seed, answer in enumerate(answers)
     ]
-    wrong = {key: float(np.mean([float(row[key]) > RIGHT_WAVES for row in rows])) for key in list(rows[0])[1:]}
+    wrong = [float(np.mean([float(row[key]) > RIGHT_WAVES for row in rows])) for key in list(rows[0])[1:]]
+    whats = (
+        "quasi-Newton from near zero",
+        "Fisher scoring from near zero",
+        "Fisher scoring from 0.2 waves at random",
+    )
     claims = [
-        Claim("wrong optimum, quasi-Newton from near zero", 0.96, wrong["quasi_newton_from_zero"], "", trials),
-        Claim("wrong optimum, Fisher scoring from near zero", None, wrong["fisher_scoring_from_zero"], "", trials),
-        Claim(
-            "wrong optimum, Fisher scoring from 0.2 waves at random",
-            None,
-            wrong["fisher_scoring_from_0.2_waves"],
-            "",
-            trials,
-        ),
+        Claim(f"wrong optimum, {what}", thesis, share, "", trials)
+        for what, thesis, share in zip(whats, (0.96, None, None), wrong, strict=True)
     ]
+    return Outcome(claims, rows, lambda: draw(rows, wrong))
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(6.4, 3.6), layout="constrained")
-        axes = figure.subplots()
-        edges = [float(edge) for edge in np.geomspace(3e-4, 1.0, 40)]
-        names = ("quasi-Newton from zero", "Fisher scoring from zero", "Fisher scoring from 0.2 waves")
-        for key, name in zip(wrong, names, strict=True):
-            axes.hist(
-                [float(row[key]) for row in rows],
-                edges,
-                histtype="step",
-                linewidth=1.4,
-                label=f"{name}: {wrong[key]:.0%} wrong",
-            )
-        axes.set(
-            xscale="log",
-            xlabel="error / waves RMS",
-            ylabel="wavefronts",
-            title="Where climbs end, 0.25 waves, 12 modes",
-        )
-        axes.legend()
-        return figure
 
-    return Outcome(claims, rows, draw)
+def draw(rows: list[dict[str, Any]], wrong: Sequence[float]) -> Figure:
+    """Histograms of the errors of the ends. wrong: shares, in the order of the columns."""
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    edges = [float(edge) for edge in np.geomspace(3e-4, 1.0, 40)]
+    names = ("quasi-Newton from zero", "Fisher scoring from zero", "Fisher scoring from 0.2 waves")
+    for key, name, share in zip(list(rows[0])[1:], names, wrong, strict=True):
+        errors = [float(row[key]) for row in rows]
+        axes.hist(errors, edges, histtype="step", linewidth=1.4, label=f"{name}: {share:.0%} wrong")
+    title = "Where maximisations end, 0.25 waves, 12 modes"
+    axes.set(xscale="log", xlabel="error / waves RMS", ylabel="wavefronts", title=title)
+    axes.legend()
+    return figure

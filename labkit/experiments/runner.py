@@ -9,14 +9,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
 from labkit.errors import InputError
+from labkit.execute import run_all
 from labkit.files import write_atomically
 from labkit.report.style import plain_logs, png, styled
 from labkit.types import Progress
+
+Task = TypeVar("Task")
+Answer = TypeVar("Answer")
 
 STUDIES = {
     "crb": "accuracy",
@@ -59,6 +63,17 @@ class Outcome:
     claims: Sequence[Claim]
     rows: Sequence[Mapping[str, Any]]
     draw: Callable[[], Figure]
+
+
+def all_answers(
+    setting: Setting, work: Callable[[Task], Answer], tasks: Sequence[Task], label: Callable[[Task], str]
+) -> list[Answer]:
+    """The answer to every task, in the tasks' order; progress names the one that ended last."""
+    answers: dict[int, Answer] = {}
+    for index, answer in run_all(work, tasks, setting.workers):
+        answers[index] = answer
+        setting.progress(len(answers), len(tasks), label(tasks[index]))
+    return [answers[index] for index in range(len(tasks))]
 
 
 def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[str, Any]:

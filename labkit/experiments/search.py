@@ -1,5 +1,6 @@
 """The global search from nothing against SNR: thesis Figure 4.16; and where it begins to fail."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,9 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from labkit.errors import LabkitError
-from labkit.execute import run_all
 from labkit.experiments.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.inference.phase_retrieval import PhaseRetrieval
 
 STARTS = 12  # single ones that are counted in each trial
@@ -91,54 +91,15 @@ def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float
 
 
 def run(setting: Setting) -> Outcome:
-    """How often the search finds the true optimum, whether it knows, and how long it takes."""
+    """How often the search reaches the true optimum, whether it knows, and how long it takes."""
     conditions = QUICK if setting.quick else CONDITIONS
     tasks = [(condition, seed) for condition in conditions for seed in range(condition.trials)]
-    answers: dict[int, Answer] = {}
-    for index, answer in run_all(work, tasks, setting.workers):
-        answers[index] = answer
-        setting.progress(len(answers), len(tasks), tasks[index][0].label)
-    rows: list[dict[str, Any]] = []
+    answers = all_answers(setting, work, tasks, lambda task: task[0].label)
+    rows, claims = list[dict[str, Any]](), list[Claim]()
     for condition in conditions:
-        own = [answers[k] for k, (one, _) in enumerate(tasks) if one is condition]
-        found = [a for a in own if a.found]
-        wrong = [a for a in own if not a.found and not a.lost]
-        seconds = [a.seconds for a in own if not a.lost]
-        rows.append(
-            {
-                "modes": len(condition.noll),
-                "waves_rms": condition.waves_rms,
-                "snr": condition.snr,
-                "trials": len(own),
-                "found": len(found) / len(own),
-                "target_not_found": sum(a.lost for a in own),
-                "missed_seeds": " ".join(str(seed) for seed, a in enumerate(own) if not a.found),
-                "rms_error_when_found": _rms([a.error for a in found]),
-                "rms_bound_when_found": _rms([a.bound for a in found]),
-                "found_but_rejected": sum(not a.accepted for a in found),
-                "wrong_but_accepted": sum(a.accepted for a in wrong),
-                "right_starts": float(np.nanmean([a.right_starts for a in own])),
-                "median_error_of_small_problem": float(np.nanmedian([a.small_error for a in own])),
-                "median_starts": float(np.median([a.starts for a in own])),
-                "median_seconds": float(np.median(seconds)) if seconds else np.nan,
-                "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
-            }
-        )
-    claims = [
-        claim
-        for condition, row in zip(conditions, rows, strict=True)
-        for claim in (
-            Claim(f"global optimum found from nothing, {condition.label}", None, row["found"], "", row["trials"]),
-            Claim(f"time of a global fit, median, {condition.label}", None, row["median_seconds"], "s", row["trials"]),
-            Claim(
-                f"random starts that end right, {condition.label}",
-                None,
-                row["right_starts"],
-                "",
-                STARTS * row["trials"],
-            ),
-        )
-    ]
+        row = _row(condition, [a for a, task in zip(answers, tasks, strict=True) if task[0] is condition])
+        rows.append(row)
+        claims += _claims(condition.label, row)
     at = next(row for row in rows if row["snr"] == 50.0)
     n = at["trials"]
     claims += [
@@ -146,8 +107,41 @@ def run(setting: Setting) -> Outcome:
         Claim("true optima rejected, SNR 50", None, at["found_but_rejected"] / n, "", n),
         Claim("wrong optima accepted, SNR 50", None, float(at["wrong_but_accepted"]), "", n),
     ]
-
     return Outcome(claims, rows, lambda: draw(rows))
+
+
+def _row(condition: Condition, answers: Sequence[Answer]) -> dict[str, Any]:
+    """Of the table: all trials under one condition."""
+    found = [a for a in answers if a.found]
+    wrong = [a for a in answers if not a.found and not a.lost]
+    seconds = [a.seconds for a in answers if not a.lost]
+    return {
+        "modes": len(condition.noll),
+        "waves_rms": condition.waves_rms,
+        "snr": condition.snr,
+        "trials": len(answers),
+        "found": len(found) / len(answers),
+        "target_not_found": sum(a.lost for a in answers),
+        "missed_seeds": " ".join(str(seed) for seed, a in enumerate(answers) if not a.found),
+        "rms_error_when_found": _rms([a.error for a in found]),
+        "rms_bound_when_found": _rms([a.bound for a in found]),
+        "found_but_rejected": sum(not a.accepted for a in found),
+        "wrong_but_accepted": sum(a.accepted for a in wrong),
+        "right_starts": float(np.nanmean([a.right_starts for a in answers])),
+        "median_error_of_small_problem": float(np.nanmedian([a.small_error for a in answers])),
+        "median_starts": float(np.median([a.starts for a in answers])),
+        "median_seconds": float(np.median(seconds)) if seconds else np.nan,
+        "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
+    }
+
+
+def _claims(label: str, row: dict[str, Any]) -> list[Claim]:
+    n = row["trials"]
+    return [
+        Claim(f"global optimum found from nothing, {label}", None, row["found"], "", n),
+        Claim(f"time of a global fit, median, {label}", None, row["median_seconds"], "s", n),
+        Claim(f"random starts that end right, {label}", None, row["right_starts"], "", STARTS * n),
+    ]
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
@@ -165,12 +159,12 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
         )
     left.legend()
     for count, marker in ((12, "o-"), (22, "s-")):
-        own = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
-        waves = [r["waves_rms"] for r in own]
-        (line,) = right.plot(waves, [100 * r["found"] for r in own], marker, label=f"{count} modes, found")
+        of_count = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
+        waves = [r["waves_rms"] for r in of_count]
+        (line,) = right.plot(waves, [100 * r["found"] for r in of_count], marker, label=f"{count} modes, found")
         right.plot(
             waves,
-            [100 * r["right_starts"] for r in own],
+            [100 * r["right_starts"] for r in of_count],
             marker[0] + ":",
             color=line.get_color(),
             label=f"{count} modes, of single starts",

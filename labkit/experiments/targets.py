@@ -1,14 +1,14 @@
-"""How much of a wavefront each target tells: its Cramér-Rao bound against read noise, thesis Figure 3.9."""
+"""How well each target determines a wavefront: its Cramér-Rao bound against read noise, thesis Figure 3.9."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from labkit.execute import run_all
 from labkit.experiments.conditions import FRAME, GAIN, NOISE_STD, Trial, carpet, draw_trial, optics
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
 from labkit.inference.bounds import parameter_names
 from labkit.inference.fisher_scoring import NoisePrior, Problem
@@ -27,7 +27,7 @@ SPECS = {
     "slanted edge": TargetSpec(kind="slanted_edge", angle_deg=5.0, size_mm=SIZE_MM),
     "noise": TargetSpec(kind="noise", cells=35, size_mm=SIZE_MM),
 }
-"""Squares of checkerboard and noise in the size that tells most of a few: 7.8 and 2 pixels."""
+"""Squares of checkerboard and noise in the best size of a few: 7.8 and 2 pixels."""
 
 
 @dataclass(frozen=True)
@@ -39,70 +39,70 @@ class Task:
 def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[Bound]:
     """Of all parameters, for each read noise in counts: the trial's wavefront, pose and light with another target."""
     model = ForwardModel.build(optics(trial.noll), target, (FRAME, FRAME), trial.pose)
-    found = []
+    bounds_ = []
     for read_noise in read_noises:
         noise = NoisePrior(GAIN, NOISE_STD, read_noise**2, NOISE_STD)
         problem = Problem(model, (trial.frame,), noise)
         state = Trial(trial.frame, trial.pose, trial.waves, trial.noll, read_noise).state(trial.waves)
         information = problem.scores(state, by_waves=True)[1]
-        found.append(bound_of(information, parameter_names(state, trial.noll)))
-    return found
+        bounds_.append(bound_of(information, parameter_names(state, trial.noll)))
+    return bounds_
 
 
 def work(task: Task) -> tuple[Floats, str]:
     """RMS bound of the wavefront (read noises,), infinite where it is not determined, and what is not, in words."""
     trial = draw_trial(np.random.default_rng(task.seed))
-    found = bounds(open_target(SPECS[task.target]), trial, READ_NOISES)
-    open_ = "; ".join(dict.fromkeys(words for bound in found for words in bound.undetermined))
-    return np.array([bound.rms(0, len(trial.noll)) for bound in found]), open_
+    by_noise = bounds(open_target(SPECS[task.target]), trial, READ_NOISES)
+    open_ = "; ".join(dict.fromkeys(words for bound in by_noise for words in bound.undetermined))
+    return np.array([bound.rms(0, len(trial.noll)) for bound in by_noise]), open_
 
 
 def run(setting: Setting) -> Outcome:
     """RMS over random wavefronts of each target's bound, all with the same white, pose and light."""
     trials = 2 if setting.quick else 40
     tasks = [Task(seed, name) for name in SPECS for seed in range(trials)]
-    answers: dict[int, tuple[Floats, str]] = {}
-    for index, answer in run_all(work, tasks, setting.workers):
-        answers[index] = answer
-        setting.progress(len(answers), len(tasks), tasks[index].target)
-    of = {name: np.array([answers[k][0] for k, task in enumerate(tasks) if task.target == name]) for name in SPECS}
-    rms = {name: np.sqrt(np.mean(values**2, axis=0)) for name, values in of.items()}
-    rows = [
-        {
-            "target": name,
-            "read_noise_counts": read_noise,
-            "trials": trials,
-            "rms_bound_waves": float(rms[name][k]),
-            "least": float(of[name][:, k].min()),
-            "most": float(of[name][:, k].max()),
-            "undetermined": "; ".join(
-                sorted({answers[i][1] for i, task in enumerate(tasks) if task.target == name} - {""})
-            ),
-        }
-        for name in SPECS
-        for k, read_noise in enumerate(READ_NOISES)
-    ]
+    answers = all_answers(setting, work, tasks, lambda task: task.target)
+    rows, rms = [], {}
+    for name in SPECS:
+        of_target = [answer for answer, task in zip(answers, tasks, strict=True) if task.target == name]
+        rms[name] = np.sqrt(np.mean([bound**2 for bound, _ in of_target], axis=0))
+        rows += _rows(name, rms[name], of_target)
     at = READ_NOISES.index(THE_READ_NOISE)
-    claims = [
-        Claim("bound with the carpet, read noise 0.68 counts", None, float(rms["carpet"][at]), "waves RMS", trials)
-    ]
+    carpets = float(rms["carpet"][at])
+    claims = [Claim("bound with the carpet, read noise 0.68 counts", None, carpets, "waves RMS", trials)]
     claims += [
-        Claim(
-            f"bound with {name} over that with the carpet", None, float(rms[name][at] / rms["carpet"][at]), "", trials
-        )
+        Claim(f"bound with {name} over that with the carpet", None, float(rms[name][at]) / carpets, "", trials)
         for name in SPECS
         if name != "carpet"
     ]
+    return Outcome(claims, rows, lambda: draw(rms))
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(6.0, 3.8), layout="constrained")
-        axes = figure.subplots()
-        for name, mark in zip(SPECS, "so^Dv", strict=True):
-            known = np.isfinite(rms[name])
-            label = name if known.all() else f"{name} (cannot tell all modes)"
-            axes.loglog(np.array(READ_NOISES)[known], rms[name][known], marker=mark, markersize=4, label=label)
-        axes.set(xlabel="read noise (counts)", ylabel="waves RMS", title="Least error of a wavefront, by target")
-        axes.legend()
-        return figure
 
-    return Outcome(claims, rows, draw)
+def _rows(name: str, rms: Floats, answers: Sequence[tuple[Floats, str]]) -> list[dict[str, Any]]:
+    """Of the table: one target, a row for each read noise."""
+    bounds_, open_ = np.array([bound for bound, _ in answers]), sorted({words for _, words in answers} - {""})
+    return [
+        {
+            "target": name,
+            "read_noise_counts": read_noise,
+            "trials": len(answers),
+            "rms_bound_waves": float(rms[k]),
+            "least": float(bounds_[:, k].min()),
+            "most": float(bounds_[:, k].max()),
+            "undetermined": "; ".join(open_),
+        }
+        for k, read_noise in enumerate(READ_NOISES)
+    ]
+
+
+def draw(rms: dict[str, Floats]) -> Figure:
+    """Bounds of all targets against read noise."""
+    figure = Figure(figsize=(6.0, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for name, mark in zip(SPECS, "so^Dv", strict=True):
+        known = np.isfinite(rms[name])
+        label = name if known.all() else f"{name} (not all modes determined)"
+        axes.loglog(np.array(READ_NOISES)[known], rms[name][known], marker=mark, markersize=4, label=label)
+    axes.set(xlabel="read noise (counts)", ylabel="waves RMS", title="Least error of a wavefront, by target")
+    axes.legend()
+    return figure

@@ -1,13 +1,13 @@
 """What a biased estimator could gain: the uniform Cramér-Rao bound of defocus, thesis Figure 3.6."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from labkit.execute import run_all
 from labkit.experiments.conditions import AIRY_UM, FRAME, carpet, draw_trial, optics
-from labkit.experiments.runner import Claim, Outcome, Setting
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
 from labkit.inference.bounds import bias_sensitivity, fisher_information, parameter_names, uniform_bound
 from labkit.inference.fisher_scoring import Problem
@@ -26,11 +26,11 @@ class Answer:
 
 
 def work(task: tuple[float, int]) -> Answer:
-    """The bound for one wavefront, the pixels so many times as far apart as Nyquist asks."""
+    """The bound for one wavefront, the pixels so many times as far apart as Nyquist's."""
     times, seed = task
     trial = draw_trial(np.random.default_rng([36, seed]))
-    seen_as = replace(optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2)
-    model = ForwardModel.build(seen_as, carpet(), (FRAME, FRAME), trial.pose)
+    sampled = replace(optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2)
+    model = ForwardModel.build(sampled, carpet(), (FRAME, FRAME), trial.pose)
     state = trial.state(trial.waves)
     problem = Problem(model, (trial.frame,), trial.noise)
     bound = bound_of(fisher_information(problem, state, 6), parameter_names(state, trial.noll))
@@ -42,65 +42,54 @@ def run(setting: Setting) -> Outcome:
     """Bound on defocus against the norm of the bias gradient, and its slope at none, over random wavefronts of 0.25 waves."""
     trials = 2 if setting.quick else 40
     tasks = [(times, seed) for times in UNDERSAMPLED for seed in range(trials)]
-    answers: dict[int, Answer] = {}
-    for index, answer in run_all(work, tasks, setting.workers):
-        answers[index] = answer
-        setting.progress(len(answers), len(tasks), f"{tasks[index][0]:g} times undersampled")
-    rows, claims, curves = [], [], {}
+    answers = all_answers(setting, work, tasks, lambda task: f"{task[0]:g} times undersampled")
+    rows, claims, curves = list[dict[str, Any]](), list[Claim](), {}
     for times in UNDERSAMPLED:
-        own = [answers[k].covariance for k, task in enumerate(tasks) if task[0] == times]
-        sensitivity = [-bias_sensitivity(c, 0) for c in own]
-        unbiased = [c[0, 0] for c in own]
-        # at a bias gradient of 1 % of the estimate's own slope
-        gain = [_gain(c, 0.01) for c in own]
-        curves[times] = uniform_bound(own[0], 0, MULTIPLIERS * own[0][0, 0])
-        label = f"{times:g} times undersampled"
-        claims += [
-            Claim(
-                f"bias sensitivity of defocus, {label}, median", 1e-4, float(np.median(sensitivity)), "waves^2", trials
-            ),
-            Claim(
-                f"unbiased bound of defocus, {label}, median",
-                None,
-                float(np.sqrt(np.median(unbiased))),
-                "waves RMS",
-                trials,
-            ),
-            Claim(
-                f"error saved by a bias gradient of 0.01, {label}, median",
-                None,
-                float(np.median(gain)),
-                "waves RMS",
-                trials,
-            ),
-        ]
-        rows += [
-            {
-                "undersampled": times,
-                "seed": k,
-                "std_defocus": float(np.sqrt(u)),
-                "bias_sensitivity": s,
-                "saved_waves": g,
-            }
-            for k, (u, s, g) in enumerate(zip(unbiased, sensitivity, gain, strict=True))
-        ]
+        covariances = [a.covariance for a, task in zip(answers, tasks, strict=True) if task[0] == times]
+        of_times = [_row(times, seed, covariance) for seed, covariance in enumerate(covariances)]
+        curves[times] = uniform_bound(covariances[0], 0, MULTIPLIERS * covariances[0][0, 0])
+        rows += of_times
+        claims += _claims(f"{times:g} times undersampled", of_times)
+    return Outcome(claims, rows, lambda: draw(curves))
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(5.6, 3.6), layout="constrained")
-        axes = figure.subplots()
-        for times, (delta, bound) in curves.items():
-            axes.plot(delta, 1e3 * np.sqrt(bound), label=f"{times:g} times undersampled")
-        axes.set(
-            xlabel="norm of the bias gradient",
-            ylabel="bound on defocus / 1e-3 waves RMS",
-            title="Uniform bound of defocus, one wavefront of 0.25 waves",
-            xlim=(0, 1),
-            ylim=(0, None),
-        )
-        axes.legend()
-        return figure
 
-    return Outcome(claims, rows, draw)
+def _row(times: float, seed: int, covariance: Floats) -> dict[str, Any]:
+    """Of the table. The gain is at a bias gradient of 1 % of the estimate's own slope."""
+    return {
+        "undersampled": times,
+        "seed": seed,
+        "std_defocus": float(np.sqrt(covariance[0, 0])),
+        "bias_sensitivity": -bias_sensitivity(covariance, 0),
+        "saved_waves": _gain(covariance, 0.01),
+    }
+
+
+def _claims(label: str, rows: list[dict[str, Any]]) -> list[Claim]:
+    sensitivity, saved = (float(np.median([row[key] for row in rows])) for key in ("bias_sensitivity", "saved_waves"))
+    unbiased = float(np.sqrt(np.median([row["std_defocus"] ** 2 for row in rows])))
+    n = len(rows)
+    return [
+        Claim(f"bias sensitivity of defocus, {label}, median", 1e-4, sensitivity, "waves^2", n),
+        Claim(f"unbiased bound of defocus, {label}, median", None, unbiased, "waves RMS", n),
+        Claim(f"error saved by a bias gradient of 0.01, {label}, median", None, saved, "waves RMS", n),
+    ]
+
+
+def draw(curves: dict[float, tuple[Floats, Floats]]) -> Figure:
+    """Bounds on defocus against the norm of the bias gradient."""
+    figure = Figure(figsize=(5.6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for times, (delta, bound) in curves.items():
+        axes.plot(delta, 1e3 * np.sqrt(bound), label=f"{times:g} times undersampled")
+    axes.set(
+        xlabel="norm of the bias gradient",
+        ylabel="bound on defocus / 1e-3 waves RMS",
+        title="Uniform bound of defocus, one wavefront of 0.25 waves",
+        xlim=(0, 1),
+        ylim=(0, None),
+    )
+    axes.legend()
+    return figure
 
 
 def _gain(covariance: Floats, bias: float) -> float:

@@ -45,21 +45,21 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     """The target's four corners in a picture, to about half a pixel.
 
     image: (rows, cols) grey, linear or nearly so, any scale and offset; NaN where there is no value. A mosaic goes
-    through `grey_image` first. mm_per_pixel: the target's millimetres that one pixel sees, within 15 %; a carpet is
+    through `grey_image` first. mm_per_pixel: the target's millimetres that a pixel spans, within 15 %; a carpet is
     found without it, others sooner with it. Returns (4, 2) corners (row, col), pixel centres at integers, in the order
     of the target's own (0, 0), (0, w), (h, w), (h, 0). Where several poses look the same (a carpet has eight), the one
     that turns it least. Raises TargetError if the target is not in the frame, or not wholly.
     """
     picture = _normalised(_picture("image", image))
-    seen: list[Agreement] = []
+    agreements: list[Agreement] = []
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
         if not _whole(corners):
             continue
-        seen.append(agreement)
+        agreements.append(agreement)
         if _believable(agreement) and _right_scale(corners, target, mm_per_pixel):
             return _checked(picture, target, corners)
-    best = max((min(one.whole, one.median_part, 2 * one.least_part) for one in seen), default=0.0)
+    best = max((min(a.whole, a.median_part, 2 * a.least_part) for a in agreements), default=0.0)
     raise TargetError(
         f"no target found in the frame: the likeliest place correlates {best:.2f} with it, "
         f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
@@ -67,7 +67,7 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
 
 
 def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
-    """One grey picture, about 0..1, of a mosaic, in its own pixels.
+    """A grey picture, about 0..1, of a mosaic, in the mosaic's pixels.
 
     counts: (rows, cols), black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane
     of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,

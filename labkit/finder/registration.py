@@ -91,7 +91,7 @@ def quick_agreement(image: Singles, target: Target, corners: Floats, side: int =
 def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
     """How well the picture around agrees with the target being only one ninth of a larger one like it.
 
-    A carpet repeats itself: of a carpet that is partly out of the frame one finds a smaller one, whole. Returns the
+    A carpet repeats itself: of a carpet that is partly out of the frame a smaller carpet is found, whole. Returns the
     best correlation over the eight places that it could have, outside of `corners` themselves.
     """
     unit = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
@@ -168,12 +168,12 @@ def _ecc(picture: Singles, template: _Template, corners: Floats, sigma: float, l
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-6)
     try:
         everywhere = np.ones(picture.shape, np.uint8)
-        _, found = cv2.findTransformECC(
+        _, aligned = cv2.findTransformECC(
             template.blurred(sigma), picture, start, cv2.MOTION_HOMOGRAPHY, criteria, everywhere, light
         )
-    except cv2.error:  # it did not converge: then the agreement tells
+    except cv2.error:  # it did not converge: then the agreement decides
         return corners
-    moved = _mapped(np.asarray(found, dtype=np.float64), template.corners)
+    moved = _mapped(np.asarray(aligned, dtype=np.float64), template.corners)
     # a correction is small; a large one is a flight, not a fit
     return moved if np.max(np.abs(moved - corners)) < 0.25 * _side(corners) else corners
 
@@ -183,22 +183,22 @@ def _aligned(picture: Singles, template: _Template, corners: Floats) -> tuple[Si
     image_from_template = _homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    seen = cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how) > 0.99
+    in_frame = cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how) > 0.99
     warped = cv2.warpPerspective(picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), seen
+    return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), in_frame
 
 
 def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -> _Template:
     """The template under the light that the picture shows: a plane in row and column, plus a constant."""
-    warped, seen = _aligned(picture, template, corners)
+    warped, in_frame = _aligned(picture, template, corners)
     expected = template.blurred(sigma)
     y, x = (
         np.linspace(-1, 1, n, dtype=np.float32)[span]
         for n, span in zip(template.sharp.shape, template.part, strict=True)
     )
     columns = (expected, expected * y[:, None], expected * x[None, :], np.ones_like(expected))
-    design = np.stack([column[seen] for column in columns], axis=1).astype(np.float64)
-    fitted = np.linalg.lstsq(design.T @ design, design.T @ warped[seen].astype(np.float64), rcond=1e-9)[0]
+    design = np.stack([column[in_frame] for column in columns], axis=1).astype(np.float64)
+    fitted = np.linalg.lstsq(design.T @ design, design.T @ warped[in_frame].astype(np.float64), rcond=1e-9)[0]
     y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in template.sharp.shape)
     light = fitted[0] + fitted[1] * y[:, None] + fitted[2] * x[None, :]
     if not light.min() > 0.1 * light.max():  # no light that a lamp could throw: rather none than a wild one
@@ -207,27 +207,27 @@ def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -
 
 
 def _best_blur(picture: Singles, template: _Template, corners: Floats) -> float:
-    warped, seen = _aligned(picture, template, corners)
-    return max(BLURS, key=lambda sigma: _correlation(warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), seen))
+    warped, in_frame = _aligned(picture, template, corners)
+    return max(BLURS, key=lambda sigma: _correlation(warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame))
 
 
 def _agreement(
     picture: Singles, template: _Template, corners: Floats, sigma: float, hidden: Floats | None = None
 ) -> Agreement:
-    warped, seen = _aligned(picture, template, corners)
+    warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
         at = _mapped(_homography(corners, template.corners), hidden)
-        covered = cv2.fillConvexPoly(np.zeros(seen.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1)
-        seen &= covered == 0
+        covered = cv2.fillConvexPoly(np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1)
+        in_frame &= covered == 0
     expected = template.blurred(np.hypot(sigma, LIGHT_BLUR))
     contrast = float(expected.std())
     parts = []
-    for rows in np.array_split(np.arange(seen.shape[0]), 3):
-        for cols in np.array_split(np.arange(seen.shape[1]), 3):
+    for rows in np.array_split(np.arange(in_frame.shape[0]), 3):
+        for cols in np.array_split(np.arange(in_frame.shape[1]), 3):
             part = np.ix_(rows, cols)
             if float(expected[part].std()) > 0.1 * contrast:
-                parts.append(_correlation(warped[part], expected[part], seen[part]))
-    return Agreement(_correlation(warped, expected, seen), tuple(parts))
+                parts.append(_correlation(warped[part], expected[part], in_frame[part]))
+    return Agreement(_correlation(warped, expected, in_frame), tuple(parts))
 
 
 def _correlation(a: Singles, b: Singles, where: NDArray[np.bool_]) -> float:

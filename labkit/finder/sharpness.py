@@ -24,10 +24,10 @@ MOST_ROWS = 1024
 """Of the lit part, about its middle: a photograph of 24 million pixels is then looked at within a second."""
 
 LARGEST_SHARE = 0.3
-"""Of the target's side: a larger blur leaves nothing to be told apart."""
+"""Of the target's side: a larger blur leaves no structure."""
 
 WORKING_SIDE = 500
-"""Pixels across the target at most when the blur is told; a blur worth telling is wide in a larger picture too."""
+"""Pixels across the target at most when the blur is measured; a blur that matters is wide in a larger picture too."""
 
 
 def sharpest_edge_px(mosaic: Mosaic) -> float | None:
@@ -62,8 +62,8 @@ def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
     coarse = cv2.resize(counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA)
     lit = coarse.astype(np.float64) >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
 
-    def span(found: NDArray[np.intp], size: int) -> tuple[int, int]:
-        return max(0, int(found.min() - 1) * step), min(size // 2 * 2, int(found.max() + 3) * step)
+    def span(bright: NDArray[np.intp], size: int) -> tuple[int, int]:
+        return max(0, int(bright.min() - 1) * step), min(size // 2 * 2, int(bright.max() + 3) * step)
 
     along_rows, along_cols = np.nonzero(lit)
     return span(along_rows, rows), span(along_cols, cols)
@@ -77,19 +77,19 @@ def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
     """
     side = float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
     scale = min(1.0, WORKING_SIDE / side)
-    rows, cols = (max(9, round(side * scale * one / float(np.mean(target.size_mm)))) for one in target.size_mm)
-    seen = _straightened(np.asarray(image, dtype=np.float32), corners, rows, cols)
+    rows, cols = (max(9, round(side * scale * side_mm / float(np.mean(target.size_mm)))) for side_mm in target.size_mm)
+    straightened = _straightened(np.asarray(image, dtype=np.float32), corners, rows, cols)
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * target.size_mm[0]
     x = ((np.arange(cols) + 0.5) / cols - 0.5) * target.size_mm[1]
     sharp = target.sample(y, x, 0.4 * rows / target.size_mm[0]).astype(np.float32)
     count = max(2, round(np.log(LARGEST_SHARE * min(rows, cols) / FINEST_PX) / np.log(STEP)))
     diameters = FINEST_PX * STEP ** np.arange(count)
-    agreement = [_correlation(seen, _out_of_focus(sharp, float(diameter))) for diameter in diameters]
+    agreement = [_correlation(straightened, _out_of_focus(sharp, float(diameter))) for diameter in diameters]
     return float(diameters[int(np.argmax(agreement))]) / scale
 
 
 def _straightened(image: NDArray[np.float32], corners: Floats, rows: int, cols: int) -> NDArray[np.float32]:
-    """The target's part of a picture on a regular grid of its own."""
+    """The target's part of a picture on a regular grid."""
     grid = np.array([[-0.5, -0.5], [cols - 0.5, -0.5], [cols - 0.5, rows - 0.5], [-0.5, rows - 0.5]], dtype=np.float32)
     at = np.ascontiguousarray(corners[:, ::-1], dtype=np.float32)
     warped = cv2.warpPerspective(image, cv2.getPerspectiveTransform(at, grid), (cols, rows), flags=cv2.INTER_AREA)

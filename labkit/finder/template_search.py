@@ -29,7 +29,7 @@ def swept_hypotheses(image: Singles, target: Target, sides_px: Floats, most: int
     image: (rows, cols); sides_px: the target's heights to try. All four quarter turns, each ±15 degrees.
     """
     templates = _templates(target)
-    found: list[tuple[float, Floats]] = []
+    places: list[tuple[float, Floats]] = []
     for side in sides_px:
         shape = tuple(max(1, round(n * COARSE_SIDE / side)) for n in image.shape)
         how = cv2.INTER_AREA if side > COARSE_SIDE else cv2.INTER_LINEAR
@@ -39,10 +39,10 @@ def swept_hypotheses(image: Singles, target: Target, sides_px: Floats, most: int
             if template.shape[0] > shape[0] or template.shape[1] > shape[1]:
                 continue
             _, score, _, (col, row) = cv2.minMaxLoc(cv2.matchTemplate(small, template, cv2.TM_CCOEFF_NORMED))
-            found.append((score, (corners + (row, col) + 0.5) * scale - 0.5))
-    found.sort(key=lambda one: one[0], reverse=True)
+            places.append((score, (corners + (row, col) + 0.5) * scale - 0.5))
+    places.sort(key=lambda place: place[0], reverse=True)
     kept: list[Floats] = []
-    for _, corners in found:
+    for _, corners in places:
         if len(kept) < most and all(np.max(np.abs(corners - other)) > 0.1 * np.ptp(corners) for other in kept):
             kept.append(corners)
             yield corners
@@ -59,8 +59,8 @@ def _templates(target: Target) -> list[tuple[Singles, Floats]]:
     for quarter in range(4):
         turned = [_turned(flat, target.size_mm, spacing, 90.0 * quarter + tilt) for tilt in TILTS_DEG]
         upright = turned[len(turned) // 2][0]
-        known = (one[0] for one in made[len(TILTS_DEG) // 2 :: len(TILTS_DEG)])
-        if not any(one.shape == upright.shape and np.abs(one - upright).max() < 0.01 for one in known):
+        known = (tilted[0] for tilted in made[len(TILTS_DEG) // 2 :: len(TILTS_DEG)])
+        if not any(other.shape == upright.shape and np.abs(other - upright).max() < 0.01 for other in known):
             made += turned
     return made
 
@@ -81,6 +81,6 @@ def _turned(flat: Singles, size_mm: tuple[float, float], spacing: float, degrees
     back_row = (cos * y - sin * x) / spacing + (flat.shape[0] - 1) / 2
     back_col = (sin * y + cos * x) / spacing + (flat.shape[1] - 1) / 2
     template = cv2.remap(flat, back_col.astype(np.float32), back_row.astype(np.float32), cv2.INTER_LINEAR)
-    own = np.array([[-height, -width], [-height, width], [height, width], [height, -width]]) / (2 * spacing)
-    turned = np.column_stack((cos * own[:, 0] + sin * own[:, 1], -sin * own[:, 0] + cos * own[:, 1]))
+    corners = np.array([[-height, -width], [-height, width], [height, width], [height, -width]]) / (2 * spacing)
+    turned = np.column_stack((cos * corners[:, 0] + sin * corners[:, 1], -sin * corners[:, 0] + cos * corners[:, 1]))
     return np.asarray(template, dtype=np.float32), turned + np.array([(rows - 1) / 2, (cols - 1) / 2])

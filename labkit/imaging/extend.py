@@ -6,14 +6,11 @@ continuous, periodic, band-limited extension.
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from labkit.arrays import mask_array, real_array
 from labkit.errors import FitError
-from labkit.types import Floats
-
-Mask = NDArray[np.bool_]
+from labkit.types import Bools, Floats
 
 TOLERANCE = 1e-8
 """Of the gradient on the unknown samples, relative to that of holes filled with the mean."""
@@ -32,7 +29,7 @@ def roughness(signal: Floats) -> tuple[float, Floats]:
     return 0.5 * float(np.vdot(signal, slope)), slope
 
 
-def fill(signal: Floats, known: Mask) -> Floats:
+def fill(signal: Floats, known: Bools) -> Floats:
     """The signal with its unknown samples replaced by the smoothest ones; the known ones stay as they are, to the bit.
 
     signal: any number of axes, periodic; unknown samples may hold anything. known: mask of the same shape. The solution is
@@ -46,18 +43,23 @@ def fill(signal: Floats, known: Mask) -> Floats:
     filled = real_array("signal", filled, known.shape, "radiance, where known")
     unknown = ~known
     filled[unknown] = filled[known].mean()
-    if not unknown.any():
-        return filled
+    if unknown.any():
+        filled[unknown] += _step_to_smoothest(filled, unknown)
+    return filled
+
+
+def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
+    """What the unknown samples of a filled signal lack, by conjugate gradients. Thesis (2.31), (2.32)."""
 
     def on_unknown(weights: Floats) -> LinearOperator:
         def apply(step: Floats) -> Floats:
-            spread = np.zeros(known.shape)
+            spread = np.zeros(unknown.shape)
             spread[unknown] = step
             return _filtered(spread, weights)[unknown]
 
         return LinearOperator((count, count), matvec=apply, dtype=np.float64)
 
-    weights, lowest = _weights(known.shape), (2 * np.pi / max(known.shape)) ** 2
+    weights, lowest = _weights(unknown.shape), (2 * np.pi / max(unknown.shape)) ** 2
     count = int(np.count_nonzero(unknown))
     # F^H W^-1 F conditions all of them, holes, guard bands and scattered samples: 60-80 steps, where without it a guard
     # band takes 700, and where with W^-2 scattered samples take 200
@@ -70,9 +72,8 @@ def fill(signal: Floats, known: Mask) -> Floats:
         M=on_unknown(1 / np.sqrt(np.maximum(weights, lowest))),
     )
     if failed:
-        raise FitError(f"the smoothest filling of {count} samples was not found in {failed} steps")
-    filled[unknown] += step
-    return filled
+        raise FitError(f"the smoothest filling of {count} samples did not converge in {failed} steps")
+    return np.asarray(step)
 
 
 def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:

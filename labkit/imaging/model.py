@@ -21,9 +21,9 @@ WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wave
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What one frame's used pixels see, in units of the target's radiance.
+    """The mean and its derivatives at one frame's used pixels, in units of the target's radiance.
 
-    mean: (pixels,); by_waves: (modes, pixels); by_pose: (8, pixels). The derivatives are empty where not asked for.
+    mean: (pixels,); by_waves: (modes, pixels); by_pose: (8, pixels). Derivatives that were not wanted are empty.
     """
 
     mean: Floats
@@ -154,7 +154,7 @@ class ForwardModel:
     def _by_pose(
         self, spectrum: Complexes, transfer: Complexes, spread: tuple[Complexes, Complexes], pose: Pose, used: Bools
     ) -> Floats:
-        """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the point seen at x.
+        """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
         w is linear over the width of the PSF, so with t the place in the PSF this is
         -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the

@@ -1,4 +1,4 @@
-"""A target on the torus, seen from a pose: rendered from geometry, band-limited, warped (thesis 2.36-2.38)."""
+"""A target on the torus, at a pose: rendered from geometry, band-limited, warped (thesis 2.36-2.38)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -49,7 +49,7 @@ class Pose:
         return Pose(self.v + step, self.half_size_mm)
 
     def shifted(self, rows: float, columns: float) -> "Pose":
-        """The same pose seen from pixel coordinates whose origin lies at (rows, columns)."""
+        """The same pose in pixel coordinates whose origin lies at (rows, columns)."""
         v = self.v.copy()
         v[[0, 1, 2]] -= rows * np.array([1, v[6], v[7]])
         v[[3, 4, 5]] -= columns * np.array([1, v[6], v[7]])
@@ -85,7 +85,7 @@ class Pose:
         return float(dy), float(dx)
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
-        """Derivatives (8, ...) of row and of col by v, for the target's points that are seen at these pixels."""
+        """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
         y, x = self.to_target(row, col)
         w = 1 + self.v[6] * y + self.v[7] * x
         zero, basis = np.zeros_like(y), np.stack([np.ones_like(y), y, x]) / w

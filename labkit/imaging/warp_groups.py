@@ -50,11 +50,11 @@ class WarpGroup:
     def identity(self) -> Floats:
         """(dof,) the parameters that move nothing."""
         if self.dof in TURNING:
-            found = np.zeros(self.dof)
-            for own, fixed in zip(TURNING[self.dof], FIXED, strict=True):
-                if own is not None:
-                    found[own] = fixed
-            return found
+            parameters = np.zeros(self.dof)
+            for place, fixed in zip(TURNING[self.dof], FIXED, strict=True):
+                if place is not None:
+                    parameters[place] = fixed
+            return parameters
         return np.array([0.0, 0, 1, 0, 0, 1, 0, 0][: self.dof])
 
     def matrix(self, x: Floats) -> Floats:
@@ -98,7 +98,7 @@ class WarpGroup:
         """(3, 3) of (D.3): L^-1 V^-1 L, L moving the centre to the origin."""
         matrix, about = self.matrix(x), _about(centre)
         if not abs(np.linalg.det(matrix)) > 1e-12 * np.abs(matrix).max() ** 3:
-            raise ValueError(f"x = {np.asarray(x)} makes a singular matrix: the plane would be seen edge on")
+            raise ValueError(f"x = {np.asarray(x)} makes a singular matrix: the plane would lie edge on")
         return np.asarray(np.linalg.inv(about) @ np.linalg.inv(matrix) @ about)
 
     def _matrices(self, x: Floats) -> tuple[Floats, Floats, Floats]:
@@ -113,7 +113,7 @@ class WarpGroup:
     def _turning(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Rotation times magnifications, derived by all five parameters and then by those that x gives."""
         places = TURNING[self.dof]
-        choose = np.array([[float(own == i) for i in range(self.dof)] for own in places])  # d (five) / d x
+        choose = np.array([[float(place == i) for i in range(self.dof)] for place in places])  # d (five) / d x
         down, right, tall, wide, angle = choose @ x + np.where(choose.any(axis=1), 0.0, FIXED)
         c, s = np.cos(angle), np.sin(angle)
         turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])  # and its derivative

@@ -1,4 +1,4 @@
-"""How well frames can tell: Fisher information, Cramér-Rao bounds and what follows from them (thesis §3.4, §3.5)."""
+"""How well frames determine parameters: Fisher information, Cramér-Rao bounds and what follows (thesis §3.4, §3.5)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,21 +39,23 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     total = np.zeros((size, size))
     blocks = [slice(k, min(k + modes_at_once, modes)) for k in range(0, modes, modes_at_once)]
     for k, (frame, detector) in enumerate(zip(problem.frames, state.detectors(), strict=True)):
-        own = np.concatenate([np.arange(PER_FRAME) + modes + k * PER_FRAME, np.arange(size - common, size - NOISE)])
+        at_frame = np.concatenate(
+            [np.arange(PER_FRAME) + modes + k * PER_FRAME, np.arange(size - common, size - NOISE)]
+        )
         noise = np.array([size - 2, size - 1])
         drawing = problem.model.draw([state.poses[k]])
-        (seen,) = problem.model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
-        of = slopes(seen, frame, detector)
+        (evaluation,) = problem.model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
+        of = slopes(evaluation, frame, detector)
         both, cross, square = of.weights()
-        total[np.ix_(own, own)] += of.of_mean * both @ of.of_mean.T
-        _add(total, own, noise, of.of_mean * cross @ of.of_variance.T)
+        total[np.ix_(at_frame, at_frame)] += of.of_mean * both @ of.of_mean.T
+        _add(total, at_frame, noise, of.of_mean * cross @ of.of_variance.T)
         total[np.ix_(noise, noise)] += of.of_variance * square @ of.of_variance.T
         factor = detector.scale * frame.light(detector.unevenness)
         for i, rows in enumerate(blocks):
             here = problem.model.slopes(state.waves, drawing, frame.used, rows) * factor
             at = np.arange(rows.start, rows.stop)
             total[np.ix_(at, at)] += here * both @ here.T
-            _add(total, at, own, here * both @ of.of_mean.T)
+            _add(total, at, at_frame, here * both @ of.of_mean.T)
             _add(total, at, noise, here * cross @ of.of_variance.T)
             for columns in blocks[i + 1 :]:
                 there = problem.model.slopes(state.waves, drawing, frame.used, columns) * factor
@@ -147,8 +149,8 @@ def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None)
 def expected(problem: Problem, state: State) -> Problem:
     """The same problem with its frames as they are expected at a state, without noise."""
     frames: list[FrameData] = []
-    for frame, detector, seen in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
+    for frame, detector, relative in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
         counts = np.zeros(frame.counts.shape)
-        counts[frame.used] = predict(seen, frame, detector)[0]
+        counts[frame.used] = predict(relative, frame, detector)[0]
         frames.append(replace(frame, counts=counts))
     return replace(problem, frames=tuple(frames))

@@ -58,7 +58,7 @@ def strehl(waves: Floats) -> tuple[float, Floats]:
 
 
 def highest_on_shell(start: Floats, rms: float) -> Floats:
-    """Climb on the sphere of one RMS to a local maximum of the Strehl ratio; start: (12,), not zero."""
+    """A local maximum of the Strehl ratio on the sphere of one RMS, near a start; start: (12,), not zero."""
     start = _over_noll("start", start)
     positive("rms", rms, "waves")
     positive("length of start", float(np.linalg.norm(start)), "waves RMS")
@@ -70,19 +70,19 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
         tangent = slope - (slope @ place) / rms**2 * place
         return -value / rms**4, -tangent * (rms / length) / rms**4  # on a shell Strehl ratios differ by about rms^4
 
-    found = minimize(
+    end = minimize(
         lowered, start / np.linalg.norm(start), jac=True, method="L-BFGS-B", options={"gtol": 1e-7, "ftol": 1e-14}
     )
-    return np.asarray(found.x * (rms / np.linalg.norm(found.x)))
+    return np.asarray(end.x * (rms / np.linalg.norm(end.x)))
 
 
-def is_trivial(one: Floats, other: Floats, tolerance: float) -> bool:
-    """Whether one is the other, its negative or a twin, turned by any angle, but for a tolerance (waves RMS)."""
-    one, other, even = _over_noll("one", one), _over_noll("other", other), twin_signs(NOLL)
+def is_trivial(waves: Floats, other: Floats, tolerance: float) -> bool:
+    """Whether a wavefront is another, its negative or a twin, turned by any angle, but for a tolerance (waves RMS)."""
+    waves, other, even = _over_noll("waves", waves), _over_noll("other", other), twin_signs(NOLL)
     alike = [
         rotated(a, angle) for a in (other, -other, even * other, -even * other) for angle in np.arange(180) * np.pi / 90
     ]
-    return bool(np.min(np.linalg.norm(one - np.array(alike), axis=1)) < tolerance)
+    return bool(np.min(np.linalg.norm(waves - np.array(alike), axis=1)) < tolerance)
 
 
 @cache
@@ -100,8 +100,8 @@ def candidates(waves: Floats, rms: float = 0.2) -> Floats:
     """
     waves = _over_noll("waves", waves)
     positive("rms", rms, "waves")
-    shells, found = shipped()
-    own, even = found[shells == shells[np.argmin(np.abs(shells - rms))]], twin_signs(NOLL)
-    signed = np.concatenate([own, -own, own * even, -own * even])
+    shells, perturbations = shipped()
+    nearest, even = perturbations[shells == shells[np.argmin(np.abs(shells - rms))]], twin_signs(NOLL)
+    signed = np.concatenate([nearest, -nearest, nearest * even, -nearest * even])
     turns = 2 * np.pi * np.arange(TURNS) / TURNS
     return np.asarray(waves + np.unique([rotated(p, turn).round(9) for p in signed for turn in turns], axis=0))

@@ -16,12 +16,12 @@ from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
-STRAY = 0.5  # of the target's size: corners are known to about a pixel before a climb
+STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """What flats and darks say about the noise: independent measurements that join the likelihood.
+    """What flats and darks measure of the noise: independent measurements that join the likelihood.
 
     gain: counts per electron; read_variance: counts^2; the stds are relative. All are positive, ValueError otherwise.
     """
@@ -49,7 +49,7 @@ class NoisePrior:
 @dataclass(frozen=True)
 class State:
     """A point of the parameter space: waves RMS (modes,); for each frame its pose, scale and ambient light; for all
-    frames log gain and log read variance, and the illumination's unevenness (k,) where no flats told it."""
+    frames log gain and log read variance, and the illumination's unevenness (k,) where no flats determine it."""
 
     waves: Floats
     poses: tuple[Pose, ...]
@@ -108,7 +108,7 @@ class Problem:
     noise: NoisePrior
 
     def draw(self, state: State) -> Drawing:
-        """The target at a state's poses: whoever asks for more than one thing there hands it on, for time's sake alone."""
+        """The target at a state's poses: whoever needs more than one evaluation there hands it on, for time's sake alone."""
         return self.model.draw(state.poses)
 
     def relative(self, state: State, drawing: Drawing | None = None) -> list[Floats]:
@@ -130,16 +130,16 @@ class Problem:
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
         """The same from evaluations at a state, which may be by more than its modes."""
-        told = len(evaluations[0].by_waves)
-        modes, common = max(told, state.waves.size), state.unevenness.size + NOISE
+        given = len(evaluations[0].by_waves)
+        modes, common = max(given, state.waves.size), state.unevenness.size + NOISE
         size = modes + PER_FRAME * len(self.frames) + common
         gradient, information = np.zeros(size), np.zeros((size, size))
         scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
-        for k, one in enumerate(scores):
-            own = np.arange(PER_FRAME) + modes + k * PER_FRAME
-            index = np.concatenate([np.arange(told), own, np.arange(size - common, size)])
-            gradient[index] += one.gradient
-            information[np.ix_(index, index)] += one.information
+        for k, of_frame in enumerate(scores):
+            at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
+            index = np.concatenate([np.arange(given), at_frame, np.arange(size - common, size)])
+            gradient[index] += of_frame.gradient
+            information[np.ix_(index, index)] += of_frame.information
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
         information[-NOISE:, -NOISE:] += np.diag(self.noise.precision)
         return gradient, information, scores
@@ -147,7 +147,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a climb ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
+    """Where a maximisation ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
 
     state: State
     objective: float
@@ -164,7 +164,7 @@ class Solution:
 def maximize(
     problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.05
 ) -> Solution:
-    """Climb to the maximum near a start.
+    """The maximum of the likelihood near a start.
 
     tolerance: stop when the next step is shorter than this many standard errors, all parameters together.
     """

@@ -20,7 +20,7 @@ from labkit.types import Floats
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """Another optimum that a search saw. waves: (modes,) RMS; below: by how much its log-likelihood is less, about."""
+    """Another optimum that a search met. waves: (modes,) RMS; below: by how much its log-likelihood is less, about."""
 
     waves: Floats
     below: float
@@ -31,7 +31,7 @@ class WavefrontFit:
     """The wavefront of one channel at one range.
 
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance; state: all
-    parameters; starts: made to find it; others: optima seen on the way, the likeliest first; relative: images (pixels,)
+    parameters; starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,)
     of the used pixels of each frame; seconds: it took.
     """
 

@@ -1,6 +1,6 @@
-"""Whether the end of a climb is believed to be the global optimum: what is left of the data must be noise.
+"""Whether the end of a maximisation is believed to be the global optimum: what is left of the data must be noise.
 
-A wrong optimum leaves structure behind, of two kinds that are asked for separately: more variance than the noise
+A wrong optimum leaves structure behind, of two kinds that are tested separately: more variance than the noise
 measured beforehand, and likeness between nearby pixels.
 """
 
@@ -18,7 +18,7 @@ from labkit.types import Floats
 
 SIGNIFICANCE = 1e-3
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # rows and columns, in pixels
-LEAST_TOLD = 0.25  # waves RMS: a combination of modes with a larger standard error was not measured
+LEAST_KNOWN = 0.25  # waves RMS: a combination of modes with a larger standard error was not measured
 UNCALIBRATED = 0.3  # relative standard error of the noise's variance beyond which it cannot serve as a measure
 
 
@@ -26,7 +26,7 @@ UNCALIBRATED = 0.3  # relative standard error of the noise's variance beyond whi
 class Verdict:
     """p_value: chance of residuals this odd at the truth. excess: of variance, standard normal at the truth. likeness: sum
     of squares over the lags of LAGS that exist, each standard normal there; name: of the test; undetermined: combinations
-    of modes that the data do not tell, in words."""
+    of modes that the data do not determine, in words."""
 
     p_value: float
     accepted: bool
@@ -36,8 +36,8 @@ class Verdict:
     undetermined: tuple[str, ...] = ()
 
     def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
-        """The same, rejected if a covariance (modes, modes), waves RMS squared, says that the data do not tell every mode."""
-        open_ = worse_than(LEAST_TOLD, covariance, [mode_name(j) for j in noll])
+        """The same, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
+        open_ = worse_than(LEAST_KNOWN, covariance, [mode_name(j) for j in noll])
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
 
@@ -46,7 +46,7 @@ def judge(problem: Problem, state: State, relative: list[Floats], model_error: f
 
     excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a
     relative model_error in the residual variance included. likeness: correlation over several lags, a portmanteau as of
-    Box and Pierce. Two one-sided tests, Bonferroni; where the noise was not calibrated, excess tells nothing.
+    Box and Pierce. Two one-sided tests, Bonferroni; where the noise was not calibrated, excess means nothing.
     Raises ValueError for relative images of other frames.
     """
     if len(relative) != len(problem.frames):
@@ -57,8 +57,8 @@ def judge(problem: Problem, state: State, relative: list[Floats], model_error: f
     total, pixels, photons = 0.0, 0, 0.0
     across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))
     calibrated = bool(np.all(problem.noise.precision > UNCALIBRATED**-2))
-    for frame, own, u in zip(problem.frames, state.detectors(), relative, strict=True):
-        mean, variance = predict(u, frame, replace(own, gain=float(gain), read_variance=float(read_variance)))
+    for frame, detector, u in zip(problem.frames, state.detectors(), relative, strict=True):
+        mean, variance = predict(u, frame, replace(detector, gain=float(gain), read_variance=float(read_variance)))
         residual = frame.counts[frame.used] - mean
         total += float(np.sum(residual**2 / variance))
         pixels += mean.size

@@ -10,7 +10,7 @@ from labkit.arrays import symmetric
 from labkit.types import Floats
 
 SINGULAR = 1e-12  # smallest eigenvalue of the information, scaled to a unit diagonal, that rounding does not explain
-TELLING_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
+NAMED_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,13 @@ def _plainest(directions: Floats) -> Floats:
     """(k, p) the span of directions (p, k) by combinations of few parameters: each has one parameter to itself."""
     if directions.shape[1] == 0:
         return directions.T
-    own = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
-    return np.asarray(np.linalg.solve(directions[own].T, directions.T))
+    pivots = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
+    return np.asarray(np.linalg.solve(directions[pivots].T, directions.T))
 
 
 def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
-    """A direction that changes nothing in the data: scaled, to say which parameters have part in it; then in their units."""
-    named = [int(i) for i in np.flatnonzero(np.abs(direction) > TELLING_SHARE * np.abs(direction).max())]
+    """A direction that changes nothing in the data: scaled, to name its parameters; then in their units."""
+    named = [int(i) for i in np.flatnonzero(np.abs(direction) > NAMED_SHARE * np.abs(direction).max())]
     if len(named) == 1:
         return names[named[0]]
     parts = direction * scale

@@ -5,8 +5,8 @@ Counts d with the black level removed are N(mu, Sigma), independent over pixels,
     mu = V (1 + sum_k c_k P_k) (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2,
 
 u the relative image of `labkit.imaging`, V the relative illumination and s its relative standard deviation; the low orders
-P_k with their unknown c_k stand for what no flat frame told of the illumination. Of the five
-detector numbers of thesis (3.4) only four can be told from frames (the information matrix over all five is exactly
+P_k with their unknown c_k stand for what no flat frame determined of the illumination. Of the five
+detector numbers of thesis (3.4) only four can be estimated from frames (the information matrix over all five is exactly
 singular), so the black level is fixed from the raw file and dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
 """
 
@@ -21,10 +21,10 @@ from labkit.types import Bools, Floats
 
 @dataclass(frozen=True)
 class FrameData:
-    """What one frame says about one channel.
+    """One frame's data of one channel.
 
     counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s;
-    departures: (k, rows, columns) P, see `low_orders`; none where flats told V.
+    departures: (k, rows, columns) P, see `low_orders`; none where flats determine V.
     Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
     """
 
@@ -56,14 +56,13 @@ class FrameData:
 def low_orders(rows: int, columns: int) -> Floats:
     """(5, rows, columns) x, y, x^2, xy, y^2 from -1 to 1 over a frame: how light falls off and leans, at its plainest."""
     y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None, :]
-    one = np.ones((rows, columns))
-    return np.stack([x * one, y * one, x**2 * one, x * y, y**2 * one])
+    return np.stack(np.broadcast_arrays(x, y, x**2, x * y, y**2))
 
 
 @dataclass(frozen=True, slots=True)
 class Detector:
     """Of one frame: scale and ambient in counts. Of all frames: gain in counts per electron, read_variance in counts^2,
-    and the illumination's unevenness (k,) where no flats told it."""
+    and the illumination's unevenness (k,) where no flats determine it."""
 
     scale: float
     ambient: float

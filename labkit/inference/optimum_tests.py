@@ -1,4 +1,4 @@
-"""Tests whether the end of a climb is the global optimum: thesis §4.2, on the camera model.
+"""Tests whether the end of a maximisation is the global optimum: thesis §4.2, on the camera model.
 
 Each test has a statistic that is large at a wrong optimum, and a fast form of its distribution at the right one; `bootstrap`
 gives the threshold without any theory, by fitting data drawn from the optimum itself.
@@ -36,12 +36,12 @@ def excess_likelihood(problem: Problem, state: State) -> float:
 
     For independent normal pixels E l and Var l under the optimum itself are closed: each pixel's -chi2/2 has mean -1/2 and
     variance 1/2. The parameters that were fitted to the data raise l by half their number. The noise is that of the
-    calibration, for fitted to the data it would explain anything; the calibration's own errors join Var l.
+    calibration, for fitted to the data it would explain anything; the calibration's errors join Var l.
     """
     state = _calibrated(problem, state)
     misfit, photons, pixels = 0.0, 0.0, 0
-    for frame, detector, seen in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
-        mean, variance = predict(seen, frame, detector)
+    for frame, detector, relative in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
+        mean, variance = predict(relative, frame, detector)
         misfit += float(np.sum((frame.counts[frame.used] - mean) ** 2 / variance))
         photons += float(np.sum(detector.gain * np.maximum(mean, 0) / variance))
         pixels += mean.size
@@ -81,7 +81,7 @@ def _calibrated(problem: Problem, state: State) -> State:
 class PsfBasis:
     """Directions in which a PSF may depart from any wavefront's: the reparameterised embedding of §4.2.3.
 
-    directions: (k, n, n) changes of the PSF, n odd, centred, SPACING_AIRY lambda N apart, found by `find_psf_basis`.
+    directions: (k, n, n) changes of the PSF, n odd, centred, SPACING_AIRY lambda N apart, computed by `find_psf_basis`.
     """
 
     directions: Floats
@@ -97,7 +97,7 @@ class PsfBasis:
         return len(self.directions)
 
     def kernels(self, model: ForwardModel) -> list[Complexes]:
-        """Half planes of their transfer functions on a model's torus, the pixel's own included."""
+        """Half planes of their transfer functions on a model's torus, the pixel's included."""
         torus, pupil = model.blur.torus, model.blur.pupil
         step = torus.spacing_um / (pupil.wavelength_um * pupil.f_number) / SPACING_AIRY
         half = self.directions.shape[1] // 2
@@ -137,9 +137,9 @@ def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) ->
     used, drawing = [f.used for f in problem.frames], problem.draw(state)
     torus, embedded = problem.model.blur.torus, []
     evaluations = problem.model.evaluate(state.waves, drawing, used)
-    for seen, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
+    for evaluation, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
         departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
-        embedded.append(replace(seen, by_waves=np.concatenate([departures, seen.by_waves])))
+        embedded.append(replace(evaluation, by_waves=np.concatenate([departures, evaluation.by_waves])))
     return problem.assembled(state, embedded)[:2]
 
 
@@ -157,10 +157,10 @@ def bootstrap(
     positive("draws", draws, "sets of data")
     values = []
     truth = _calibrated(problem, state)
-    seen = problem.relative(truth)
+    images = problem.relative(truth)
     for _ in range(draws):
         frames = []
-        for frame, detector, relative in zip(problem.frames, truth.detectors(), seen, strict=True):
+        for frame, detector, relative in zip(problem.frames, truth.detectors(), images, strict=True):
             mean, variance = predict(relative, frame, detector)
             counts = np.zeros(frame.counts.shape)
             counts[frame.used] = rng.normal(mean, np.sqrt(variance))
@@ -177,7 +177,7 @@ def against(test: OptimumTest, drawn: Floats) -> OptimumTest:
 
 
 def recalibrated(noise: NoisePrior, rng: np.random.Generator) -> NoisePrior:
-    """What another calibration as good would have said of the noise."""
+    """What another calibration as good would have measured of the noise."""
     gain, read_variance = np.exp(rng.normal(noise.centre, 1 / np.sqrt(noise.precision)))
     return replace(noise, gain=float(gain), read_variance=float(read_variance))
 
@@ -221,7 +221,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
 
 @cache
 def shipped_psf_basis(degrees: int) -> PsfBasis:
-    """The first of the 16 directions that `benchmarks/make_psf_basis.py` found at the conditions of thesis §3.8.
+    """The first of the 16 directions that `benchmarks/make_psf_basis.py` computed at the conditions of thesis §3.8.
 
     Raises ValueError for more or none.
     """

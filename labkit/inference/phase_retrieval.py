@@ -1,4 +1,4 @@
-"""Where to climb from: wavefronts retrieved from one frame while its pose is held.
+"""Where to maximise the likelihood from: wavefronts retrieved from one frame while its pose is held.
 
 There the picture is linear in the PSF, and PSFs of moderate wavefronts are combinations of a few hundred components. One
 factorisation of the components' pictures leaves a least-squares problem of as many numbers, in which a start costs a tenth
@@ -22,16 +22,18 @@ from labkit.types import Floats
 
 TILTS = (2, 3)
 WINDOW_AIRY = 32.0  # of the PSF, in lambda N: what reaches farther hardly depends on the wavefront
-LOBES = 2.0  # of the spectrum that fits a pixel: beyond them little passes it
+LOBES = 2.0  # of the pixel's transfer function: beyond them little passes it
 # PSFs drawn, and components kept: they leave 1 % of a PSF's departure from the perfect one
 DRAWS, COMPONENTS = 900, 300
 DRAWN_WAVES, DRAWN_TILT = (0.05, 0.4), 0.15  # RMS of what is drawn for them, at the light's own wavelength
 START_WAVES = (0.1, 0.3)  # of random starts
 SAME = 0.01  # ends whose misfits differ relatively by less are one optimum, or its twin: not all are carried to their bottom
-WORTH = 1.1  # times the least misfit seen: an optimum that is worth a climb
+WORTH = 1.1  # times the least misfit: an optimum that is worth a maximisation of the likelihood
 LEAST, PATIENCE = 4, 16  # starts before the best optimum is offered: where it is clear, and where it is not
-CLEAR = 2.0  # the next misfit is larger by this factor
-ENOUGH, MOST = 8, 100  # times the best optimum is met, or starts made, before the search ends
+CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four times the right one's (docs/decisions.md)
+# times the best optimum is met, or starts made, before the search ends: a better one to which as many starts lead has escaped
+# eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
+ENOUGH, MOST = 8, 100
 EVALUATIONS = 30  # of one start, at most
 
 Singles = npt.NDArray[np.float32]

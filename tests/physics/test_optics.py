@@ -198,7 +198,7 @@ def test_slopes_of_defocus_are_complex_steps(convention: Convention, sign: int) 
         f, half = 70.0, mp * 70.0 / 2.8 / 2
         radii = [x * f / (x - f) + sign * (mp - 1) * f for x in (target, focus)]
         target_path, focus_path = (r - np.sqrt(r**2 - half**2) for r in radii)
-        return complex(target_path - focus_path) / np.sqrt(12) / 450e-6
+        return complex((target_path - focus_path) / np.sqrt(12) / 450e-6)
 
     at, step = np.array([3200.0, 3150.0, 1.2]), 1e-20j
     wanted = [waves(*(at + step * unit)).imag / 1e-20 for unit in np.eye(3)]
