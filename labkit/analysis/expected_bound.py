@@ -17,9 +17,7 @@ from labkit.types import Bools, Floats
 
 READ_ELECTRONS = 3.0
 WAVES_RMS = 0.05  # of every other mode together: a usual lens
-LEAST_DEFOCUS_WAVES = (
-    0.01  # at best focus itself defocus and blur of the pixels are not told apart by first derivatives
-)
+LEAST_DEFOCUS_WAVES = 0.01  # where there is none at all, a little of it changes a picture in second order only
 TURN_RAD = 0.02  # of the target: no pixel row lies along a row of cells
 SURROUND = 1.2  # side of the frame, in sides of the target
 BAYER = "RGGB"  # where the plan leaves the pattern to the files; other orders of the cell have the same bounds
@@ -81,8 +79,8 @@ def expected_bound(
         noll=noll,
     )
     side = ceil(SURROUND * side_px / 2) * 2
-    one = np.ones((side, side))
-    frame = FrameData(0 * one, planes_of(plan.sensor, channel.name).mask(side), one, 0 * one)
+    ones = np.ones((side, side))
+    frame = FrameData(0 * ones, planes_of(plan.sensor, channel.name).mask(side), ones, 0 * ones)
     noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
     pose = _pose(side_px, side, target)
     state = State(_waves(noll, defocus_waves), (pose,), np.array([electrons]), np.zeros(1), noise.centre)

@@ -54,7 +54,7 @@ class Mosaic:
         cell = tuple((row, col) for row in range(2) for col in range(2))
         if self.pattern == MONO:
             return cell
-        found = tuple((row, col) for row, col in cell if self.pattern[row][col] == name)
-        if not found:
+        places = tuple((row, col) for row, col in cell if self.pattern[row][col] == name)
+        if not places:
             raise RawError(f"no channel {name} in this filter array: {self.cfa}")
-        return found
+        return places

@@ -15,6 +15,7 @@ from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
 from labkit.target import open_target
+from labkit.types import Floats
 from tests.plans import PORTRAIT, plan_text
 
 TEXT = PLAN.format(address="simulated:")
@@ -147,10 +148,10 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
     pose = Pose.from_corners(corners, (15.6, 15.6))
     pixels = np.array([[cell[2 * (row % 2) + col % 2] == name for col in range(SIDE)] for row in range(SIDE)])
 
-    def mean(step: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def mean(step: Floats) -> Floats:
         waves = np.array([0.01, 0.025, 0.025, 0.025]) + step[:4]
         (image,) = model.means(waves, [pose.moved(step[4:12])], [pixels])
-        return (ELECTRONS + step[12]) * image + step[13]
+        return np.asarray((ELECTRONS + step[12]) * image + step[13])
 
     steps = np.diag([1e-4] * 4 + [1e-4] * 8 + [1.0, 0.1])
     by = np.array([(mean(step) - mean(-step)) / (2 * step.sum()) for step in steps])
