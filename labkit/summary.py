@@ -6,7 +6,7 @@ from labkit.analysis.advise import Advice
 
 
 def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
-    """A heading and a row for each range; then what the ranges tell together."""
+    """A heading and a row for each range; then what to expect of the ranges together."""
     rows = [
         [
             "range/mm",
@@ -38,13 +38,13 @@ def advice_rows(advice: Advice) -> tuple[list[list[str]], list[list[str]]]:
     if advice.best_focus_std_mm is None or advice.magnification_std is None:
         together.append(["best focus", "needs defocus, mode 4, from at least two ranges"])
     else:
-        told = "can be told" if advice.told else "cannot be told at these ranges"
+        verdict = "determined" if advice.magnification_determined else "not determined at these ranges"
         together.append(["best focus", f"± {advice.best_focus_std_mm:.2g} mm"])
-        together.append(["pupil magnification", f"± {advice.magnification_std:.2g}: {told}"])
-    if not advice.told and advice.telling_std is not None:
-        ranges = ", ".join(f"{r:g}" for r in advice.telling_ranges_mm)
+        together.append(["pupil magnification", f"± {advice.magnification_std:.2g}: {verdict}"])
+    if not advice.magnification_determined and advice.proposed_std is not None:
+        ranges = ", ".join(f"{r:g}" for r in advice.proposed_ranges_mm)
         together.append(
-            ["", f"± {advice.telling_std:.2g} from ranges such as {ranges} mm, the lens focused among them"]
+            ["", f"± {advice.proposed_std:.2g} from ranges such as {ranges} mm, the lens focused among them"]
         )
     if advice.frames is not None:
         together.append(["photographs", f"{advice.frames} for each range, so exposed, for the error wanted"])

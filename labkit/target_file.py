@@ -118,7 +118,7 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
     if np.any((grey != 0) & (grey != 255)):
         notes.append("grey levels are linear in radiance: show them on a linearised display")
     if target.surround == 0:
-        notes.append("the plan says that black surrounds the target: mount it on black")
+        notes.append("black surrounds the target in the plan: mount it on black")
     return notes
 
 

@@ -31,7 +31,7 @@ def _once(content: bytes, rng: np.random.Generator, tokens: Sequence[bytes]) -> 
         case 2:
             return head + part * int(rng.integers(2, 9)) + tail
         case 3:
-            return head + tokens[rng.integers(len(tokens))] + tail
+            return head + tokens[int(rng.integers(len(tokens)))] + tail
         case 4:
             return head + (bytes([part[0] ^ (1 << rng.integers(8))]) + part[1:] if part else b"") + tail
         case _:

@@ -1,32 +1,25 @@
-"""Before the first photograph: which target, how much light, what can be told (thesis §3.7 with its misprint corrected)."""
+"""Before the first photograph: which target, how much light, which errors (thesis §3.7 with its misprint corrected)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import ceil, floor, isfinite, log
+from math import ceil, floor, isfinite, log, sqrt
 from typing import Any
 
 import numpy as np
 
+from labkit.analysis.expected_bound import expected_bound, planes_of
 from labkit.analysis.focus import TELLING_STD, DefocusPoint, fit_focus
 from labkit.devices.panels import panel_info
 from labkit.errors import DataError, PlanError
-from labkit.imaging.model import ForwardModel, Optics
-from labkit.imaging.warp import Pose
-from labkit.inference.bounds import fisher_information, parameter_names
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State
-from labkit.inference.identifiability import Bound, bound_of
-from labkit.inference.likelihood import FrameData
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
-from labkit.plan import Plan
+from labkit.plan import Channel, Plan
 from labkit.target import Target, open_target
 
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
-READ_ELECTRONS = 3.0
-WAVES_RMS = 0.05  # of every other mode together: a usual lens
 WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
 MOST_PX = 10_000  # across the widest sensors
-NAMED = 4  # of what is left open
+NAMED = 4  # of what is not determined
 MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
 CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
@@ -51,28 +44,45 @@ class RangeAdvice:
 
 @dataclass(frozen=True)
 class Advice:
-    """ranges: one for each of the plan; best_focus_std_mm, magnification_std: None with fewer than two ranges; told: whether
-    the pupil magnification can be; nearest_mm: the range where a pixel of the display is an Airy radius, if there is a
-    display; frames: photographs for each range for the wanted error, as exposed; notes: in words."""
+    """What to expect of a plan.
+
+    channel: the one that the errors are of; ranges: one for each of the plan; best_focus_std_mm, magnification_std: None
+    with fewer than two ranges; magnification_determined: whether those ranges determine it; proposed_ranges_mm: ranges
+    that would, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy radius, if there is a
+    display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
+    """
 
     channel: str
     electrons: float
     ranges: tuple[RangeAdvice, ...]
     best_focus_std_mm: float | None
     magnification_std: float | None
-    told: bool
-    telling_ranges_mm: tuple[float, ...]
-    telling_std: float | None
+    magnification_determined: bool
+    proposed_ranges_mm: tuple[float, ...]
+    proposed_std: float | None
     nearest_mm: float | None
     frames: int | None
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """With null for errors that are not finite."""
-        told = asdict(self)
-        for one in told["ranges"]:
-            one.update({key: None for key, value in one.items() if isinstance(value, float) and not isfinite(value)})
-        return told
+        data = asdict(self)
+        for at in data["ranges"]:
+            at.update({key: None for key, value in at.items() if isinstance(value, float) and not isfinite(value)})
+        return data
+
+
+@dataclass(frozen=True, slots=True)
+class _Photographs:
+    """What is photographed, and how: the same at every range. frames: of each range."""
+
+    plan: Plan
+    lens: ThinLens
+    target: Target
+    channel: Channel
+    focus_mm: float
+    electrons: float
+    frames: int
 
 
 def advise(
@@ -82,51 +92,73 @@ def advise(
     electrons: float = ELECTRONS,
     want_waves: float | None = None,
 ) -> Advice:
-    """What a plan will tell, from its lens, sensor, target and ranges alone.
+    """What to expect of a plan, from its lens, sensor, target and ranges alone.
 
     ranges_mm: instead of the plan's. electrons: at white, in one photograph. want_waves: a wavefront's standard error.
-    The middle of the ranges is taken for best focus. Raises PlanError where there are no ranges, DataError where want_waves
-    or electrons is not positive.
+    The middle of the ranges is taken for best focus, the channel of the shortest wavelength for all errors. Raises PlanError
+    where there are no ranges, DataError where want_waves or electrons is not positive.
     """
-    ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
-    if not ranges:
-        raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
     if not 1 <= electrons <= MOST_ELECTRONS:
         raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
     if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
         raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    wrong = [r for r in ranges if not lens.focal_length_mm < r <= FARTHEST_MM]
-    if wrong:
-        allowed = f"more than the focal length, {lens.focal_length_mm:g} mm, and at most {FARTHEST_MM:g} mm"
-        raise PlanError(f"range {wrong[0]:g} mm: allowed is {allowed}")
-    focus_mm, target, frames = _middle(ranges, lens), open_target(plan.target), _frames(plan)
-    advised = [_at(plan, lens, target, r, focus_mm, electrons, frames) for r in ranges]
-    best_std, magnification_std = _focus_std(plan, lens, advised, focus_mm)
-    worst = max(a.std_wavefront_waves for a in advised)
-    telling, telling_std = _telling_ranges(min(ranges), lens, advised, plan)
-    wanted = max(1, ceil(frames * (worst / want_waves) ** 2)) if want_waves and isfinite(worst) else None
-    told = magnification_std is not None and magnification_std <= TELLING_STD
+    ranges = _ranges(plan, ranges_mm)
+    frames = plan.camera.frames_per_range if plan.camera else 1
+    focus_mm = _middle(ranges, lens)
+    shots = _Photographs(plan, lens, open_target(plan.target), _shortest(plan), focus_mm, electrons, frames)
+    advised = [_at(shots, range_mm) for range_mm in ranges]
+    best_std, magnification_std = _focus_std(plan, lens, advised)
+    proposed, proposed_std = _proposed_ranges(min(ranges), lens, advised, plan)
+    wanted, light_notes = _wanted_frames(advised, frames, want_waves)
     nearest_mm = _nearest_mm(plan)
-    notes = [*_target_notes(plan, advised), *_display_notes(plan, min(ranges), nearest_mm), *_sampling_notes(plan)]
-    if wanted is not None and wanted > frames:
-        notes.append(
-            f"{wanted} photographs a range, or {wanted / frames:.3g} times the light, would bring the wavefront's standard "
-            f"error from {worst:.2g} to {want_waves:g} waves"
-        )
     return Advice(
-        plan.channel[_shortest(plan)].name,
-        electrons,
-        tuple(advised),
-        best_std,
-        magnification_std,
-        told,
-        telling,
-        telling_std,
-        nearest_mm,
-        wanted,
-        tuple(notes),
+        channel=shots.channel.name,
+        electrons=electrons,
+        ranges=tuple(advised),
+        best_focus_std_mm=best_std,
+        magnification_std=magnification_std,
+        magnification_determined=magnification_std is not None and magnification_std <= TELLING_STD,
+        proposed_ranges_mm=proposed,
+        proposed_std=proposed_std,
+        nearest_mm=nearest_mm,
+        frames=wanted,
+        notes=(
+            *_target_notes(plan, advised),
+            *_display_notes(plan, min(ranges), nearest_mm),
+            *_sampling_notes(plan),
+            *light_notes,
+        ),
     )
+
+
+def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
+    """The ranges to advise on, in order. Raises PlanError where there are none, or one that no lens images."""
+    ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
+    if not ranges:
+        raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
+    focal_mm = plan.lens.focal_length_mm
+    for range_mm in ranges:
+        if not focal_mm < range_mm <= FARTHEST_MM:
+            allowed = f"more than the focal length, {focal_mm:g} mm, and at most {FARTHEST_MM:g} mm"
+            raise PlanError(f"range {range_mm:g} mm: allowed is {allowed}")
+    return ranges
+
+
+def _wanted_frames(
+    advised: Sequence[RangeAdvice], frames: int, want_waves: float | None
+) -> tuple[int | None, list[str]]:
+    """Photographs of each range for a wanted error, and a note where they are more than planned."""
+    worst = max(a.std_wavefront_waves for a in advised)
+    if want_waves is None or not isfinite(worst):
+        return None, []
+    wanted = max(1, ceil(frames * (worst / want_waves) ** 2))
+    if wanted <= frames:
+        return wanted, []
+    return wanted, [
+        f"{wanted} photographs a range, or {wanted / frames:.3g} times the light, would bring the wavefront's standard "
+        f"error from {worst:.2g} to {want_waves:g} waves"
+    ]
 
 
 def best_order(plan: Plan, range_mm: float) -> int:
@@ -137,7 +169,7 @@ def best_order(plan: Plan, range_mm: float) -> int:
 
 def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
     """Radius of the Airy disc seen on the target, z1 lambda / D per unit of range, for the shortest wavelength."""
-    wavelength_mm = plan.channel[_shortest(plan)].wavelength_nm * 1e-6
+    wavelength_mm = _shortest(plan).wavelength_nm * 1e-6
     diameter_mm = plan.lens.focal_length_mm / plan.lens.f_number
     return AIRY_ZERO * wavelength_mm / diameter_mm * range_mm
 
@@ -147,12 +179,8 @@ def _nearest_mm(plan: Plan) -> float | None:
     return None if plan.display is None else panel_info(plan.display).pitch_mm / _airy_on_target_mm(plan, 1.0)
 
 
-def _shortest(plan: Plan) -> int:
-    return min(range(len(plan.channel)), key=lambda k: plan.channel[k].wavelength_nm)
-
-
-def _frames(plan: Plan) -> int:
-    return plan.camera.frames_per_range if plan.camera else 1
+def _shortest(plan: Plan) -> Channel:
+    return min(plan.channel, key=lambda channel: channel.wavelength_nm)
 
 
 def _middle(ranges: Sequence[float], lens: ThinLens) -> float:
@@ -161,13 +189,19 @@ def _middle(ranges: Sequence[float], lens: ThinLens) -> float:
     return image * lens.focal_length_mm / (image - lens.focal_length_mm)
 
 
-def _at(
-    plan: Plan, lens: ThinLens, target: Target, range_mm: float, focus_mm: float, electrons: float, frames: int
-) -> RangeAdvice:
-    side_px = plan.target.size_mm / float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
-    defocus = float(defocus_waves(lens, range_mm, focus_mm, plan.reference_wavelength_nm))
-    bound, shrunk = _bound(plan, target, min(side_px, WIDEST_PX), defocus, electrons, frames)
-    smaller = shrunk * min(1.0, WIDEST_PX / side_px)
+def _at(shots: _Photographs, range_mm: float) -> RangeAdvice:
+    plan = shots.plan
+    side_px = plan.target.size_mm / float(ground_sample_mm(shots.lens, range_mm, plan.sensor.pixel_pitch_um))
+    defocus = float(defocus_waves(shots.lens, range_mm, shots.focus_mm, plan.reference_wavelength_nm))
+    bound = expected_bound(
+        plan,
+        shots.target,
+        shots.channel,
+        side_px=min(side_px, WIDEST_PX),
+        defocus_waves=defocus,
+        electrons=shots.electrons,
+    )
+    smaller = min(1.0, WIDEST_PX / side_px) / sqrt(shots.frames)
     modes = plan.fit.zernike_noll[1] - plan.fit.zernike_noll[0] + 1
     cell_airy = size_mm = None
     if plan.target.kind == "sierpinski" and plan.target.order:
@@ -186,44 +220,7 @@ def _at(
     )
 
 
-def _bound(
-    plan: Plan, target: Target, side_px: float, defocus: float, electrons: float, frames: int
-) -> tuple[Bound, float]:
-    """Of one photograph, light and noise in electrons; and by what more of them shrink it."""
-    channel = plan.channel[_shortest(plan)]
-    first, last = plan.fit.zernike_noll
-    noll = tuple(range(first, last + 1))
-    optics = Optics(
-        wavelength_um=channel.wavelength_nm * 1e-3,
-        reference_um=plan.reference_wavelength_nm * 1e-3,
-        f_number=plan.lens.f_number,
-        pitch_um=plan.sensor.pixel_pitch_um,
-        active_um=plan.sensor.active_um,
-        noll=noll,
-    )
-    edge = ceil(1.2 * side_px / 2) * 2
-    half = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * side_px / 2
-    turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])  # no pixel row along a row of cells
-    pose = Pose.from_corners(half @ turn + (edge - 1) / 2 + 0.3, target.size_mm)
-    used = np.zeros((edge, edge), dtype=bool)
-    for row, col in ((0, 0),) if len(plan.channel) == 1 else ((1, 1),):
-        every = 1 if len(plan.channel) == 1 else 2
-        used[row::every, col::every] = True
-    one = np.ones((edge, edge))
-    frame = FrameData(0 * one, used, one, 0 * one)
-    waves = np.full(len(noll), WAVES_RMS / np.sqrt(len(noll)))
-    if noll[0] == 4:
-        waves[0] = defocus if abs(defocus) > 0.01 else 0.01
-    noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
-    state = State(waves, (pose,), np.array([electrons]), np.zeros(1), noise.centre)
-    problem = Problem(ForwardModel.build(optics, target, (edge, edge), pose), (frame,), noise)
-    bound = bound_of(fisher_information(problem, state, len(noll)), parameter_names(state, noll))
-    return bound, 1 / np.sqrt(frames)
-
-
-def _focus_std(
-    plan: Plan, lens: ThinLens, advised: Sequence[RangeAdvice], focus_mm: float
-) -> tuple[float | None, float | None]:
+def _focus_std(plan: Plan, lens: ThinLens, advised: Sequence[RangeAdvice]) -> tuple[float | None, float | None]:
     points = [
         DefocusPoint(a.range_mm, "one", a.defocus_waves, a.std_defocus_waves)
         for a in advised
@@ -231,7 +228,7 @@ def _focus_std(
     ]
     if len({p.range_mm for p in points}) < 2 or plan.fit.zernike_noll[0] != 4:
         return None, None
-    # colours share the magnification, so more of them help; one is told of, as if it were alone
+    # colours share the magnification, so more of them help; the errors are of one alone
     focus = fit_focus(
         points,
         lens.focal_length_mm,
@@ -243,10 +240,10 @@ def _focus_std(
     return float(focus.std[0]), float(focus.std[-1])
 
 
-def _telling_ranges(
+def _proposed_ranges(
     nearest: float, lens: ThinLens, advised: Sequence[RangeAdvice], plan: Plan
 ) -> tuple[tuple[float, ...], float | None]:
-    """The farthest three ranges, a wave of defocus apart, that tell the pupil magnification; none where none does."""
+    """The farthest three ranges, a wave of defocus apart, that determine the pupil magnification; none where none do."""
     std = max((a.std_defocus_waves for a in advised if np.isfinite(a.std_defocus_waves)), default=np.inf)
     focal, reference_mm = lens.focal_length_mm, plan.reference_wavelength_nm * 1e-6
     step_mm = STEP_WAVES * np.sqrt(12) * reference_mm * 8 * lens.f_number**2  # of the image, for so much defocus
@@ -272,7 +269,7 @@ def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
         lowest = min(a.order for a in advised)
         if plan.target.order > lowest:
             notes.append(
-                f"order {plan.target.order} has cells smaller than the Airy disc: order {lowest} says nearly as much, "
+                f"order {plan.target.order} has cells smaller than the Airy disc: order {lowest} is nearly as good, "
                 "and prints and shows more easily"
             )
         elif plan.target.order < lowest:
@@ -284,12 +281,12 @@ def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
         wide = 60 / smallest * plan.target.size_mm
         notes.append(f"the target spans {smallest:.0f} pixels only: about {wide:.3g} mm would span 60")
     if largest > MOST_PX:
-        notes.append(f"the target spans {largest:.0f} pixels: no sensor sees it whole; choose a smaller one")
-    for one in advised:
-        if one.undetermined:
-            many = len(one.undetermined)
-            what = f"{many} combinations of wavefront, pose and light" if many > NAMED else ", ".join(one.undetermined)
-            notes.append(f"at {one.range_mm:g} mm the photographs leave open: {what}")
+        notes.append(f"the target spans {largest:.0f} pixels: no sensor holds all of it; choose a smaller one")
+    for at in advised:
+        if at.undetermined:
+            many = len(at.undetermined)
+            what = f"{many} combinations of wavefront, pose and light" if many > NAMED else ", ".join(at.undetermined)
+            notes.append(f"at {at.range_mm:g} mm the photographs do not determine: {what}")
     return notes
 
 
@@ -313,7 +310,10 @@ def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None
 
 
 def _sampling_notes(plan: Plan) -> list[str]:
-    nyquist_um = plan.channel[_shortest(plan)].wavelength_nm * 1e-3 * plan.lens.f_number / 2
-    every = 1 if len(plan.channel) == 1 else 2
-    times = every * plan.sensor.pixel_pitch_um / nyquist_um
-    return [f"a channel's pixels are {times:.1f} times as far apart as Nyquist asks: aliasing, which the fit models"]
+    nyquist_um = _shortest(plan).wavelength_nm * 1e-3 * plan.lens.f_number / 2
+    planes = planes_of(plan.sensor, _shortest(plan).name)
+    times = planes.spacing_px * plan.sensor.pixel_pitch_um / nyquist_um
+    notes = [
+        f"a channel's pixels are {times:.1f} times as far apart as Nyquist requires: aliasing, which the fit models"
+    ]
+    return [*notes, planes.assumed] if planes.assumed else notes

@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import tifffile
@@ -58,7 +58,7 @@ DAMAGED = "is truncated or damaged"
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """(rows, cols) numbers, or (rows, cols, 3) where a file says that it has colours; bits: of each, as stored;
+    """(rows, cols) numbers, or (rows, cols, 3) of a file in colours; bits: of each, as stored;
     white: the number of full scale."""
 
     numbers: Numbers
@@ -100,7 +100,7 @@ def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
         pages += [sub for sub in page.pages or () if isinstance(sub, tifffile.TiffPage)]
         end = max((at + count for at, count in zip(page.dataoffsets, page.databytecounts, strict=False)), default=0)
         if end > size:
-            raise InputError(f"is truncated: {size} bytes, but its tags say at least {end}")
+            raise InputError(f"is truncated: {size} bytes, but its tags state at least {end}")
 
 
 def _check_size(shape: tuple[int, ...], most_pixels: int) -> None:
@@ -176,7 +176,7 @@ def _read_pgm(content: bytes, most_pixels: int) -> Picture:
     else:
         numbers = _plain_numbers(content[header.end() :], rows * cols)
     if numbers.max() > most:
-        raise InputError(f"{DAMAGED}: it holds {numbers.max():g}, its header says {most} at most")
+        raise InputError(f"{DAMAGED}: it holds {numbers.max():g}, its header states {most} at most")
     return Picture(numbers.astype(dtype).reshape(rows, cols), 8 * dtype.itemsize, most)
 
 
@@ -243,5 +243,5 @@ def _decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Num
     dtype = np.dtype(decoder.TYPES[mode.decode()])
     if len(data) != expected or 8 * dtype.itemsize != bits:
         raise InputError(f"{DAMAGED}: {len(data)} of {expected} bytes came out of it")
-    decoded: Any = np.frombuffer(data, dtype).astype(dtype.newbyteorder("=")).reshape(shape)
-    return decoded
+    decoded = np.frombuffer(data, dtype).reshape(shape)
+    return decoded.astype(np.uint8) if bits == 8 else decoded.astype(np.uint16)

@@ -115,7 +115,7 @@ def _unknown_key(loc: tuple[Step, ...], where: str, model: type[BaseModel]) -> s
 
 
 def _needs(loc: tuple[Step, ...], model: type[BaseModel]) -> str:
-    """What a field takes, in words; empty where its type says it all."""
+    """What a field takes, in words; empty where its type says enough."""
     field = _model_at(loc, model).model_fields.get(str(loc[-1])) if loc else None
     if field is None:
         return ""

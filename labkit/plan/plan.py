@@ -33,7 +33,7 @@ COLOUR_WORDS = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": 
 
 
 class Plan(Table):
-    """Everything about a session that the photographs do not say.
+    """Everything about a session that the photographs do not state.
 
     Made by `load`, `parse` and `from_tables`, changed by `replace`: these raise PlanError, one line that names every
     field that is wrong. ``labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})``
@@ -84,7 +84,7 @@ class Plan(Table):
 
     @property
     def reference_wavelength_nm(self) -> float:
-        """What waves are counted in: as [fit] says; else 450 nm, or of a single channel its own wavelength."""
+        """What waves are counted in: as [fit] states; else 450 nm, or the wavelength of a single channel."""
         if self.fit.reference_wavelength_nm is not None:
             return self.fit.reference_wavelength_nm
         return self.channel[0].wavelength_nm if len(self.channel) == 1 else REFERENCE_NM
@@ -106,7 +106,8 @@ class Plan(Table):
             return
         # files that state their own filter array may be mono, whose one channel has any name
         alone = pattern is None and len(names) == 1
-        colours, words = COLOURS, "R, G or B; the one channel of a mono sensor has any name"
+        colours: tuple[str, ...] = COLOURS
+        words = "R, G or B; the one channel of a mono sensor has any name"
         if pattern is not None:
             colours, words = tuple(pattern), f'a colour of cfa_pattern = "{pattern}"'
         for name in names:

@@ -38,7 +38,7 @@ from labkit.plan.messages import message
 from labkit.plan.text import plain
 
 LAST_NOLL = 66
-"""The last Zernike mode that can be asked for: all of the tenth radial order."""
+"""The last Zernike mode that can be fitted: all of the tenth radial order."""
 
 NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
 """Kind of target -> the field that it cannot do without."""
@@ -73,7 +73,7 @@ class Lens(Table):
 
 
 class Sensor(Table):
-    """Sampling of the file, and what the file does not say of itself.
+    """Sampling of the file, and what the file does not state of itself.
 
     pixel_pitch_um is between neighbouring samples of the file; fill_factor is active area over pitch squared;
     cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono".
@@ -98,7 +98,7 @@ class Sensor(Table):
 
 
 class Channel(Table):
-    """A colour of the filter array and the one wavelength that stands for it."""
+    """A colour of the filter array and the wavelength that stands for it."""
 
     name: Name
     wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]

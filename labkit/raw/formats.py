@@ -24,7 +24,7 @@ MAKE, MODEL, EXPOSURE_S, ISO, DNG_VERSION, DNG_MODEL = 271, 272, 33434, 34855, 5
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a file is, and what its tags say of camera and exposure."""
+    """What a file is, and what its tags state of camera and exposure."""
 
     kind: Literal["raw", "tiff", "png", "pgm"]
     camera: str = ""

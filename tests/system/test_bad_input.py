@@ -40,8 +40,8 @@ def folder(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> Path:
     return tmp_path / "session"
 
 
-def told(args: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    """The one line that a command which fails for its input says."""
+def refusal(args: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    """The one line that a command prints which fails for its input."""
     assert run(args) == 2
     out, err = capfd.readouterr()
     assert out == ""
@@ -88,7 +88,7 @@ def test_photographs_that_are_not_as_they_were_taken_are_named(
     spoil(folder / "frames" / name)
     before = contents(folder)
     if command == "fit":
-        line = told(["fit", str(folder)], capfd)
+        line = refusal(["fit", str(folder)], capfd)
     else:
         assert run(["verify", str(folder)]) == 1
         line = capfd.readouterr().err
@@ -106,7 +106,7 @@ def test_a_journal_that_is_damaged_in_its_middle_is_refused_and_left_alone(
     journal.write_bytes(b"\n".join(lines))
     before = contents(folder)
     args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
-    assert "line 4 does not fit its checksum" in told(args, capfd)
+    assert "line 4 does not fit its checksum" in refusal(args, capfd)
     assert contents(folder) == before
 
 
@@ -137,21 +137,38 @@ def test_a_photograph_without_the_target_is_named(
     instead: str, folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     other = retaken(folder, tmp_path / "retaken", {"target_2050.5_1.dng": instead})
-    assert "target_2050.5_1.dng: " in told(["fit", str(other)], capfd)
+    assert "target_2050.5_1.dng: " in refusal(["fit", str(other)], capfd)
     assert not list((other / "results").rglob("*.json"))
 
 
 def test_a_range_or_channel_that_is_not_there_says_which_are(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert "the session has 2000, 2050.5" in told(["fit", str(folder), "--range", "2500"], capfd)
-    assert "allowed are G" in told(["fit", str(folder), "--channel", "R"], capfd)
+    assert "the session has 2000, 2050.5" in refusal(["fit", str(folder), "--range", "2500"], capfd)
+    assert "allowed are G" in refusal(["fit", str(folder), "--channel", "R"], capfd)
 
 
 def test_a_plan_whose_ranges_are_shorter_than_the_focal_length_begins_nothing(
     plan_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000, 40]"))
-    line = told(["capture", str(plan_file), str(tmp_path / "new")], capfd)
+    line = refusal(["capture", str(plan_file), str(tmp_path / "new")], capfd)
     assert "rail.ranges_mm has 40 mm: allowed is more than the focal length, 50 mm" in line
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "G"', 'name = "green"', "did you mean G?"),
+        ('name = "G"', '"\\u001b[2J" = "G"', r"\x1b[2J is no known key"),
+        ("f_number = 8.0", "f_number = f/8", "; write 8"),
+    ],
+)
+def test_a_plan_that_is_wrong_begins_nothing_and_prints_nothing_but_letters(
+    old: str, new: str, words: str, plan_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plan_file.write_text(plan_file.read_text().replace(old, new))
+    for command in (["capture", str(plan_file), str(tmp_path / "new")], ["advise", str(plan_file)]):
+        assert words in refusal(command, capfd)
     assert not (tmp_path / "new").exists()
 
 
@@ -202,7 +219,7 @@ def test_results_of_another_schema_are_not_reported_on(
     (folder / "results" / "latest").mkdir(parents=True)
     (folder / "results" / "latest" / "results.json").write_text(f'{{"schema": {schema}}}')
     before = contents(folder)
-    assert f"has schema {schema}; this version reads schema 1" in told(["report", str(folder)], capfd)
+    assert f"has schema {schema}; this version reads schema 1" in refusal(["report", str(folder)], capfd)
     assert contents(folder) == before
 
 

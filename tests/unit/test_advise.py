@@ -4,20 +4,26 @@ import json
 from math import isfinite
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labkit.analysis.advise import advise, best_order
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.warp import Pose
 from labkit.plan import Plan
+from labkit.target import open_target
+from labkit.types import Floats
+from tests.plans import PORTRAIT, plan_text
 
 TEXT = PLAN.format(address="simulated:")
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return Plan.parse(TEXT, Path())
+    return Plan.parse(TEXT)
 
 
 def test_errors_are_those_that_a_session_of_this_plan_had(plan: Plan) -> None:
@@ -26,7 +32,7 @@ def test_errors_are_those_that_a_session_of_this_plan_had(plan: Plan) -> None:
     assert advice.best_focus_std_mm == pytest.approx(0.026, rel=0.3)
     assert advice.magnification_std == pytest.approx(0.0027 * 3**0.5, rel=0.3)
     assert all(0.5e-4 < one.std_defocus_waves < 2e-4 for one in advice.ranges)
-    assert advice.told
+    assert advice.magnification_determined
 
 
 def test_the_order_is_the_largest_that_an_airy_disc_resolves(plan: Plan) -> None:
@@ -48,13 +54,13 @@ def test_a_display_is_resolved_from_where_its_pixels_span_an_airy_radius(plan: P
 
 
 def test_cells_finer_than_the_displays_pixels_are_named(plan: Plan) -> None:
-    small = plan.model_copy(update={"target": plan.target.model_copy(update={"size_mm": 15.0})})
+    small = plan.replace(target={"size_mm": 15.0})
     assert any("finer than the display's pixels" in note for note in advise(small, ranges_mm=[3000.0]).notes)
 
 
-def test_far_away_the_magnification_is_not_told(plan: Plan) -> None:
+def test_far_away_the_magnification_is_not_determined(plan: Plan) -> None:
     advice = advise(plan, ranges_mm=[30000.0, 32000.0, 34000.0])
-    assert not advice.told
+    assert not advice.magnification_determined
     assert advice.magnification_std is not None
     assert advice.magnification_std > 1
 
@@ -70,11 +76,11 @@ def test_photographs_for_an_error_that_is_wanted(plan: Plan) -> None:
     assert advise(plan, ranges_mm=[3200.0], want_waves=10 * now).frames == 1
 
 
-def test_ranges_that_tell_the_magnification_do_tell_it(plan: Plan) -> None:
+def test_ranges_that_are_proposed_determine_the_magnification(plan: Plan) -> None:
     faint = advise(plan, electrons=100.0)
-    assert not faint.told
-    proposed = advise(plan, ranges_mm=faint.telling_ranges_mm, electrons=100.0)
-    assert proposed.told
+    assert not faint.magnification_determined
+    proposed = advise(plan, ranges_mm=faint.proposed_ranges_mm, electrons=100.0)
+    assert proposed.magnification_determined
 
 
 def test_a_lone_range_gives_no_focus(plan: Plan) -> None:
@@ -83,19 +89,19 @@ def test_a_lone_range_gives_no_focus(plan: Plan) -> None:
     assert advice.magnification_std is None
 
 
-def test_a_pattern_that_tells_nothing_is_said_not_raised(tmp_path: Path) -> None:
+def test_a_pattern_that_determines_nothing_is_a_note_and_no_error(tmp_path: Path) -> None:
     (tmp_path / "grey.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([255] * 16))
     image = 'kind = "image"\nfile = "grey.pgm"\nsize_mm = 46.8\nsurround = "white"\n'
     text = TEXT[: TEXT.index('kind = "sierpinski"')] + image + TEXT[TEXT.index("\n[fit]") :]
     advice = advise(Plan.parse(text, tmp_path), ranges_mm=[3000.0])
     assert not isfinite(advice.ranges[0].std_defocus_waves)
-    assert any("leave open" in note for note in advice.notes)
+    assert any("do not determine" in note for note in advice.notes)
     assert advice.as_json()["ranges"][0]["std_defocus_waves"] is None
 
 
 def test_what_cannot_be_advised_on(plan: Plan) -> None:
     with pytest.raises(PlanError, match="no ranges"):
-        advise(plan.model_copy(update={"rail": None}))
+        advise(plan.replace(rail=None))
     with pytest.raises(PlanError, match="more than the focal length, 70 mm"):
         advise(plan, ranges_mm=[60.0])
     with pytest.raises(PlanError, match="range nan mm: allowed"):
@@ -112,3 +118,80 @@ def test_the_command_answers_as_json(tmp_path: Path, capsys: pytest.CaptureFixtu
     answer = json.loads(capsys.readouterr().out)
     assert [one["range_mm"] for one in answer["ranges"]] == [3000.0, 3200.0, 3300.0]
     assert run(["advise", str(tmp_path / "none.toml")]) == 2
+
+
+SIDE, ELECTRONS, READ_VARIANCE = 94, 2e4, 9.0
+
+
+def portrait(name: str, cfa_pattern: str | None) -> Plan:
+    """One channel at 600 nm and four modes; the target spans 77.96 pixels at 3000 mm."""
+    channel = {"channel": [{"name": name, "wavelength_nm": 600.0}]}
+    return Plan.parse(
+        plan_text(PORTRAIT, channel, {"sensor": {"cfa_pattern": cfa_pattern}, "fit": {"zernike_noll": [4, 7]}})
+    )
+
+
+def brute_force_std(plan: Plan, name: str, cell: str) -> float:
+    """Bound of defocus by finite differences of the picture, pixel by pixel over those whose filter is of that colour."""
+    optics = Optics(
+        wavelength_um=0.6,
+        reference_um=0.6,
+        f_number=2.8,
+        pitch_um=4.78,
+        active_um=4.78,
+        noll=(4, 5, 6, 7),
+    )
+    model = ForwardModel.build(optics, open_target(plan.target), (SIDE, SIDE))
+    px = 15.6 * 70 / (3000 - 70) / 4.78e-3
+    turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
+    corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * px / 2 @ turn + (SIDE - 1) / 2 + 0.3
+    pose = Pose.from_corners(corners, (15.6, 15.6))
+    pixels = np.array([[cell[2 * (row % 2) + col % 2] == name for col in range(SIDE)] for row in range(SIDE)])
+
+    def mean(step: Floats) -> Floats:
+        waves = np.array([0.01, 0.025, 0.025, 0.025]) + step[:4]
+        (image,) = model.means(waves, [pose.moved(step[4:12])], [pixels])
+        return np.asarray((ELECTRONS + step[12]) * image + step[13])
+
+    steps = np.diag([1e-4] * 4 + [1e-4] * 8 + [1.0, 0.1])
+    by = np.array([(mean(step) - mean(-step)) / (2 * step.sum()) for step in steps])
+    light = mean(np.zeros(14))
+    variance = light + READ_VARIANCE
+    by = np.concatenate([by, np.zeros((2, light.size))])
+    variance_by = np.concatenate([by[:14], [light, np.full(light.size, READ_VARIANCE)]])
+    information = (by / variance) @ by.T + (variance_by / variance**2) @ variance_by.T / 2
+    information += np.diag([0.0] * 14 + [0.02**-2, 0.1**-2])
+    return float(np.sqrt(np.linalg.inv(information)[0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("name", "cfa_pattern", "cell"),
+    [
+        ("R", "RGGB", "RGGB"),
+        ("G", "RGGB", "RGGB"),
+        ("B", "GBRG", "GBRG"),
+        ("G", None, "RGGB"),
+        ("L", "mono", "LLLL"),
+        ("G", "mono", "GGGG"),
+    ],
+)
+def test_errors_are_those_of_the_channels_pixels_alone(name: str, cfa_pattern: str | None, cell: str) -> None:
+    plan = portrait(name, cfa_pattern)
+    (at,) = advise(plan, ranges_mm=[3000.0], electrons=ELECTRONS).ranges
+    # finite differences of 1e-4; the condition of the information takes a few digits more
+    assert at.std_defocus_waves == pytest.approx(brute_force_std(plan, name, cell), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "cfa_pattern", "times"), [("L", "mono", 1.0), ("G", "RGGB", 2**0.5), ("R", "RGGB", 2.0)]
+)
+def test_a_channel_with_fewer_pixels_is_sampled_more_coarsely(name: str, cfa_pattern: str, times: float) -> None:
+    # a pixel of 4.78 um, and Nyquist's 0.6 um * 2.8 / 2
+    notes = advise(portrait(name, cfa_pattern), ranges_mm=[3000.0]).notes
+    assert any(f"{times * 4.78 / 0.84:.1f} times as far apart as Nyquist" in note for note in notes)
+
+
+@pytest.mark.parametrize(("name", "assumed"), [("G", "a Bayer filter array"), ("L", "a mono sensor")])
+def test_a_filter_array_that_is_assumed_is_noted(name: str, assumed: str) -> None:
+    assert any(f"assumed is {assumed}" in note for note in advise(portrait(name, None), ranges_mm=[3000.0]).notes)
+    assert not any("assumed" in note for note in advise(portrait(name, "mono"), ranges_mm=[3000.0]).notes)
