@@ -47,7 +47,7 @@ def test_the_example_scans_through_focus(tmp_path: Path) -> None:
 
 
 def test_nothing_of_labkit_imports_bluesky() -> None:
-    for path in [*ROOT.glob("labkit/**/*.py"), *ROOT.glob("drivers/*.py"), *ROOT.glob("targets/*.py")]:
+    for path in [*ROOT.glob("labkit/**/*.py"), *ROOT.glob("drivers/**/*.py"), *ROOT.glob("targets/**/*.py")]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []

@@ -21,6 +21,8 @@ from websockets.typing import Origin
 from labkit.session.session import Session
 from tests.drivers.test_web_monitor import PLAN
 
+pytestmark = pytest.mark.timeout(600)  # of a machine that does much else: whole captures in processes of their own
+
 LABKIT = [sys.executable, "-c", "from labkit.cli import main; main()"]
 
 
@@ -40,14 +42,14 @@ def command(plan: Path, *flags: str) -> list[str]:
 def page(line: str) -> ClientConnection:
     """The connection of the operator's page of an address that was printed."""
     (url,) = re.findall(r"http://\S+", line)
-    return connect(f"ws{url[4:]}/socket", origin=Origin(f"http://{urlsplit(url).netloc}"), open_timeout=20)
+    return connect(f"ws{url[4:]}/socket", origin=Origin(f"http://{urlsplit(url).netloc}"), open_timeout=100)
 
 
 def questions(wire: ClientConnection) -> Iterator[dict[str, str]]:
     """Each question once, until the capture has ended."""
     answered = 0
     while True:
-        state = json.loads(wire.recv(timeout=30))
+        state = json.loads(wire.recv(timeout=100))
         if state["phase"] in ("complete", "stopped", "interrupted"):
             return
         question = state["question"]
@@ -72,7 +74,7 @@ def test_a_capture_without_terminal_is_led_from_the_page(plan: Path) -> None:
                     position = re.findall(r"to ([\d.]+) mm", question["text"])[0]
                     wire.send(json.dumps({"answer": question["number"], "text": position}))
             assert asked == ["Set the rail to 50.000 mm", "Set the rail to 100.500 mm"]
-            assert running.wait(timeout=60) == 0
+            assert running.wait(timeout=300) == 0
         finally:
             running.kill()
     assert len(Session.open(plan.parent / "s").frames) == 9
@@ -88,7 +90,7 @@ def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
                 next(questions(wire))
                 running.send_signal(signal.SIGINT)
                 assert list(questions(wire)) == []
-            assert running.wait(timeout=60) == 130
+            assert running.wait(timeout=300) == 130
             assert "--resume --listen 127.0.0.1:0" in running.stderr.read()
         finally:
             running.kill()
@@ -105,7 +107,7 @@ def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
 )
 def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(flags: list[str], words: str, plan: Path) -> None:
     ended = subprocess.run(
-        command(plan, *flags), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
+        command(plan, *flags), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=False
     )
     assert ended.returncode in (1, 2)
     (line,) = ended.stderr.splitlines()
@@ -133,7 +135,7 @@ def test_at_a_terminal_what_is_typed_is_not_painted_over(plan: Path) -> None:
             with contextlib.suppress(OSError):  # the end of a terminal
                 while more := os.read(near, 4096):
                     seen += more
-            assert running.wait(timeout=60) == 0
+            assert running.wait(timeout=300) == 0
             assert b"9 frames" in seen
         finally:
             running.kill()

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 
+@pytest.mark.timeout(400)
 def test_a_target_is_served_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     serve = "from labkit.cli import main; main()"
@@ -22,12 +23,12 @@ def test_a_target_is_served_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.Mon
             assert display.startswith('Open this on the display "screen" (2048 × 1536 pixels): http://127.0.0.1:')
             for line, title in ((display, "labkit display"), (operator, "labkit")):
                 (url,) = re.findall(r"http://\S+", line)
-                with urllib.request.urlopen(url, timeout=20) as page:
+                with urllib.request.urlopen(url, timeout=100) as page:
                     assert f"<title>{title}</title>" in page.read().decode()
             waiting = running.stderr.readline()
             assert "waiting for the display" in waiting
             running.send_signal(signal.SIGINT)
-            assert running.wait(timeout=30) == 0
+            assert running.wait(timeout=100) == 0
         finally:
             running.kill()
     (kept,) = (tmp_path / "labkit").iterdir()
