@@ -18,7 +18,7 @@ from labkit.capture.capture import capture
 from labkit.demo import PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
-from labkit.drivers.simulated.world import Truth
+from labkit.drivers.simulated.world import Truth, Visit
 from labkit.plan import parse_plan
 from labkit.session.session import Session
 
@@ -86,7 +86,7 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
 
 def _compared(results: Results, truth: Truth) -> list[dict[str, Any]]:
     """Errors of each fit."""
-    visits = {visit.range_mm: visit for visit in truth.visits}
+    visits: dict[float | None, Visit] = {visit.range_mm: visit for visit in truth.visits}
     rows: list[dict[str, Any]] = []
     for w in results.wavefronts:
         modes = truth.modes_waves[w.channel]

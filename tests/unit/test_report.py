@@ -15,6 +15,8 @@ from labkit.errors import DataError, InputError
 from labkit.plan import parse_plan
 from labkit.report.html import write_report
 
+pytestmark = pytest.mark.slow  # every test draws all figures
+
 PLAN = """
 [lens]
 focal_length_mm = 70.0

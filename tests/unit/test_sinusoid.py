@@ -94,11 +94,13 @@ def test_one_sided_is_above_two_sided_everywhere() -> None:
     assert area(*statistics("one-sided")) > area(*statistics("two-sided")) + 0.01
 
 
+@pytest.mark.slow
 def test_embeddings_are_above_both() -> None:
     for name in ("chirp, 3 degrees", "Algorithm 4.9"):
         assert area(*statistics(name)) > area(*statistics("one-sided"))
 
 
+@pytest.mark.slow
 def test_more_degrees_of_the_chirp_tell_more() -> None:
     # from the deepest wrong optimum one degree leads into another wrong optimum, three lead out
     assert area(*statistics("chirp, 3 degrees")) > area(*statistics("chirp, 1 degree")) + 0.05
