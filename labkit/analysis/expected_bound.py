@@ -84,7 +84,7 @@ def expected_bound(
     noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
     pose = _pose(side_px, side, target)
     state = State(_waves(noll, defocus_waves), (pose,), np.array([electrons]), np.zeros(1), noise.centre)
-    problem = Problem(ForwardModel.build(optics, target, (side, side)), (frame,), noise)
+    problem = Problem(ForwardModel.build(optics, target, (side, side), pose), (frame,), noise)
     return bound_of(fisher_information(problem, state, len(noll)), parameter_names(state, noll))
 
 

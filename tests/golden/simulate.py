@@ -151,7 +151,7 @@ def scene(stand: Stand) -> Floats:
     corner = (np.arange(FRAME * FINER + 1) - FRAME * FINER / 2) / FINER + (FRAME - 1) / 2
     at = stand.radiance(corner[:, None], corner)
     quads = np.array([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]])
-    mean = quads.mean(axis=0)
+    mean: Floats = quads.mean(axis=0)
     i, j = np.nonzero(np.ptp(quads, axis=0))
     k = np.arange(89)
     down, right = (k + 0.5) / 89 / FINER, (k * 55 % 89 + 0.5) / 89 / FINER  # a Fibonacci lattice
@@ -226,7 +226,7 @@ def write_session(folder: Path, seed: int) -> None:
     (folder / "plan.toml").write_text(PLAN, encoding="utf-8")
     summary = {"mp": MAGNIFICATION, "best_focus_mm": BEST_FOCUS_MM, "gain": GAIN, "read_noise": READ_NOISE_COUNTS}
     (folder / "truth.json").write_text(json.dumps(summary | {"wavefronts": truth}, indent=1), encoding="utf-8")
-    np.savez_compressed(folder / "psf.npz", allow_pickle=False, **stored)  # type: ignore[arg-type]
+    np.savez_compressed(folder / "psf.npz", allow_pickle=False, **stored)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ def plan() -> Plan:
     return Plan.parse(TEXT)
 
 
+@pytest.mark.slow
 def test_errors_are_those_that_a_session_of_this_plan_had(plan: Plan) -> None:
     # labkit demo, seed 1: best focus +- 0.026 mm and defocus +- 0.0001 a colour, mp +- 0.0027 from three colours
     advice = advise(plan)
@@ -41,12 +42,14 @@ def test_the_order_is_the_largest_that_an_airy_disc_resolves(plan: Plan) -> None
     assert best_order(plan, 500.0) == 7
 
 
+@pytest.mark.slow
 def test_the_least_side_is_that_of_cells_as_wide_as_an_airy_radius(plan: Plan) -> None:
     (one,) = advise(plan, ranges_mm=[3200.0]).ranges
     assert one.size_mm == pytest.approx(3**5 * 0.0703, rel=1e-3)
     assert one.cell_airy == pytest.approx(46.8 / (3**5 * 0.0703), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_display_is_resolved_from_where_its_pixels_span_an_airy_radius(plan: Plan) -> None:
     advice = advise(plan, ranges_mm=[3000.0])
     assert advice.nearest_mm == pytest.approx(25.4 / 264 / (0.0703 / 3200), rel=1e-3)
@@ -65,17 +68,20 @@ def test_far_away_the_magnification_is_not_determined(plan: Plan) -> None:
     assert advice.magnification_std > 1
 
 
+@pytest.mark.slow
 def test_errors_fall_with_the_square_root_of_light(plan: Plan) -> None:
     dim, bright = (advise(plan, ranges_mm=[3200.0], electrons=e).ranges[0] for e in (4e4, 16e4))
     assert dim.std_wavefront_waves / bright.std_wavefront_waves == pytest.approx(2.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_photographs_for_an_error_that_is_wanted(plan: Plan) -> None:
     now = advise(plan, ranges_mm=[3200.0]).ranges[0].std_wavefront_waves
     assert advise(plan, ranges_mm=[3200.0], want_waves=now / 3).frames == pytest.approx(9 * 2, abs=1)
     assert advise(plan, ranges_mm=[3200.0], want_waves=10 * now).frames == 1
 
 
+@pytest.mark.slow
 def test_ranges_that_are_proposed_determine_the_magnification(plan: Plan) -> None:
     faint = advise(plan, electrons=100.0)
     assert not faint.magnification_determined
@@ -112,6 +118,7 @@ def test_what_cannot_be_advised_on(plan: Plan) -> None:
         advise(plan, electrons=float("inf"))
 
 
+@pytest.mark.slow
 def test_the_command_answers_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "plan.toml").write_text(TEXT)
     assert run(["advise", str(tmp_path / "plan.toml"), "--json"]) == 0
@@ -141,16 +148,16 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
         active_um=4.78,
         noll=(4, 5, 6, 7),
     )
-    model = ForwardModel.build(optics, open_target(plan.target), (SIDE, SIDE))
     px = 15.6 * 70 / (3000 - 70) / 4.78e-3
     turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * px / 2 @ turn + (SIDE - 1) / 2 + 0.3
     pose = Pose.from_corners(corners, (15.6, 15.6))
+    model = ForwardModel.build(optics, open_target(plan.target), (SIDE, SIDE), pose)
     pixels = np.array([[cell[2 * (row % 2) + col % 2] == name for col in range(SIDE)] for row in range(SIDE)])
 
     def mean(step: Floats) -> Floats:
         waves = np.array([0.01, 0.025, 0.025, 0.025]) + step[:4]
-        (image,) = model.means(waves, [pose.moved(step[4:12])], [pixels])
+        (image,) = model.means(waves, model.draw([pose.moved(step[4:12])]), [pixels])
         return np.asarray((ELECTRONS + step[12]) * image + step[13])
 
     steps = np.diag([1e-4] * 4 + [1e-4] * 8 + [1.0, 0.1])

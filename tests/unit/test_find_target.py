@@ -94,6 +94,7 @@ CARPETS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CARPETS)
 def test_a_carpet_is_found_within_half_a_pixel(name: str) -> None:
     shot = CARPETS[name]
@@ -131,6 +132,7 @@ def test_a_noise_pattern_is_found_whichever_way_it_is_turned(roll_deg: float) ->
     assert worst(find_target(picture, target, mm_per_pixel=20.0 / 90 * 1.1), true) < 0.5
 
 
+@pytest.mark.slow
 def test_an_oblong_picture_is_found_without_its_scale() -> None:
     cells = PICTURES.camera()[100:400:2, 50:450:2] / 255.0
     picture, true = photograph(cells, Shot(side=100.0, roll_deg=7.0, shading=0.3), np.random.default_rng(7))
@@ -151,6 +153,7 @@ NOTHING: dict[str, Callable[[np.random.Generator], Floats]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOTHING)
 @pytest.mark.parametrize("mm_per_pixel", [None, 0.2])
 def test_a_picture_without_the_target_is_refused_in_one_line(name: str, mm_per_pixel: float | None) -> None:
@@ -160,6 +163,7 @@ def test_a_picture_without_the_target_is_refused_in_one_line(name: str, mm_per_p
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("centre", [(99.0, 240.0), (60.0, 130.0), (10.0, 20.0), (239.0, 130.0), (99.0, 0.0)])
 def test_a_carpet_partly_out_of_the_frame_is_not_taken_for_a_smaller_one(centre: tuple[float, float]) -> None:
     picture, _ = photograph(carpet_cells(5), Shot(side=180.0, centre=centre), np.random.default_rng(9))

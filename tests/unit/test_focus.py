@@ -39,6 +39,7 @@ def test_points_on_the_curve_give_back_its_parameters() -> None:
     assert fit.identifiable
 
 
+@pytest.mark.slow
 def test_errors_of_best_focus_are_as_large_as_it_says() -> None:
     rng, scores = np.random.default_rng(2), []
     for _ in range(300):
@@ -51,6 +52,7 @@ def test_errors_of_best_focus_are_as_large_as_it_says() -> None:
     assert np.all(np.abs(np.std(scores, axis=0) - 1) < 4 / np.sqrt(600))
 
 
+@pytest.mark.slow
 def test_errors_of_best_focus_know_of_the_ranges_own() -> None:
     rng, by_range = np.random.default_rng(3), 0.05
     scores, blind = list[Floats](), list[Floats]()

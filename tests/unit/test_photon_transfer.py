@@ -44,12 +44,14 @@ def assert_unit_normal(z: Floats) -> None:
     assert abs(z.std() - 1) < 4 / np.sqrt(2 * z.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [2, 5])
 def test_gain_and_read_noise_err_by_their_standard_errors(frames: int) -> None:
     for z in z_scores(200, frames):
         assert_unit_normal(z)
 
 
+@pytest.mark.slow
 def test_the_gain_errs_by_its_standard_error_without_darks_too() -> None:
     gains, noises = z_scores(150, 2, with_darks=False)
     assert_unit_normal(gains)

@@ -15,6 +15,8 @@ from labkit.report.charts import focus_chart
 from labkit.report.html import write_report
 from tests.results_samples import ACCEPTED, PLAN, a_wavefront, some_results, written
 
+pytestmark = pytest.mark.slow  # every test draws all figures
+
 
 class Page(HTMLParser):
     """What a page shows, and what it points to."""

@@ -70,11 +70,13 @@ def test_one_sided_is_above_two_sided_everywhere() -> None:
     assert area(*of("one-sided")) > area(*of("Biernacki, two-sided")) + 0.01
 
 
+@pytest.mark.slow
 def test_embeddings_are_above_both() -> None:
     for name in ("embedding, chirp, 3 degrees", "embedding, Algorithm 4.9, 1 degree"):
         assert area(*of(name)) > area(*of("one-sided"))
 
 
+@pytest.mark.slow
 def test_more_degrees_of_the_chirp_tell_more() -> None:
     # from the deepest wrong optimum one degree leads into another wrong optimum, three lead out
     assert area(*of("embedding, chirp, 3 degrees")) > area(*of("embedding, chirp, 1 degree")) + 0.05
