@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,18 +17,17 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicHermiteSpline
 
 from labkit.arrays import real_array
-from labkit.errors import TargetError
+from labkit.errors import PlanError, TargetError
+from labkit.plan import Plan, TargetSpec
 from labkit.types import Floats
-
-if TYPE_CHECKING:
-    from labkit.plan import TargetSpec
-
 
 STOP_BAND = 1.3
 """The low-pass filter of `Target.sample` blocks everything from this many times its bandwidth."""
 
 RIPPLE_DB = 86.0
 """Its pass band is flat, and its stop band dark, within this (5e-5)."""
+
+EXAMPLE = "an example: sierpinski:order=5,size_mm=46.8"
 
 SURROUNDS: dict[str, float | None] = {"black": 0.0, "white": 1.0, "unknown": None}
 """Radiance around the target for each word a plan may use."""
@@ -125,14 +124,49 @@ class CellTarget:
         return np.where(inside, values, self.surround or 0.0)
 
 
-def open_target(spec: TargetSpec) -> Target:
-    """The target that a plan's [target] table describes. Raises TargetError for an unknown kind."""
+def open_target(spec: TargetSpec | str) -> Target:
+    """The target that a plan's [target] table describes, or a text as `read_spec` takes it.
+
+    Raises PlanError, and TargetError for an unknown kind.
+
+    >>> target = labkit.open_target("sierpinski:order=5,size_mm=46.8")
+    """
+    spec = read_spec(spec) if isinstance(spec, str) else spec
     kinds = {entry.name: entry for entry in entry_points(group="labkit.targets")}
     if spec.kind not in kinds:
         known = ", ".join(sorted(kinds)) or "none (is labkit installed?)"
         raise TargetError(f"no target of kind {spec.kind!r}; installed kinds: {known}")
     target: Target = kinds[spec.kind].load()(spec)
     return target
+
+
+def read_spec(text: str) -> TargetSpec:
+    """A target from a plan's path, or from ``kind:name=value,...`` such as ``sierpinski:order=5,size_mm=46.8``.
+
+    Raises PlanError for a bad plan, TargetError for anything else that is not understood.
+    """
+    if text.endswith(".toml"):
+        return Plan.load(text).target
+    kind, _, listed = text.partition(":")
+    fields: dict[str, object] = {"kind": kind}
+    for item in filter(None, listed.split(",")):
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise TargetError(f"target {text!r}: {item!r} is not name=value; {EXAMPLE}")
+        fields[name.strip()] = _number_or_text(value.strip())
+    try:
+        return TargetSpec.from_tables(fields)
+    except PlanError as error:
+        raise TargetError(f"target {text!r}: {error}; {EXAMPLE}") from error
+
+
+def _number_or_text(value: str) -> int | float | str:
+    for number in (int, float):
+        try:
+            return number(value)
+        except ValueError:
+            continue
+    return value
 
 
 def _blurred_cells(

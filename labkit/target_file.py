@@ -11,15 +11,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from labkit.errors import PlanError, TargetError
+from labkit.errors import TargetError
 from labkit.files import write_atomically
-from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, Target
 
 MM_PER_INCH = 25.4
 PRINT_DPI = 600.0
 MAX_PIXELS = 400_000_000
-EXAMPLE = "an example: sierpinski:order=5,size_mm=46.8"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,35 +28,6 @@ class Rendering:
     pixels: tuple[int, int]
     size_mm: tuple[float, float]
     notes: tuple[str, ...]
-
-
-def read_spec(text: str) -> TargetSpec:
-    """A target from a plan's path, or from ``kind:name=value,...`` such as ``sierpinski:order=5,size_mm=46.8``.
-
-    Raises PlanError for a bad plan, TargetError for anything else that is not understood.
-    """
-    if text.endswith(".toml"):
-        return Plan.load(text).target
-    kind, _, listed = text.partition(":")
-    fields: dict[str, object] = {"kind": kind}
-    for item in filter(None, listed.split(",")):
-        name, equals, value = item.partition("=")
-        if not equals:
-            raise TargetError(f"target {text!r}: {item!r} is not name=value; {EXAMPLE}")
-        fields[name.strip()] = _number_or_text(value.strip())
-    try:
-        return TargetSpec.from_tables(fields)
-    except PlanError as error:
-        raise TargetError(f"target {text!r}: {error}; {EXAMPLE}") from error
-
-
-def _number_or_text(value: str) -> int | float | str:
-    for number in (int, float):
-        try:
-            return number(value)
-        except ValueError:
-            continue
-    return value
 
 
 def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None) -> Rendering:

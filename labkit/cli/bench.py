@@ -106,10 +106,10 @@ def target_render(
 ) -> None:
     """A target as a picture of its true size."""
     from labkit.target import open_target
-    from labkit.target_file import read_spec, render_file
+    from labkit.target_file import render_file
 
     console: Console = ctx.obj
-    made = render_file(open_target(read_spec(spec)), file, dpi=dpi, pixels=pixels)
+    made = render_file(open_target(spec), file, dpi=dpi, pixels=pixels)
     height, width = made.size_mm
     console.say(f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm")
     for note in made.notes:
@@ -133,10 +133,9 @@ def target_serve(
     from labkit.devices.registry import open_display
     from labkit.devices.serve_target import panel_plans, serve_target
     from labkit.target import open_target
-    from labkit.target_file import read_spec
 
     console: Console = ctx.obj
-    target = open_target(read_spec(spec))
+    target = open_target(spec)
     context = DeviceContext(show_link=console.link, warn=console.warn)
     with ExitStack() as stack:
         plans = panel_plans(spec, panel or [], listen)

@@ -161,15 +161,14 @@ def advise(
     want: Annotated[float | None, typer.Option(metavar="WAVES", help="A wavefront error to be reached.")] = None,
 ) -> None:
     """Before capture: what the target, the light and the ranges of a plan will tell."""
+    from labkit.analysis.advice_tables import range_rows, session_rows
     from labkit.analysis.advise import advise as advise_on
     from labkit.plan import Plan
-    from labkit.summary import advice_rows
 
     console: Console = ctx.obj
     advice = advise_on(Plan.load(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
-    told, focus = advice_rows(advice)
-    console.table(told)
-    console.table(focus)
+    console.table(range_rows(advice))
+    console.table(session_rows(advice))
     for note in advice.notes:
         console.say(note)
     console.answer(advice.as_json())

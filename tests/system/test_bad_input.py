@@ -118,7 +118,7 @@ def test_a_plan_that_was_edited_in_its_session_is_named_before_anything_is_done(
     stored.write_text(stored.read_text().replace("f_number = 8.0", "f_number = 8.1"))
     before = contents(folder)
     args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
-    assert f"{stored}: does not fit its checksum" in told(args, capfd)
+    assert f"{stored}: does not fit its checksum" in refusal(args, capfd)
     assert contents(folder) == before
 
 

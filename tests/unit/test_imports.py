@@ -29,7 +29,6 @@ ROOMS = [
     ["report"],
     ["experiments"],
     ["console"],
-    ["summary"],
     ["demo"],
     ["cli"],
 ]

@@ -12,8 +12,8 @@ from PIL import Image
 
 from labkit.errors import InputError, TargetError
 from labkit.plan import TargetSpec
-from labkit.target import CellTarget, open_target
-from labkit.target_file import read_spec, render_file
+from labkit.target import CellTarget, open_target, read_spec
+from labkit.target_file import render_file
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
 from tests.plans import PORTRAIT, plan_text
