@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 
 from labkit.arrays import positive, real_array, symmetric
 from labkit.imaging.warp import POSE_SIZE
 from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, State
 from labkit.inference.likelihood import FrameData, predict, slopes
-from labkit.optics.psf import Pupil
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats, Integers
 
@@ -87,32 +85,6 @@ def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
     variances = np.stack([c3**2 * light * relative, c3**2 * light, 2 * c3 * bright, zero, 2 * read * one])
     variance = c3**2 * bright + read**2
     return np.asarray((means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T)
-
-
-def psf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> Floats:
-    """(size, size) standard deviation of the PSF's samples by the delta method. covariance: (modes, modes) of waves."""
-    slopes = pupil.psf_jacobian(waves)[1]
-    factor = _root(covariance, len(waves))
-    return np.asarray(np.sqrt(np.sum(np.tensordot(factor.T, slopes, 1) ** 2, axis=0)))
-
-
-def mtf_std(pupil: Pupil, waves: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-    """MTF and its standard deviation by the delta method, (size, size // 2 + 1) at the frequencies of rfft2.
-
-    Where the MTF is zero it has no derivative: there the deviation is that of the transfer function itself.
-    """
-    psf, slopes = pupil.psf_jacobian(waves)
-    transfer = scipy.fft.rfft2(psf)
-    moved = scipy.fft.rfft2(np.tensordot(_root(covariance, len(waves)).T, slopes, 1))
-    mtf = np.abs(transfer)
-    direction = np.divide(np.conj(transfer), mtf, out=np.ones_like(transfer), where=mtf > 0)
-    return mtf, np.asarray(np.sqrt(np.sum((moved * direction).real ** 2, axis=0)))
-
-
-def _root(covariance: Floats, modes: int) -> Floats:
-    """A matrix A with A A^T = covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(symmetric("covariance", covariance, modes, "waves RMS squared"))
-    return np.asarray(vectors * np.sqrt(values.clip(0)))
 
 
 def uniform_bound(

@@ -84,7 +84,8 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
         mean = _mean_transfer(centred, limit)
     radius = brentq(lambda r: mean.energy(np.array([r]))[0][0] - share, 0.0, limit, xtol=1e-10 * limit)
     gradient = mean.energy(np.array([radius]))[1][:, 0]
-    return Uncertain(radius, np.sqrt(centred.variance(gradient)) / abs(mean.density(radius)), "um")
+    std = float(np.sqrt(centred.variance(gradient)))
+    return Uncertain(radius, std / abs(mean.density(radius)), "um")
 
 
 def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:

@@ -63,7 +63,7 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
     pupil = Pupil(
         w.wavelength_um, w.reference_um, w.f_number, airy_um / 2, int(np.ceil(2 * apart_um / airy_um)), w.noll
     )
-    value, slopes = pupil.psf_at(w.waves, spacing_um * np.arange(-half, half + 1))
+    value, slopes = pupil.psf_at(w.waves, spacing_um * np.arange(-half, half + 1.0))
     total = value.sum()
     slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
     return Psf(spacing_um, value / total, np.sqrt(w.variance(slopes)) / total)
@@ -119,7 +119,7 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
     modes = modes_at(wavefront.noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(wavefront.noll), -1)
     path = wavefront.waves @ modes
     gradient = modes[:, path.argmax()] - modes[:, path.argmin()]
-    return Uncertain(np.ptp(path), np.sqrt(wavefront.variance(gradient)), "waves")
+    return Uncertain(np.ptp(path), float(np.sqrt(wavefront.variance(gradient))), "waves")
 
 
 def astigmatism(wavefront: FittedWavefront) -> Directed:

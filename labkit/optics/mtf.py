@@ -126,7 +126,7 @@ def transfer_function(
     It is the Fourier transform of the PSF: light to the right of the origin has a falling phase along x.
     """
     apart = np.minimum(2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0)  # of the pupil's radius
-    factor = np.where(frequency_per_mm < 0, -1j, 1j) * -wavefront.radians_per_wave
+    factor: Complexes = 1j * wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
     tables = _tables(wavefront.noll, np.deg2rad(azimuth_deg))
     path = np.tensordot(wavefront.waves, tables, 1)
     rule = np.polynomial.legendre.leggauss(nodes_for(wavefront))

@@ -10,6 +10,7 @@ In all three, modes of azimuthal order m go with cos(m theta) or sin(m theta); t
 beyond 36 by its own rule; the set of 37 of some programs ends with R_12^0 instead, which is number 49 of that rule.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isqrt, sqrt
 from typing import Literal
@@ -80,7 +81,7 @@ class Coefficients:
 
 def coefficients(wavefront: FittedWavefront, order: Order) -> Coefficients:
     """The coefficients of a wavefront in one of the orders. Raises ValueError for another."""
-    conversions = {"noll": int, "osa": noll_to_osa, "fringe": noll_to_fringe}
+    conversions: dict[str, Callable[[int], int]] = {"noll": int, "osa": noll_to_osa, "fringe": noll_to_fringe}
     if order not in conversions:
         raise ValueError(f"order {order!r}: one of {', '.join(conversions)} is needed")
     index = [conversions[order](j) for j in wavefront.noll]

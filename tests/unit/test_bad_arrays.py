@@ -12,7 +12,7 @@ import pytest
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import bias_sensitivity, detector_information, mtf_std, psf_std, uniform_bound
+from labkit.inference.bounds import bias_sensitivity, detector_information, uniform_bound
 from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State, maximize
 from labkit.inference.goodness_of_fit import judge
@@ -76,8 +76,6 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "detector relative": ("relative", np.ones(3), lambda v: detector_information(v, np.ones(3), np.ones(5))),
     "detector light": ("light", np.ones(3), lambda v: detector_information(np.ones(3), v, np.ones(5))),
     "detector numbers": ("c", np.ones(5), lambda v: detector_information(np.ones(3), np.ones(3), v)),
-    "psf_std": ("covariance", np.eye(2), lambda v: psf_std(PUPIL, np.zeros(2), v)),
-    "mtf_std": ("covariance", np.eye(2), lambda v: mtf_std(PUPIL, np.zeros(2), v)),
     "uniform_bound": ("covariance", np.eye(3), lambda v: uniform_bound(v, 0, np.ones(1))),
     "uniform_bound norm": ("norm", np.eye(3), lambda v: uniform_bound(np.eye(3), 0, np.ones(1), v)),
     "multipliers": ("multipliers", np.ones(3), lambda v: uniform_bound(np.eye(3), 0, v)),
@@ -159,7 +157,6 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         (lambda: wilson_hilferty(-1.0, 2), "statistic = -1"),
         (lambda: wilson_hilferty(1.0, 0), "degrees = 0"),
         (lambda: highest_on_shell(np.zeros(12), 0.1), "length of start = 0"),
-        (lambda: psf_std(PUPIL, np.zeros(2), np.array([[1.0, 2.0], [0.0, 1.0]])), "covariance, .*not symmetric"),
         (lambda: find_target(np.ones(5), CELLS), r"image has shape \(5,\)"),
         (lambda: find_target(np.full((5, 5), "a"), CELLS), "image: real numbers are needed"),
         (lambda: grey_image(np.ones((1, 1)), ("RG", "GB")), "at least one cell of the filter"),
