@@ -170,10 +170,8 @@ def test_focus_is_drawn_where_the_rail_was_read_to_stand() -> None:
     wavefronts = [a_wavefront(r, measured_range_mm=r + 0.7) for r in (3000.0, 3200.0)]
     results = some_results(wavefronts=tuple(wavefronts))
     figure = focus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
-    drawn = [
-        line.get_xdata() for line in figure.axes[0].lines if line.get_label() and "best focus" in str(line.get_label())
-    ]
-    np.testing.assert_allclose(drawn, [[3000.7, 3200.7]])
+    (points,) = (line for line in figure.axes[0].lines if "best focus" in str(line.get_label()))
+    np.testing.assert_allclose(np.asarray(points.get_xdata(), float), [3000.7, 3200.7])
 
 
 def test_the_report_says_which_lens_it_was_made_with(tmp_path: Path) -> None:
