@@ -21,7 +21,13 @@ LONGEST = 60
 
 
 class LabkitError(Exception):
-    """Base of everything labkit raises on purpose; its message is printable whatever file or device it repeats."""
+    """Base of everything labkit raises on purpose; its message is printable whatever file or device it repeats.
+
+    >>> try:
+    ...     results = labkit.fit("night-3")
+    ... except labkit.LabkitError as error:
+    ...     print(error)
+    """
 
     exit_status = 1
 

@@ -77,6 +77,9 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
     simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
     to them. Pages that a device serves can answer the operator's questions meanwhile. Raises PlanError if the plan lacks
     a table that capture needs.
+
+    >>> with labkit.open_devices(plan) as bench:
+    ...     bench.rail.home()
     """
     context = context or DeviceContext()
     if plan.camera is None or plan.rail is None or plan.display is None:

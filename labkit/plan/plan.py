@@ -36,7 +36,9 @@ class Plan(Table):
     """Everything about a session that the photographs do not state.
 
     Made by `load`, `parse` and `from_tables`, changed by `replace`: these raise PlanError, one line that names every
-    field that is wrong. ``labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})``
+    field that is wrong.
+
+    >>> plan = labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})
     """
 
     lens: Lens

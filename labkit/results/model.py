@@ -91,7 +91,8 @@ class Wavefront:
     modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number: of the cone.
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts.
 
-    ``w[4]`` is a coefficient with its standard error; ``w.strehl``, ``w.mtf(frequency_per_mm)`` and the rest follow from them.
+    >>> w = labkit.Results.load("night-3")[3200, "G"]
+    >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)
     """
 
     range_mm: float | None
@@ -209,8 +210,12 @@ class Focus:
 class Results:
     """All that was estimated from a session.
 
-    ``Results.load("night-3")[3200, "G"]`` is a `Wavefront`. plan: what it was estimated with, plan_sha256 its checksum.
-    unanswered: what was asked for and these frames cannot determine; one of the warnings too. folder: where it is kept.
+    plan: what it was estimated with, plan_sha256 its checksum. unanswered: what these frames cannot determine though it was
+    to be estimated; one of the warnings too. folder: where it is kept.
+
+    >>> results = labkit.Results.load("night-3")
+    >>> print(results.focus["G"])
+    3024.00 ± 0.40 mm
     """
 
     plan: Plan

@@ -18,11 +18,11 @@ from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import sync_folder
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
-from labkit.plan.text import read_text
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import difference, exposure_problem
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.session.session import Session, refuse_existing
+from labkit.session.stored_plan import plan_source
 from labkit.target import open_target
 from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 
@@ -46,21 +46,25 @@ class Row:
     further: dict[str, str]
 
 
-def import_frames(csv_path: Path, plan_path: Path, session_folder: Path, progress: Progress = no_progress) -> Session:
+def import_frames(
+    csv_path: Path | str, plan: Plan | Path | str, session_folder: Path | str, progress: Progress = no_progress
+) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
-    Returns the session, open to read.
+    plan: or its path. Returns the session, open to read.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.
+
+    >>> session = labkit.import_frames("frames.csv", "plan.toml", "night-3")
     """
-    plan = Plan.load(plan_path)
-    open_target(plan.target)
+    csv_path, session_folder, source = Path(csv_path), Path(session_folder), plan_source(plan)
+    open_target(source.plan.target)
     refuse_existing(session_folder)
-    rows = read_rows(csv_path, plan)
-    exposures = _check_photographs(csv_path, rows, plan, progress)
+    rows = read_rows(csv_path, source.plan)
+    exposures = _check_photographs(csv_path, rows, source.plan, progress)
     beside = session_folder.parent / f".{session_folder.name}.{os.getpid()}.import"
     try:
-        with Session.create(beside, read_text(plan_path), plan_path.parent) as session:
+        with Session.create(beside, source.text, source.folder) as session:
             names = _names(rows)
             for done, (row, name, (exposure_s, iso)) in enumerate(zip(rows, names, exposures, strict=True)):
                 progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")

@@ -20,7 +20,7 @@ from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
 from labkit.session.frame import FRAMES, NEEDED, Frame, event_problem, frame_of, pending
 from labkit.session.journal import Event, JournalWriter, read_journal
-from labkit.session.stored_plan import PLAN, changed_tables, plan_as_run, plan_damage, store_plan
+from labkit.session.stored_plan import PLAN, changed_tables, plan_as_run, plan_damage, plan_source, store_plan
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
 
@@ -32,6 +32,8 @@ class Session:
     """A session folder, open to read, or to append by one process at a time.
 
     Made by `create`, `open` and `append`; a context manager. `warnings` lists what was mended or left out on opening.
+
+    >>> labkit.Session.open("night-3").frames
     """
 
     def __init__(
@@ -244,22 +246,17 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
     SessionError where a session is there and resume is not set or its plan was altered, PlanError where its photographs
     were taken by another plan.
     """
-    folder = Path(folder)
-    if isinstance(plan, Plan):
-        name, text, place = "given", plan.to_toml(), Path()
-    else:
-        name, plan_path, plan = str(plan), Path(plan), Plan.load(plan)
-        text, place = plan_path.read_text(encoding="utf-8-sig"), plan_path.parent
+    folder, source = Path(folder), plan_source(plan)
     if not resume or not (folder / JOURNAL).exists():
-        return Session.create(folder, text, place)
+        return Session.create(folder, source.text, source.folder)
     with ExitStack() as on_failure:
         session = on_failure.enter_context(Session.append(folder))
         if not session.frames:  # a crash may have cut a change of plan short
-            if session.plan_damage() or changed_tables(session.plan, plan):
-                session.replan(text, place)
-        elif changed := ", ".join(f"[{name}]" for name in changed_tables(session.plan, plan)):
+            if session.plan_damage() or changed_tables(session.plan, source.plan):
+                session.replan(source.text, source.folder)
+        elif changed := ", ".join(f"[{name}]" for name in changed_tables(session.plan, source.plan)):
             raise PlanError(
-                f"plan {name} differs in {changed} from the one that the photographs in {folder} were taken by, "
+                f"plan {source.name} differs in {changed} from the one that the photographs in {folder} were taken by, "
                 f"{folder / PLAN}: go on with that one, or give a new folder"
             )
         on_failure.pop_all()

@@ -6,14 +6,34 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from labkit.errors import SessionError
 from labkit.files import check_name, checksum_problem, copy_durably, sha256_of, write_atomically
 from labkit.plan import Plan
+from labkit.plan.text import read_text
 from labkit.session.journal import Event
 
 PLAN = "plan.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSource:
+    """A plan to begin a session with: its TOML, the folder that file names in it are relative to, what to call it."""
+
+    plan: Plan
+    text: str
+    folder: Path
+    name: str
+
+
+def plan_source(plan: Plan | Path | str) -> PlanSource:
+    """Of a plan made in Python, or of one in a file, whose text is kept as it stands. Raises PlanError."""
+    if isinstance(plan, Plan):
+        return PlanSource(plan, plan.to_toml(), Path(), "given")
+    path = Path(plan)
+    return PlanSource(Plan.load(path), read_text(path), path.parent, str(path))
 
 
 def store_plan(plan: Plan, text: str, folder: Path, taken: Sequence[str]) -> dict[str, str]:

@@ -75,7 +75,7 @@ def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", modules("labkit"), ids=name)
+@pytest.mark.parametrize("path", [p for p in modules("labkit") if p != ROOT / "labkit/__init__.py"], ids=name)
 def test_a_room_imports_only_from_rooms_above_it(path: Path) -> None:
     own = path.relative_to(ROOT / "labkit").parts[0].removesuffix(".py")
     below = [
