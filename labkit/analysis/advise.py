@@ -98,10 +98,7 @@ def advise(
     The middle of the ranges is taken for best focus, the channel of the shortest wavelength for all errors. Raises PlanError
     where there are no ranges, DataError where want_waves or electrons is not positive.
     """
-    if not 1 <= electrons <= MOST_ELECTRONS:
-        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
-    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
-        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
+    _check_numbers(electrons, want_waves)
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     ranges = _ranges(plan, ranges_mm)
     frames = plan.camera.frames_per_range if plan.camera else 1
@@ -130,6 +127,14 @@ def advise(
             *light_notes,
         ),
     )
+
+
+def _check_numbers(electrons: float, want_waves: float | None) -> None:
+    """Raise DataError for numbers that are not allowed."""
+    if not 1 <= electrons <= MOST_ELECTRONS:
+        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
+    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
+        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
 
 
 def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
