@@ -100,10 +100,7 @@ def advise(
 
     >>> labkit.advise(plan, ranges_mm=[3000, 3200]).best_focus_std_mm
     """
-    if not 1 <= electrons <= MOST_ELECTRONS:
-        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
-    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
-        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
+    _check_numbers(electrons, want_waves)
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     ranges = _ranges(plan, ranges_mm)
     frames = plan.camera.frames_per_range if plan.camera else 1
@@ -132,6 +129,14 @@ def advise(
             *light_notes,
         ),
     )
+
+
+def _check_numbers(electrons: float, want_waves: float | None) -> None:
+    """Raise DataError for numbers that are not allowed."""
+    if not 1 <= electrons <= MOST_ELECTRONS:
+        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
+    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
+        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
 
 
 def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
