@@ -12,7 +12,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 demo: .venv/installed
 	$(BIN)/labkit demo
 
-# Tests of USB trouble want Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi; without them they are skipped.
+# Tests of USB trouble want Debian's umockdev, gir1.2-umockdev-1.0, python3-gi and libusb-1.0-0; without them they are skipped.
 test: .venv/installed-test chromium
 	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist worksteal
 
