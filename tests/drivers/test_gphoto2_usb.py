@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import usb.backend.libusb1
 
 from labkit.drivers.gphoto2.camera import Gphoto2Camera
 from labkit.drivers.gphoto2.link import COMMAND, Link
@@ -27,6 +28,8 @@ def _missing() -> str | None:
     """What is not installed of all that a USB testbed needs."""
     if not sys.platform.startswith("linux") or shutil.which("umockdev-wrapper") is None:
         return "umockdev"
+    if usb.backend.libusb1.get_backend() is None:  # by which pyusb resets
+        return "libusb-1.0-0"
     look = "import gi; gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
     found = subprocess.run([SYSTEM_PYTHON, "-c", look], capture_output=True, check=False)
     return "python3-gi and gir1.2-umockdev-1.0" if found.returncode else None
