@@ -48,7 +48,7 @@ chromium:
 umockdev:
 	@{ command -v umockdev-wrapper && \
 		/usr/bin/python3 -c 'import gi; gi.require_version("UMockdev", "1.0"); from gi.repository import UMockdev'; } >/dev/null 2>&1 || \
-		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends umockdev gir1.2-umockdev-1.0 python3-gi; } >/dev/null 2>&1 || \
+		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0; } >/dev/null 2>&1 || \
 		echo "no umockdev, and apt-get cannot install it: USB trouble will not be tested" >&2
 
 check: types

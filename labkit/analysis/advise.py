@@ -122,13 +122,18 @@ def advise(
         proposed_std=proposed_std,
         nearest_mm=nearest_mm,
         frames=wanted,
-        notes=(
-            *_target_notes(plan, advised),
-            *_display_notes(plan, min(ranges), nearest_mm),
-            *_sampling_notes(plan),
-            *light_notes,
-        ),
+        notes=(*_bench_notes(plan, advised, nearest_mm), *light_notes),
     )
+
+
+def _bench_notes(plan: Plan, advised: Sequence[RangeAdvice], nearest_mm: float | None) -> list[str]:
+    """Of target, display and sensor."""
+    nearest_range_mm = min(at.range_mm for at in advised)
+    return [
+        *_target_notes(plan, advised),
+        *_display_notes(plan, nearest_range_mm, nearest_mm),
+        *_sampling_notes(plan),
+    ]
 
 
 def _check_numbers(electrons: float, want_waves: float | None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labkit.analysis.focus import summarise_focus
 from labkit.analysis.observe import observe
-from labkit.analysis.wavefronts import Task, as_wavefront, choose_twins, fit_all, optics_of
+from labkit.analysis.wavefronts import estimate
 from labkit.errors import DataError, SessionError
 from labkit.execute import default_workers
 from labkit.plan import Plan
@@ -55,9 +55,7 @@ def fit(
     folder = _folder(session, plan, ranges_mm, channels, name)  # before the work, in case it cannot be written to
     target = open_target(plan.target)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    tasks = [Task(optics_of(plan, o.channel), target, o) for o in observations]
-    local_fits = choose_twins(fit_all(tasks, workers or default_workers(), progress), plan)
-    wavefronts = tuple(as_wavefront(local) for local in local_fits)
+    wavefronts = estimate(observations, plan, target, workers or default_workers(), progress)
     focus, warnings = summarise_focus(wavefronts, plan)
     wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
     results = Results(

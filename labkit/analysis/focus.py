@@ -112,14 +112,12 @@ def fit_focus(
         ftol=1e-14,
         gtol=1e-14,
     )
-    jacobian: Floats = np.asarray(solved.jac, float)  # the stubs allow sparse ones too
     freedom = len(points) - theta0.size
     chi2 = float(2 * solved.cost / freedom) if freedom > 0 else None
-    rest = law.waves - law.defocus(solved.x)
-    residuals = {c: [float(v) for v in rest[law.which == k]] for k, c in enumerate(channels)}
-    best = np.asarray(solved.x, float)
-    widened = _covariance(jacobian) * max(1.0, chi2 or 1.0)
-    return FocusFit(channels, best[:-1], float(best[-1]), widened, residuals, chi2, convention)
+    widened = _covariance(slopes(solved.x)) * max(1.0, chi2 or 1.0)
+    return FocusFit(
+        channels, solved.x[:-1], float(solved.x[-1]), widened, law.residuals(solved.x, channels), chi2, convention
+    )
 
 
 def _channels(points: Sequence[DefocusPoint]) -> tuple[str, ...]:
@@ -159,6 +157,11 @@ class _DefocusLaw:
     def defocus(self, theta: Floats) -> Floats:
         """(points,) waves RMS."""
         return defocus_waves(*self._lens_and_ranges(theta), self._reference_nm, self._convention)
+
+    def residuals(self, theta: Floats, channels: Sequence[str]) -> dict[str, list[float]]:
+        """Measured less modelled defocus of each channel's points, waves RMS."""
+        rest = self.waves - self.defocus(theta)
+        return {channel: [float(v) for v in rest[self.which == k]] for k, channel in enumerate(channels)}
 
     def jacobian(self, theta: Floats) -> Floats:
         """(points, parameters) derivatives of the defocus by theta."""

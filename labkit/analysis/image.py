@@ -57,26 +57,39 @@ def fit_image(
         else mask_array("mask", np.reshape(mask, images.shape), images.shape)
     )
     pattern = pattern_of(cfa_pattern)
-    places = ((0, 0),) if pattern == MONO else places_of(pattern, channel)
     corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
-    cut = rows, columns = cut_around(corners, images.shape[1:])
+    observation = _observation(images, good, target, corners, pattern, channel, _noise(images, gain, read_noise))
+    task = Task(optics, target, observation)
+    return as_wavefront(LocalFit(task, canonical(fit_task(task))))
+
+
+def _observation(
+    images: Floats,
+    good: Bools,
+    target: Target,
+    corners: Sequence[Floats],
+    pattern: tuple[str, ...],
+    channel: str,
+    noise: NoisePrior,
+) -> Observation:
+    """The frames, cut to the target."""
+    places, period = (((0, 0),), 1) if pattern == MONO else (places_of(pattern, channel), 2)
+    rows, columns = cut_around(corners, images.shape[1:])
+    cut = images[:, rows, columns]
+    usable = good[:, rows, columns] & _of_channel(cut.shape[1:], places, period)
     poses = tuple(Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners)
-    period = 1 if pattern == MONO else 2
-    usable = good[:, rows, columns] & _of_channel(images[0][cut].shape, places, period)
-    observation = Observation(
+    return Observation(
         range_mm=None,
         measured_range_mm=None,
         channel=channel,
         names=(),
-        frames=tuple(_frame(*one, target) for one in zip(images[:, rows, columns], usable, poses, strict=True)),
+        frames=tuple(_frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)),
         poses=poses,
-        noise=_noise(images, gain, read_noise),
+        noise=noise,
         places=places,
         period=period,
         origin_px=(rows.start, columns.start),
     )
-    task = Task(optics, target, observation)
-    return as_wavefront(LocalFit(task, canonical(fit_task(task))))
 
 
 def _frames(name: str, counts: ArrayLike) -> Floats:

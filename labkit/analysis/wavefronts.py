@@ -62,6 +62,14 @@ class LocalFit:
         return float(self.fit.waves[0]) if self.fit.noll[0] == 4 else np.inf
 
 
+def estimate(
+    observations: Sequence[Observation], plan: Plan, target: Target, workers: int, progress: Progress
+) -> tuple[Wavefront, ...]:
+    """The wavefront of each observation."""
+    tasks = [Task(optics_of(plan, observation.channel), target, observation) for observation in observations]
+    return tuple(as_wavefront(local) for local in choose_twins(fit_all(tasks, workers, progress), plan))
+
+
 def fit_task(task: Task) -> WavefrontFit:
     """Do one fit."""
     observation = task.observation
