@@ -77,6 +77,7 @@ def _row(w: Wavefront, truth: Truth) -> dict[str, Any]:
     """A wavefront beside its truth."""
     modes, visits = truth.modes_waves[w.channel], {visit.range_mm: visit for visit in truth.visits}
     true = np.array([modes.get(j, 0.0) for j in w.noll])
+    assert w.range_mm is not None
     true[0] = visits[w.range_mm].defocus_waves[w.channel]
     error = w.waves - true
     return {

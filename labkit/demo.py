@@ -198,7 +198,7 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
     """Each wavefront beside its truth, mode by mode."""
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results:
-        if w.range_mm in visits:
+        if w.range_mm is not None and w.range_mm in visits:
             modes = {**truth.modes_waves[w.channel], 4: visits[w.range_mm].defocus_waves[w.channel]}
             true = tuple(modes.get(j, 0.0) for j in w.noll)
             estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))

@@ -42,7 +42,6 @@ def fit(
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
     only these. name: "latest" by default; of a fit of only some ranges or channels, their names.
-
     Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
     more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -52,15 +51,14 @@ def fit(
     plan = _plan(session, plan, noll)
     if damage := altered(session):
         raise SessionError("; ".join(damage))
-    folder = _folder(session, plan, ranges_mm, channels, name)  # before the work, in case it cannot be written to
-    target = open_target(plan.target)
+    target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     wavefronts = estimate(observations, plan, target, workers or default_workers(), progress)
     focus, warnings = summarise_focus(wavefronts, plan)
     wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
     results = Results(
         plan=plan,
-        plan_sha256=hashlib.sha256(_plan_text(session, plan).encode()).hexdigest(),
+        plan_sha256=_checksum(session, plan),
         wavefronts=wavefronts,
         focus=focus,
         warnings=(*session.warnings, *assumed, *warnings, *_doubts(wavefronts)),
@@ -76,9 +74,10 @@ def _plan(session: Session, plan: Plan | Path | str | None, noll: tuple[int, int
     return chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
 
 
-def _plan_text(session: Session, plan: Plan) -> str:
-    """The TOML whose checksum results carry: the session's own file, or that of the plan that took its place."""
-    return (session.folder / "plan.toml").read_text(encoding="utf-8") if plan == session.plan else plan.to_toml()
+def _checksum(session: Session, plan: Plan) -> str:
+    """SHA-256 of the session's plan.toml, or of the TOML of the plan that took its place."""
+    text = (session.folder / "plan.toml").read_bytes() if plan == session.plan else plan.to_toml().encode()
+    return hashlib.sha256(text).hexdigest()
 
 
 def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None) -> Path:

@@ -115,9 +115,8 @@ def fit_focus(
     freedom = len(points) - theta0.size
     chi2 = float(2 * solved.cost / freedom) if freedom > 0 else None
     widened = _covariance(slopes(solved.x)) * max(1.0, chi2 or 1.0)
-    return FocusFit(
-        channels, solved.x[:-1], float(solved.x[-1]), widened, law.residuals(solved.x, channels), chi2, convention
-    )
+    residuals = law.residuals(solved.x, channels)
+    return FocusFit(channels, solved.x[:-1], float(solved.x[-1]), widened, residuals, chi2, convention)
 
 
 def _channels(points: Sequence[DefocusPoint]) -> tuple[str, ...]:
