@@ -73,9 +73,14 @@ def read_journal(path: Path) -> Journal:
     or out of order.
     """
     try:
-        *written, rest = path.read_bytes().split(b"\n")
+        content = path.read_bytes()
     except OSError as error:
         raise SessionError(f"{path}: {error.strerror}") from error
+    return _parse(content, path)
+
+
+def _parse(content: bytes, path: Path) -> Journal:
+    *written, rest = content.split(b"\n")
     lines = [decode(line) for line in written]
     torn = rest
     if not rest and lines and lines[-1] is None:
@@ -112,8 +117,9 @@ class JournalWriter:
 
         Raises SessionError if another writer has it or it is damaged, InputError if it cannot be written.
         """
+        self.path = path  # a session is made elsewhere and then renamed
         with writing(path):
-            self._file = path.open("ab", buffering=0)
+            self._file = path.open("a+b", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.journal = read_journal(path)
@@ -123,7 +129,7 @@ class JournalWriter:
         except BaseException:
             self._file.close()
             raise
-        self._last_check = self.journal.last_check
+        self._end = os.fstat(self._file.fileno()).st_size, self.journal.last_check
 
     def append(self, event: str, **fields: Any) -> Event:
         """Write one event with the time of now; it is on the disk when this returns.
@@ -134,15 +140,17 @@ class JournalWriter:
             raise ValueError(
                 f"fields {', '.join(wrong)} of event {event!r}: the journal itself uses {', '.join(RESERVED)}"
             )
+        self._catch_up()
+        size, last_check = self._end
         entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
-        line, check = encode(entry, self._last_check)
-        with writing(Path(self._file.name)):
+        line, check = encode(entry, last_check)
+        with writing(self.path):
             written = self._file.write(line)
             if written != len(line):
                 self.drop_last(written)
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._file.fileno())
-        self._last_check = check
+        self._end = size + len(line), check
         return entry
 
     def drop_last(self, count: int) -> None:
@@ -153,6 +161,15 @@ class JournalWriter:
     def close(self) -> None:
         """Give the lock back."""
         self._file.close()
+
+    def _catch_up(self) -> None:
+        """Know the file's end again after a line that was written, but not to the end of `append`: Ctrl-C, a full disk."""
+        size = os.fstat(self._file.fileno()).st_size
+        if size != self._end[0]:
+            journal = _parse(os.pread(self._file.fileno(), size, 0), self.path)
+            if journal.torn:
+                self.drop_last(len(journal.torn))
+            self._end = os.fstat(self._file.fileno()).st_size, journal.last_check
 
 
 def _follows(line: Line, before: Sequence[Line]) -> bool:

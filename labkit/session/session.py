@@ -79,6 +79,7 @@ class Session:
             sync_folder(beside)
             with writing(folder):
                 beside.rename(folder)
+            writer.path = folder / JOURNAL
             sync_folder(folder.parent)
             on_failure.pop_all()
         return cls(folder, [created], writer)

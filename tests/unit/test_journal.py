@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
-from labkit.errors import SessionError
+from labkit.errors import InputError, SessionError
 from labkit.session.session import Session
 from labkit.session.verify import remarks, verify
 from tests.plans import PORTRAIT, plan_text
@@ -168,3 +170,29 @@ def test_an_event_that_lacks_something_is_named(folder: Path, key: str) -> None:
 def test_an_event_may_not_use_the_journals_own_fields(folder: Path, name: str) -> None:
     with Session.append(folder) as session, pytest.raises(ValueError, match="the journal itself uses"):
         session.log("moved", **{name: "x"})
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, OSError(5, "Input/output error")], ids=["Ctrl-C", "disk"])
+def test_the_chain_goes_on_after_a_line_that_was_written_but_not_synced(
+    folder: Path, stop: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Session.append(folder) as session:
+        with monkeypatch.context() as stopped:
+            stopped.setattr(os, "fsync", Mock(side_effect=stop))
+            with pytest.raises((KeyboardInterrupt, InputError)):
+                session.log("moved", range_mm=2000.0)
+        session.log("interrupted")
+    assert [event["event"] for event in Session.open(folder).events[-2:]] == ["moved", "interrupted"]
+    assert verify(Session.open(folder)) == []
+
+
+def test_a_journal_that_cannot_be_written_is_named_where_the_session_is_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Session.create(tmp_path / "new", plan_text(PORTRAIT), tmp_path) as session:
+        with monkeypatch.context() as stopped:
+            stopped.setattr(os, "fsync", Mock(side_effect=OSError(28, "No space left on device")))
+            with pytest.raises(InputError, match=r"cannot write .*/new/journal\.jsonl: No space left"):
+                session.log("moved")
+        session.log("moved")
+    assert len(Session.open(tmp_path / "new").events) == 3
