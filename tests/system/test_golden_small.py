@@ -26,6 +26,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # 55 s of a core's time
 def test_a_session_of_another_simulator_is_estimated_as_well_as_is_claimed(measured: dict[str, float]) -> None:
     assert {name: measured[name] for name in figures if measured[name] > limit("golden_small", name)} == {}
     assert measured["rejected"] == 0
