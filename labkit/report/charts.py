@@ -1,42 +1,36 @@
-"""Charts of a measurement: defocus against range, Zernike modes, MTF, residuals against the normal law."""
+"""Charts of results: defocus against range, Zernike modes, residuals against the normal law."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from scipy import special
 
-from labkit.optics.mtf import Direction
-from labkit.optics.psf import diffraction_mtf
 from labkit.optics.zernike import mode_name
 from labkit.report.quantities import millimetres, plus_minus
 from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels
 from labkit.results import Focus, Residuals, Results, Wavefront
 from labkit.types import Floats
 
-SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
-DIRECTIONS: dict[Direction, object] = {"x": SOLID, "y": DASHED}
-
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
 
 
-def focus_chart(measurement: Results, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
+def focus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
     """Defocus against range with the fitted curves and best focus; below it what they leave, in thousandths of a wave.
 
     curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
     """
-    inks = channel_inks(measurement.channels)
+    inks = channel_inks(results.channels)
     figure = Figure(figsize=(WIDTH_IN, 5.0 if focus else 3.4), layout="constrained")
     if focus is None:
         above, below = figure.subplots(), None
     else:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
-    bounds = _range_bounds(measurement, focus, shortest_mm)
+    bounds = _range_bounds(results, focus, shortest_mm)
     above.axhline(0, color=SOFT, lw=0.7)
-    for k, channel in enumerate(measurement.channels):
-        fits = [w for w in measurement.of_channel(channel) if w.defocus and w.measured_range_mm is not None]
+    for k, channel in enumerate(results.channels):
+        fits = [w for w in results.of_channel(channel) if w.defocus and w.measured_range_mm is not None]
         x = np.array([w.measured_range_mm for w in fits], float)
         y = np.array([w.defocus.value for w in fits if w.defocus])
         error = np.nan_to_num(np.array([w.defocus.std for w in fits if w.defocus]))
@@ -51,9 +45,9 @@ def focus_chart(measurement: Results, focus: Focus | None, curve: Curve, shortes
         _points(above, x, y, error, ink, label)
         rest = np.array(focus.residual_waves.get(channel, ()) if focus else ())
         if below is not None and rest.size == x.size:
-            dodge = (k - (len(measurement.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
+            dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
             _points(below, x + dodge, 1e3 * rest, 1e3 * error, ink, None)
-    above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {measurement.reference_wavelength_nm:g} nm")
+    above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {results.reference_wavelength_nm:g} nm")
     above.legend(loc="lower right")
     lowest = above if below is None else below
     lowest.set_xlabel("range of the target, mm")
@@ -64,10 +58,10 @@ def focus_chart(measurement: Results, focus: Focus | None, curve: Curve, shortes
     return figure
 
 
-def _range_bounds(measurement: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
-    seen = [w.measured_range_mm for w in measurement if w.measured_range_mm is not None]
-    seen += [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)] if focus else []
-    low, high = min(seen), max(seen)
+def _range_bounds(results: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
+    ranges = [w.measured_range_mm for w in results if w.measured_range_mm is not None]
+    ranges += [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)] if focus else []
+    low, high = min(ranges), max(ranges)
     margin = 0.06 * (high - low) or 0.01 * high
     return max(low - margin, shortest_mm), high + margin
 
@@ -85,13 +79,13 @@ def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
 
 
 def zernike_chart(
-    measurement: Results, range_mm: float | None, defocus: tuple[float, float], limit: float
+    results: Results, range_mm: float | None, defocus: tuple[float, float], limit: float
 ) -> Figure | None:
     """Bars of the modes of one range, one for each channel, with standard errors; defocus on its own scale.
 
     defocus, limit: of the two axes, waves; the same for all ranges.
     """
-    inks, fits = channel_inks(measurement.channels), measurement.at_range(range_mm)
+    inks, fits = channel_inks(results.channels), results.at_range(range_mm)
     modes = sorted({j for w in fits for j in w.noll})
     if not modes:
         return None
@@ -101,7 +95,7 @@ def zernike_chart(
     axes_of = figure.subplots(1, len(groups), squeeze=False, width_ratios=[max(len(g), 1.4) for g in groups])[0]
     for axes, group in zip(axes_of, groups, strict=True):
         _bars(axes, group, fits, inks)
-        nanometres = axes.secondary_yaxis("right", functions=_scaling(measurement.reference_wavelength_nm))
+        nanometres = axes.secondary_yaxis("right", functions=_scaling(results.reference_wavelength_nm))
         nanometres.tick_params(labelsize=7.5)
         if axes is axes_of[-1]:
             nanometres.set_ylabel("nm RMS")
@@ -139,58 +133,20 @@ def _mode_label(j: int) -> str:
     return f"{j}\n" + mode_name(j).replace("astigmatism", "astig.").replace(" ", "\n")
 
 
-def cutoff_per_mm(wavelength_nm: float, f_number: float) -> float:
-    """Where a perfect lens stops: 1 / (lambda N)."""
-    return 1.0 / (wavelength_nm * 1e-6 * f_number)
-
-
-def mtf_chart(measurement: Results, ranges_mm: Sequence[float | None]) -> Figure:
-    """MTF of each range's channels, along x and y, with the diffraction limit and the sensor's Nyquist frequency."""
-    inks = channel_inks(measurement.channels)
-    nyquist = 500.0 / measurement.plan.sensor.pixel_pitch_um
-    cutoffs = [cutoff_per_mm(w.wavelength_nm, w.f_number) for w in measurement]
-    last = min(3 * nyquist, max(cutoffs))
-    figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.7, sharey=True)
-    for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
-        axes.set_title(millimetres(range_mm))
-        for fit in measurement.at_range(range_mm):
-            colour = inks[fit.channel].colour
-            grid = np.linspace(0, last, 200)
-            for direction, style in DIRECTIONS.items():
-                curve = fit.mtf(grid, direction)
-                axes.plot(grid, curve.value, color=colour, ls=style)
-                axes.fill_between(grid, curve.value - curve.std, curve.value + curve.std, color=colour, alpha=0.2, lw=0)
-            perfect = diffraction_mtf(grid / cutoff_per_mm(fit.wavelength_nm, fit.f_number))
-            axes.plot(grid, perfect, color=colour, lw=0.8, ls=DOTTED)
-        if nyquist <= last:
-            axes.axvline(nyquist, color=SOFT, lw=0.7)
-            axes.text(nyquist, 0.98, " Nyquist", color=SOFT, fontsize=7.5, ha="left", va="top")
-        axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="cycles/mm on the sensor")
-    axes_of[0].set_ylabel("MTF")
-    figure.legend(handles=_mtf_key(measurement.channels, inks), loc="outside lower center", ncols=7)
-    return figure
-
-
-def _mtf_key(channels: Sequence[str], inks: dict[str, Ink]) -> list[Line2D]:
-    colours = [Line2D([], [], color=inks[c].colour, label=c) for c in channels]
-    styles = {"along x": SOLID, "along y": DASHED, "perfect lens": DOTTED}
-    return colours + [Line2D([], [], color=SOFT, ls=style, label=label) for label, style in styles.items()]
-
-
-def quantile_chart(measurement: Results, ranges_mm: Sequence[float | None]) -> Figure:
+def quantile_chart(results: Results, ranges_mm: Sequence[float | None]) -> Figure:
     """Quantiles of the normalised residuals against the normal law's, and the band that 99 % of points keep to."""
-    inks = channel_inks(measurement.channels)
+    inks = channel_inks(results.channels)
     figure, axes_of = panels(len(ranges_mm), columns_for(len(ranges_mm)), 2.9, sharex=True, sharey=True)
     for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
         axes.set_title(millimetres(range_mm))
         axes.axline((0, 0), slope=1, color=SOFT, lw=0.8)
-        drawn = [(w, w.residuals) for w in measurement.at_range(range_mm) if w.residuals is not None]
+        drawn = [(w, w.residuals) for w in results.at_range(range_mm) if w.residuals is not None]
         for k, (fit, residuals) in enumerate(drawn):
-            normal, low, high, seen = residual_quantiles(residuals)
+            normal, low, high, observed = residual_quantiles(residuals)
             if k == 0:
                 axes.fill_between(normal, low, high, color=FAINT, lw=0)
             ink = inks[fit.channel]
-            axes.plot(normal, seen, ink.marker, ms=2.6, mew=0, color=ink.colour, alpha=0.85, label=fit.channel)
+            axes.plot(normal, observed, ink.marker, ms=2.6, mew=0, color=ink.colour, alpha=0.85, label=fit.channel)
         axes.set_xlabel("normal quantile, σ")
         axes.legend(loc="upper left", handletextpad=0.2)
     axes_of[0].set_ylabel("quantile of the residuals, σ")

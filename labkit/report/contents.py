@@ -1,19 +1,24 @@
 """The words and numbers of a report, ready to be set: everything but the figures."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from labkit.optics.mtf import mtf50
+from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
-from labkit.report.quantities import MINUS, UNKNOWN, fixed, millimetres, plus_minus
+from labkit.report.best_focus import BestFocus
+from labkit.report.focus_table import focus_table
+from labkit.report.quantities import MINUS, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, plus_minus
 from labkit.report.style import channel_inks
 from labkit.results import Focus, OptimumTest, Results, Wavefront
 from labkit.uncertain import Uncertain, decimals
 
 SECTIONS = {
     "focus": "Focus",
+    "best-focus": "At best focus",
     "wavefronts": "Wavefronts",
     "psf": "PSF",
     "mtf": "MTF",
@@ -25,13 +30,13 @@ SECTIONS = {
 ALWAYS = {"wavefronts", "tables", "provenance"}
 
 
-def contents(measurement: Results, drawn: set[str]) -> dict[str, Any]:
-    """What the template asks for; drawn: the sections that have figures."""
-    m, plan, focus = measurement, measurement.plan, measurement.focus
+def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) -> dict[str, Any]:
+    """What the template asks for; focused: each channel at best focus; drawn: the sections that have figures."""
+    m, plan, focus = results, results.plan, results.focus
     sections = [(name, label) for name, label in SECTIONS.items() if name in drawn | ALWAYS]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
-    rms = _wavefront_rms(m)
+    rms = _wavefront_rms(focused, m.reference_wavelength_nm)
     nanometres = ", ".join(f"{row['channel']} {row['nm']}" for row in rms)
     return {
         "m": m,
@@ -44,6 +49,7 @@ def contents(measurement: Results, drawn: set[str]) -> dict[str, Any]:
         "magnification": _split(focus.pupil_magnification) if focus else None,
         "wavefront_rms": rms,
         "nanometres": f"; beyond defocus {nanometres} nm" if rms else "",
+        "focus_table": focus_table(focused, m.reference_wavelength_nm),
         "checks": _checks(m),
         "fits": _fit_rows(m),
         "modes": [_mode_table(m, r) for r in m.ranges_mm],
@@ -76,8 +82,8 @@ def _lede(m: Results, plan: Plan) -> str:
 
 
 def _split(estimate: Uncertain, places: int | None = None) -> dict[str, str]:
-    value, _, error = plus_minus(estimate.value, estimate.std, places).partition(" ")
-    return {"value": value, "error": error}
+    value, _, error = plus_minus(estimate.value, estimate.std, places).partition(PLUS_MINUS)
+    return {"value": value, "error": f"{PLUS_MINUS}{error}" if error else ""}
 
 
 def _best_focus(m: Results, focus: Focus) -> list[dict[str, str]]:
@@ -85,17 +91,15 @@ def _best_focus(m: Results, focus: Focus) -> list[dict[str, str]]:
     return [{"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e) for c, e in focus.best_focus_mm.items()]
 
 
-def _wavefront_rms(m: Results) -> list[dict[str, str]]:
+def _wavefront_rms(focused: Sequence[BestFocus], reference_nm: float) -> list[dict[str, str]]:
     """For each channel, its fit of least defocus."""
     rows = []
-    for channel in m.channels:
-        fits = [w for w in m.wavefronts if w.channel == channel]
-        fit = min(fits, key=lambda w: abs(w.defocus.value) if w.defocus else 0.0)
-        beyond = fit.rms(without=(4,))
-        row = {"channel": channel, "range": millimetres(fit.range_mm), "total": fixed(fit.rms().value, 4)}
-        row["nm"] = fixed(beyond.value * m.reference_wavelength_nm, 1)
-        rows.append(row | _split(beyond, max(4, decimals(beyond.std)) if np.isfinite(beyond.std) else 4))
-    return [{("beyond" if k == "value" else k): v for k, v in row.items()} for row in rows]
+    for best in focused:
+        fit, beyond = best.photographed, _split(best.rms, max(4, decimals(best.rms.std)))
+        row = {"channel": best.channel, "range": millimetres(fit.range_mm), "total": fixed(fit.rms().value, 4)}
+        row |= {"nm": fixed(best.rms.value * reference_nm, 1), "beyond": beyond["value"], "error": beyond["error"]}
+        rows.append(row)
+    return rows
 
 
 def _checks(m: Results) -> list[dict[str, Any]]:
@@ -108,7 +112,7 @@ def _checks(m: Results) -> list[dict[str, Any]]:
         text = f"{len(rejected)} of {len(tested)} optima rejected as local minima: {names}"
         checks.append({"good": False, "text": text})
     elif tested:
-        checks.append({"good": True, "text": f"{_all(len(tested))} the test for a local minimum"})
+        checks.append({"good": True, "text": _no_sign(len(tested))})
     untested = len(m.wavefronts) - len(tested)
     if untested:
         checks.append({"good": False, "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested"})
@@ -125,8 +129,8 @@ def _checks(m: Results) -> list[dict[str, Any]]:
     return checks
 
 
-def _all(count: int) -> str:
-    return "the optimum passes" if count == 1 else f"all {count} optima pass"
+def _no_sign(count: int) -> str:
+    return f"no sign of a wrong optimum in {'the fit' if count == 1 else f'any of {count} fits'}"
 
 
 CHI2_USUAL = (0.9, 1.5)
@@ -145,8 +149,8 @@ def _fit_row(fit: Wavefront) -> dict[str, Any]:
         "total": _waves(fit.rms()),
         "defocus": _waves(fit.defocus),
         "beyond": _waves(fit.rms(without=(4,))),
-        "mtf50_x": fixed(along_x.value, 0),
-        "mtf50_y": fixed(along_y.value, 0),
+        "mtf50_x": estimated(along_x),
+        "mtf50_y": estimated(along_y),
         "chi2": fixed(fit.chi2_per_pixel, 3),
         "verdict": "not tested" if verdict is None else "accepted" if verdict.accepted else "rejected",
         "rejected": verdict is not None and not verdict.accepted,
@@ -172,7 +176,7 @@ def _test(verdict: OptimumTest | None) -> str:
     words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
     words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
     if np.isfinite(verdict.next_below):
-        words += [f"next optimum seen {verdict.next_below:.0f} lower in log-likelihood"]
+        words += [f"next optimum {verdict.next_below:.0f} lower in log-likelihood"]
     return ", ".join(words)
 
 
@@ -186,7 +190,11 @@ def _mode_table(m: Results, range_mm: float | None) -> dict[str, Any]:
     usual = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else float("nan")
     places = max(4, decimals(usual, 5))
     rows = [
-        {"j": j, "name": mode_name(j), "cells": [_mode_cell(w, j, places, m.reference_wavelength_nm) for w in fits]}
+        {
+            "index": (j, noll_to_osa(j), noll_to_fringe(j)),
+            "name": mode_name(j),
+            "cells": [_mode_cell(w, j, places, m.reference_wavelength_nm) for w in fits],
+        }
         for j in sorted({j for w in fits for j in w.noll})
     ]
     return {"range": millimetres(range_mm), "channels": [w.channel for w in fits], "rows": rows}

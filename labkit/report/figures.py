@@ -9,7 +9,10 @@ from matplotlib.figure import Figure
 
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.report import charts, pictures
-from labkit.report.quantities import millimetres, plus_minus
+from labkit.report.best_focus import SHARE, BestFocus, nyquist_per_mm
+from labkit.report.focus_charts import energy_chart, opd_picture
+from labkit.report.mtf_charts import focus_mtf_chart, mtf_chart
+from labkit.report.quantities import estimated, millimetres, plus_minus
 from labkit.report.style import in_groups, png, styled, svg
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
@@ -29,22 +32,28 @@ class Drawn:
     caption: str
 
 
-def draw_figures(measurement: Results) -> dict[str, list[Drawn]]:
-    """All figures, by the section of the report they belong to; a section without any is left out."""
+def draw_figures(results: Results, focused: Sequence[BestFocus]) -> dict[str, list[Drawn]]:
+    """All figures, by the section of the report they belong to; a section without any is left out.
+
+    focused: each channel at best focus.
+    """
     with styled():
         sections = {
-            "focus": list(_focus(measurement)),
-            "fits": list(_fits(measurement)),
-            "psf": list(_psfs(measurement)),
-            "mtf": list(_mtfs(measurement)),
-            "zernike": list(_zernikes(measurement)),
-            "residuals": list(_quantiles(measurement)),
+            "focus": list(_focus(results)),
+            "best-focus": list(_at_best_focus(results, focused)),
+            "fits": list(_fits(results)),
+            "psf": list(_psfs(results)),
+            "mtf": list(_mtfs(results)),
+            "zernike": list(_zernikes(results)),
+            "residuals": list(_quantiles(results)),
         }
     return {name: drawn for name, drawn in sections.items() if drawn}
 
 
 def _chart(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
-    return Drawn(name, figure.get_figwidth(), png(figure), svg(figure), alt, caption)
+    image = png(figure)
+    figure.set_layout_engine("none")  # as it is laid out now: to do it once more for SVG takes as long as drawing it
+    return Drawn(name, figure.get_figwidth(), image, svg(figure), alt, caption)
 
 
 def _picture(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
@@ -55,10 +64,10 @@ def _file_name(*parts: object) -> str:
     return sub(r"[^A-Za-z0-9.+_-]", "-", "_".join(map(str, parts)))
 
 
-def _focus(measurement: Results) -> Iterator[Drawn]:
-    if len({w.range_mm for w in measurement.wavefronts if w.range_mm is not None and w.defocus}) < 2:
+def _focus(results: Results) -> Iterator[Drawn]:
+    if len({w.range_mm for w in results.wavefronts if w.range_mm is not None and w.defocus}) < 2:
         return
-    focus, plan = measurement.focus, measurement.plan
+    focus, plan = results.focus, results.plan
 
     def curve(channel: str, ranges_mm: Floats) -> Floats:
         assert focus is not None
@@ -66,10 +75,10 @@ def _focus(measurement: Results) -> Iterator[Drawn]:
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number, magnification if magnification > 0 else 1.0)
         best = focus.best_focus_mm[channel].value
         return defocus_waves(
-            lens, np.asarray(ranges_mm, float), best, measurement.reference_wavelength_nm, plan.fit.convention
+            lens, np.asarray(ranges_mm, float), best, results.reference_wavelength_nm, plan.fit.convention
         )
 
-    figure = charts.focus_chart(measurement, focus, curve, 1.02 * plan.lens.focal_length_mm)
+    figure = charts.focus_chart(results, focus, curve, 1.02 * plan.lens.focal_length_mm)
     if focus is None:
         yield _chart("focus", figure, "Defocus against range.", "Defocus of each fit. No focus fit was made.")
         return
@@ -82,8 +91,31 @@ def _focus(measurement: Results) -> Iterator[Drawn]:
     yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
 
 
-def _fits(measurement: Results) -> Iterator[Drawn]:
-    for fit in measurement.wavefronts:
+def _at_best_focus(results: Results, focused: Sequence[BestFocus]) -> Iterator[Drawn]:
+    reference_nm = results.reference_wavelength_nm
+    each = "; ".join(f"{b.channel} RMS {estimated(b.rms, least=3)}" for b in focused)
+    caption = (
+        f"Path difference over the exit pupil without defocus, waves at {reference_nm:g} nm, one scale for all channels; "
+        "x to the right along the sensor's rows, y down. P–V is from the lowest to the highest point, the rim included."
+    )
+    picture = opd_picture(focused, reference_nm)
+    yield _picture("opd", picture, f"Wavefront maps without defocus, waves: {each}.", caption)
+    each = "; ".join(
+        f"{b.channel} {estimated(b.mtf50['x'])} along x, {estimated(b.mtf50['y'])} along y" for b in focused
+    )
+    alt = f"Modulation transfer functions at best focus. MTF50, cycles/mm: {each}."
+    yield _chart("mtf_at_best_focus", focus_mtf_chart(results, focused), alt, _mtf_words(results))
+    each = "; ".join(f"{b.channel} {estimated(b.energy_radius_um)}" for b in focused)
+    alt = f"Encircled energy at best focus. Radius of {100 * SHARE:.0f} %, µm: {each}."
+    caption = (
+        "Share of all the light within circles about the image's centroid, its halo included; optics alone, without the "
+        "pixel's aperture. Dotted: the diffraction limit. Shaded: one standard error, where it is wider than the line."
+    )
+    yield _chart("encircled_energy", energy_chart(results, focused), alt, caption)
+
+
+def _fits(results: Results) -> Iterator[Drawn]:
+    for fit in results.wavefronts:
         if fit.residuals is None:
             continue
         where = f"{millimetres(fit.range_mm)}, channel {fit.channel}"
@@ -112,64 +144,70 @@ def _rms(z: Floats) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def _psfs(measurement: Results) -> Iterator[Drawn]:
-    half_width = pictures.psf_half_width_um(measurement)
+def _psfs(results: Results) -> Iterator[Drawn]:
+    half_width = pictures.psf_half_width_um(results)
     caption = (
         f"Optics alone, without the pixel's aperture. Every panel is {2 * half_width:.3g} µm wide on the sensor, rows "
         "down and columns right as there, and runs from zero (white) to its own peak on a square-root stretch. Dashed: "
         "the Airy radius, 1.22 λN. Number: the Strehl ratio, defocus included."
     )
-    groups = in_groups(measurement.ranges_mm, PER_FIGURE)
+    groups = in_groups(results.ranges_mm, PER_FIGURE)
     for k, ranges in enumerate(groups):
-        figure = pictures.psf_picture(measurement, ranges, half_width)
-        alt = f"Point-spread functions at {_listed(ranges)}, channels {', '.join(measurement.channels)}."
+        figure = pictures.psf_picture(results, ranges, half_width)
+        alt = f"Point-spread functions at {_listed(ranges)}, channels {', '.join(results.channels)}."
         yield _picture(_numbered("psf", k, len(groups)), figure, alt, caption)
 
 
-def _mtfs(measurement: Results) -> Iterator[Drawn]:
-    pitch = measurement.plan.sensor.pixel_pitch_um
-    caption = (
-        "Optics alone, without the pixel's aperture. Solid: along x, right on the sensor; dashed: along y, down; "
-        "dotted: a perfect lens of this f-number. "
-        f"Nyquist is that of the full sampling, {500 / pitch:.0f} cycles/mm for {pitch:g} µm."
-    )
-    groups = in_groups(measurement.ranges_mm, PER_FIGURE)
+def _mtfs(results: Results) -> Iterator[Drawn]:
+    caption = f"As photographed, defocus included. {_mtf_words(results)}"
+    groups = in_groups(results.ranges_mm, PER_FIGURE)
     for k, ranges in enumerate(groups):
         alt = f"Modulation transfer functions at {_listed(ranges)}."
-        yield _chart(_numbered("mtf", k, len(groups)), charts.mtf_chart(measurement, ranges), alt, caption)
+        yield _chart(_numbered("mtf", k, len(groups)), mtf_chart(results, ranges), alt, caption)
 
 
-def _zernikes(measurement: Results) -> Iterator[Drawn]:
+def _mtf_words(results: Results) -> str:
+    limits = [nyquist_per_mm(results, channel) for channel in results.channels]
+    full, plane = limits[0][0], min(plane for _, plane in limits)
+    text = (
+        "Optics alone, without the pixel's aperture. Solid: along x, right on the sensor; dashed: along y, down; dotted: "
+        "the diffraction limit of this f-number and wavelength. Shaded: one standard error, where it is wider than the "
+        f"line. Nyquist's frequency of all pixels is {full:.0f} cycles/mm for {results.plan.sensor.pixel_pitch_um:g} µm"
+    )
+    return f"{text}, that of the pixels of one colour {plane:.0f}." if plane < full else f"{text}."
+
+
+def _zernikes(results: Results) -> Iterator[Drawn]:
     reach = [
         abs(v) + (s if np.isfinite(s) else 0.0)
-        for w in measurement.wavefronts
+        for w in results.wavefronts
         for j, v, s in zip(w.noll, w.waves, w.std, strict=True)
         if j != 4
     ]
-    seen = [w.defocus.value for w in measurement.wavefronts if w.defocus]
-    defocus = 1.1 * min([0.0, *seen]), 1.1 * max([0.0, *seen])
-    for range_mm in measurement.ranges_mm:
-        figure = charts.zernike_chart(measurement, range_mm, defocus, 1.25 * max(reach, default=0.0))
+    measured = [w.defocus.value for w in results.wavefronts if w.defocus]
+    defocus = 1.1 * min([0.0, *measured]), 1.1 * max([0.0, *measured])
+    for range_mm in results.ranges_mm:
+        figure = charts.zernike_chart(results, range_mm, defocus, 1.25 * max(reach, default=0.0))
         if figure is None:
             continue
         where = millimetres(range_mm)
-        rms = "; ".join(f"{w.channel} {w.rms(without=(4,)).value:.4f}" for w in measurement.at_range(range_mm))
+        rms = "; ".join(f"{w.channel} {w.rms(without=(4,)).value:.4f}" for w in results.at_range(range_mm))
         alt = f"Zernike coefficients at {where}. RMS without defocus, waves: {rms}."
-        errors = np.concatenate([w.std for w in measurement.at_range(range_mm)])
+        errors = np.concatenate([w.std for w in results.at_range(range_mm)])
         caption = f"{where.capitalize()}. Defocus has a scale of its own. Black: one standard error, {_span(errors)}."
         yield _chart(_file_name("zernike", "none" if range_mm is None else f"{range_mm:g}"), figure, alt, caption)
 
 
-def _quantiles(measurement: Results) -> Iterator[Drawn]:
-    ranges_with = [r for r in measurement.ranges_mm if any(w.residuals for w in measurement.at_range(r))]
+def _quantiles(results: Results) -> Iterator[Drawn]:
+    ranges_with = [r for r in results.ranges_mm if any(w.residuals for w in results.at_range(r))]
     caption = (
         "Normalised residuals of all pixels against the normal law, thinned in the middle and complete in the tails. "
-        "On the line: the noise is what the model says. Shaded: where each point falls in 99 of 100 cases."
+        "On the line: the noise is as the model has it. Shaded: where each point falls in 99 of 100 cases."
     )
     groups = in_groups(ranges_with, PER_FIGURE)
     for k, ranges in enumerate(groups):
         alt = f"Q-Q plot of the normalised residuals at {_listed(ranges)}."
-        yield _chart(_numbered("residuals", k, len(groups)), charts.quantile_chart(measurement, ranges), alt, caption)
+        yield _chart(_numbered("residuals", k, len(groups)), charts.quantile_chart(results, ranges), alt, caption)
 
 
 def _span(values: Floats) -> str:

@@ -8,6 +8,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import InputError
 from labkit.files import write_atomically
+from labkit.report.best_focus import at_best_focus
 from labkit.report.contents import contents
 from labkit.report.figures import Drawn, draw_figures
 from labkit.report.style import WIDTH_IN
@@ -26,7 +27,8 @@ def write_report(results: Results | Path | str) -> Path:
         results = Results.load(results)
     if results.folder is None:
         raise ValueError("these results lie in no folder: Results.write them first, and load them from there")
-    drawn = draw_figures(results)
+    focused = at_best_focus(results)
+    drawn = draw_figures(results, focused)
     figures = results.folder / "figures"
     try:
         figures.mkdir(exist_ok=True)
@@ -39,7 +41,7 @@ def write_report(results: Results | Path | str) -> Path:
     for old in figures.glob("*.[ps][nv]g"):
         if old.name not in files:  # of an earlier fit, with other ranges or channels
             old.unlink()
-    html = _render(contents(results, set(drawn)), drawn)
+    html = _render(contents(results, focused, set(drawn)), drawn)
     path = results.folder / "report.html"
     write_atomically(path, html.encode())
     return path

@@ -73,13 +73,13 @@ def _encircled_um(wavefront: Wavefront, share: float) -> float:
     return float(radius[order][np.searchsorted(np.cumsum(psf.ravel()[order]), share)] * spacing_um)
 
 
-def psf_picture(measurement: Results, ranges_mm: Sequence[float | None], half_width_um: float) -> Figure:
+def psf_picture(results: Results, ranges_mm: Sequence[float | None], half_width_um: float) -> Figure:
     """PSFs on one grid, rows channels and columns ranges, all of one extent; each stretched to its own peak."""
-    channels, inks = measurement.channels, channel_inks(measurement.channels)
+    channels, inks = results.channels, channel_inks(results.channels)
     side = min(WIDTH_IN / max(len(ranges_mm), 4), 2.2)
     figure = Figure(figsize=(side * len(ranges_mm) + 0.3, side * len(channels) + 0.3), layout="constrained")
     grid = figure.subplots(len(channels), len(ranges_mm), squeeze=False)
-    by_place = {(w.channel, w.range_mm): w for w in measurement}
+    by_place = {(w.channel, w.range_mm): w for w in results}
     for i, channel in enumerate(channels):
         for k, range_mm in enumerate(ranges_mm):
             axes, wavefront = grid[i, k], by_place.get((channel, range_mm))

@@ -12,9 +12,13 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
+from labkit.types import Floats
+
 WIDTH_IN = 9.0  # of a figure across the page
 DPI = 200
 INK, SOFT, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
+SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
+LINE_OF: dict[str, Any] = {"x": SOLID, "y": DASHED}  # of a direction on the sensor
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
@@ -88,6 +92,12 @@ def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[F
     for unused in grid[count:]:
         unused.set_visible(False)
     return figure, list(grid[:count])
+
+
+def banded(axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line: Any = SOLID) -> None:
+    """A curve with a band of one standard error."""
+    axes.plot(x, value, color=colour, ls=line)
+    axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
 
 
 def plain_logs(figure: Figure) -> None:
