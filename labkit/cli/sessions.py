@@ -92,8 +92,6 @@ def fit(
 ) -> None:
     """Flat field, wavefronts, best focus."""
     from labkit.analysis.fit import fit as fit_session
-    from labkit.results.storage import as_json
-    from labkit.results.tables import focus_rows, wavefront_rows
     from labkit.session.session import Session
 
     console: Console = ctx.obj
@@ -114,10 +112,10 @@ def fit(
     for warning in results.warnings:
         if warning not in (*opened.warnings, results.unanswered):
             console.warn(warning)
-    console.table(wavefront_rows(results))
-    console.table(focus_rows(results))
+    console.table(results.wavefront_rows())
+    console.table(results.focus_rows())
     console.say(f"results: {results.folder}/results.json")
-    console.answer(as_json(results))
+    console.answer(results.as_json())
     if results.unanswered:
         raise DataError(results.unanswered)
 

@@ -1,15 +1,12 @@
-"""What a session's photographs amount to: a wavefront for each range and channel, best focus, and what to beware of.
+"""What is estimated from a session: a wavefront for each range and channel, and best focus.
 
 The same objects are made by a fit and read back from its folder, so that whatever uses results sees one model of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from math import inf, nan
-from pathlib import Path
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +16,11 @@ from labkit.optics import metrics
 from labkit.optics.mtf import Curve, Direction, mtf
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
-from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
-from labkit.version import __version__
 
 if TYPE_CHECKING:
-    import pandas
+    pass
 
 SAME_RANGE_MM = 1e-6
 """Ranges closer than this are one: they are written with ten digits."""
@@ -204,100 +199,6 @@ class Focus:
         if channel not in self.best_focus_mm:
             raise KeyError(f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}")
         return self.best_focus_mm[channel]
-
-
-@dataclass(frozen=True)
-class Results:
-    """All that was estimated from a session.
-
-    plan: what it was estimated with, plan_sha256 its checksum. unanswered: what these frames cannot determine though it was
-    to be estimated; one of the warnings too. folder: where it is kept.
-
-    >>> results = labkit.Results.load("night-3")
-    >>> print(results.focus["G"])
-    3024.00 ± 0.40 mm
-    """
-
-    plan: Plan
-    plan_sha256: str
-    wavefronts: tuple[Wavefront, ...]
-    focus: Focus | None
-    warnings: tuple[str, ...] = ()
-    unanswered: str | None = None
-    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-    labkit_version: str = __version__
-    folder: Path | None = None
-
-    def __getitem__(self, place: tuple[float | None, str]) -> Wavefront:
-        """The wavefront at a range (mm, or None where the frames have none) and channel. Raises KeyError for another."""
-        range_mm, channel = place
-        for wavefront in self.wavefronts:
-            if same_range(wavefront.range_mm, range_mm) and wavefront.channel == channel:
-                return wavefront
-        known = ", ".join(w.key.replace("_", " mm ") for w in self.wavefronts)
-        raise KeyError(f"no wavefront at {range_mm} mm, channel {channel!r}: there are {known}")
-
-    def __iter__(self) -> Iterator[Wavefront]:
-        return iter(self.wavefronts)
-
-    def __len__(self) -> int:
-        return len(self.wavefronts)
-
-    @property
-    def reference_wavelength_nm(self) -> float:
-        """What waves are counted in."""
-        return self.plan.reference_wavelength_nm
-
-    @property
-    def ranges_mm(self) -> tuple[float | None, ...]:
-        """Each range once, ascending; wavefronts without one come first."""
-        ranges = {w.range_mm for w in self.wavefronts}
-        return tuple(sorted(ranges, key=lambda r: -inf if r is None else r))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Each channel once, in the order of the wavefronts."""
-        return tuple(dict.fromkeys(w.channel for w in self.wavefronts))
-
-    def at_range(self, range_mm: float | None) -> tuple[Wavefront, ...]:
-        """The wavefronts of one range."""
-        return tuple(w for w in self.wavefronts if same_range(w.range_mm, range_mm))
-
-    def of_channel(self, channel: str) -> tuple[Wavefront, ...]:
-        """The wavefronts of one channel."""
-        return tuple(w for w in self.wavefronts if w.channel == channel)
-
-    @classmethod
-    def load(cls, folder: Path | str, name: str = "latest") -> Results:
-        """The results of that name in a session's folder, or those in a results folder itself.
-
-        Raises DataError where there are none, or they cannot be read.
-        """
-        from labkit.results.storage import load
-
-        return load(Path(folder), name)
-
-    def write(self, folder: Path) -> Path:
-        """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""
-        from labkit.results.storage import write
-
-        return write(self, folder)
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""
-        import pandas
-
-        rows = [
-            (w.range_mm, w.channel, mode, float(waves), float(std))
-            for w in self.wavefronts
-            for mode, waves, std in zip(w.noll, w.waves, w.std, strict=True)
-        ]
-        return pandas.DataFrame(rows, columns=["range_mm", "channel", "mode", "waves", "std"])
-
-    def _repr_html_(self) -> str:
-        from labkit.results.tables import as_html
-
-        return as_html(self)
 
 
 def same_range(one_mm: float | None, other_mm: float | None) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically
 from labkit.plan import Plan
-from labkit.results.model import Focus, OptimumTest, OtherOptimum, Placement, Residuals, Results, Wavefront, array_key
+from labkit.results.model import Focus, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront, array_key
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -29,27 +29,39 @@ REPORT = ("report.html", "figures")  # made of results: stale as soon as there a
 
 Json = dict[str, Any]
 
+FIELDS = (
+    "plan",
+    "plan_sha256",
+    "wavefronts",
+    "focus",
+    "warnings",
+    "unanswered",
+    "created",
+    "labkit_version",
+)
+"""Of results: those that are kept. Their folder is where they are."""
 
-def write(results: Results, folder: Path) -> Path:
+
+def write(folder: Path, content: Json, wavefronts: Sequence[Wavefront]) -> Path:
     """Write all files into a folder, each whole or not at all, results.json last; the report of earlier results goes.
 
-    Returns the path of results.json. Raises InputError where the folder cannot be written to.
+    content: of results.json. Returns its path. Raises InputError where the folder cannot be written to.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {  # made before the first is written: files of two fits never lie side by side for long
-        PSFS: _packed(psfs(results)),
-        RESIDUALS: _packed(_residuals(results)),
-        RESULTS: json.dumps(as_json(results), indent=1, allow_nan=False).encode() + b"\n",
+        PSFS: _packed(psfs(wavefronts)),
+        RESIDUALS: _packed(_residuals(wavefronts)),
+        RESULTS: json.dumps(content, indent=1, allow_nan=False).encode() + b"\n",
     }
     (folder / REPORT[0]).unlink(missing_ok=True)
     shutil.rmtree(folder / REPORT[1], ignore_errors=True)
-    for name, content in files.items():
-        write_atomically(folder / name, content)
+    for name, packed in files.items():
+        write_atomically(folder / name, packed)
     return folder / RESULTS
 
 
-def load(folder: Path, name: str = "latest") -> Results:
-    """Results of a session's folder by name, or of a results folder itself. Raises DataError."""
+def read(folder: Path, name: str) -> dict[str, Any]:
+    """The fields of results: of a session's folder those of that name, or those of a results folder. Raises DataError."""
     session = folder / "results"
     place = session / name if session.is_dir() or not (folder / RESULTS).exists() else folder
     path = place / RESULTS
@@ -64,7 +76,7 @@ def load(folder: Path, name: str = "latest") -> Results:
         raise DataError(f"{path} has schema {schema!r}; this version reads schema {SCHEMA}: fit the session again")
     residuals = _arrays(place / RESIDUALS)
     try:
-        return _results(entry, residuals, place)
+        return _fields(entry, residuals, place)
     except PlanError as error:
         raise DataError(f"{path}: {error}; fit the session again") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -81,39 +93,49 @@ def kept_keys(folder: Path) -> set[str]:
         return set()
 
 
-def as_json(results: Results) -> Json:
-    """The content of results.json."""
+def entry(
+    *,
+    plan: Plan,
+    plan_sha256: str,
+    wavefronts: Sequence[Wavefront],
+    focus: Focus | None,
+    warnings: Sequence[str],
+    unanswered: str | None,
+    created: str,
+    labkit_version: str,
+) -> Json:
+    """The content of results.json, of the fields of results."""
     return {
         "schema": SCHEMA,
-        "labkit_version": results.labkit_version,
-        "created": results.created,
-        "plan_sha256": results.plan_sha256,
-        "plan": results.plan.model_dump(mode="json", exclude_none=True),
-        "convention": results.plan.fit.convention,
-        "reference_wavelength_nm": results.reference_wavelength_nm,
-        "wavefronts": [_wavefront_json(w) for w in results.wavefronts],
-        "focus": None if results.focus is None else _focus_json(results.focus),
-        "warnings": list(results.warnings),
-        "unanswered": results.unanswered,
+        "labkit_version": labkit_version,
+        "created": created,
+        "plan_sha256": plan_sha256,
+        "plan": plan.model_dump(mode="json", exclude_none=True),
+        "convention": plan.fit.convention,
+        "reference_wavelength_nm": plan.reference_wavelength_nm,
+        "wavefronts": [_wavefront_json(w) for w in wavefronts],
+        "focus": None if focus is None else _focus_json(focus),
+        "warnings": list(warnings),
+        "unanswered": unanswered,
     }
 
 
-def psfs(results: Results) -> dict[str, npt.NDArray[Any]]:
+def psfs(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
     """PSFs of the optics alone on one grid for all: unit sum, centred, odd; and their spacing_um."""
-    airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in results.wavefronts]
+    airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in wavefronts]
     spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
     size = 2 * int(np.ceil(PSF_HALF_WIDTH_AIRY * max(airy_um) / spacing_um)) + 1
     arrays: dict[str, npt.NDArray[Any]] = {"spacing_um": np.array(spacing_um)}
-    for w in results.wavefronts:
+    for w in wavefronts:
         arrays[f"psf_{w.key}"] = w.psf(spacing_um, size).astype(np.float32)
     return arrays
 
 
-def _residuals(results: Results) -> dict[str, npt.NDArray[Any]]:
+def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
     """data_, model_ and sigma_ of each wavefront, (frames, planes, rows, columns)."""
     return {
         f"{part}_{w.key}": getattr(w.residuals, part).astype(np.float32)
-        for w in results.wavefronts
+        for w in wavefronts
         if w.residuals is not None
         for part in ("data", "model", "sigma")
     }
@@ -200,19 +222,19 @@ def _arrays(path: Path) -> dict[str, Any]:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
 
 
-def _results(entry: Json, residuals: dict[str, Any], folder: Path) -> Results:
+def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, Any]:
     plan = _plan(entry, folder)
-    return Results(
-        plan=plan,
-        plan_sha256=str(entry["plan_sha256"]),
-        wavefronts=tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
-        focus=None if entry["focus"] is None else _focus(entry["focus"]),
-        warnings=tuple(str(words) for words in entry["warnings"]),
-        unanswered=entry.get("unanswered"),
-        created=str(entry["created"]),
-        labkit_version=str(entry["labkit_version"]),
-        folder=folder,
-    )
+    return {
+        "plan": plan,
+        "plan_sha256": str(entry["plan_sha256"]),
+        "wavefronts": tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
+        "focus": None if entry["focus"] is None else _focus(entry["focus"]),
+        "warnings": tuple(str(words) for words in entry["warnings"]),
+        "unanswered": entry.get("unanswered"),
+        "created": str(entry["created"]),
+        "labkit_version": str(entry["labkit_version"]),
+        "folder": folder,
+    }
 
 
 def _plan(entry: Json, folder: Path) -> Plan:

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
-from labkit.results.model import Results, Wavefront
+from labkit.results.model import Focus, Wavefront
 from labkit.uncertain import Uncertain
 
 Rows = list[list[str]]
 
 
-def wavefront_rows(results: Results) -> Rows:
+def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: float) -> Rows:
     """A heading, and a row for each range and channel: defocus, RMS of all modes, how well the model fits."""
-    waves = f"waves at {results.reference_wavelength_nm:g} nm"
+    waves = f"waves at {reference_wavelength_nm:g} nm"
     rows = [["range/mm", "channel", f"defocus/{waves}", "RMS, all modes", "χ²/pixel", "optimum"]]
-    for w in results:
+    for w in wavefronts:
         defocus = "not fitted" if w.defocus is None else _signed(w.defocus)
         range_mm = "" if w.range_mm is None else f"{w.range_mm:g}"
         rows.append([range_mm, w.channel, defocus, f"{w.rms().value:.4f}", f"{w.chi2_per_pixel:.3f}", _verdict(w)])
     return rows
 
 
-def focus_rows(results: Results) -> Rows:
+def focus_rows(focus: Focus | None) -> Rows:
     """A heading, best focus of each channel, and the pupil magnification; one row that says so if there are none."""
-    focus = results.focus
     if focus is None:
         return [["best focus: not fitted, see the warnings"]]
     rows = [["quantity", "estimate"]]
@@ -33,11 +33,9 @@ def focus_rows(results: Results) -> Rows:
     return rows
 
 
-def as_html(results: Results) -> str:
-    """Both tables, for a notebook."""
-    title = f"{results.folder}: " if results.folder else ""
-    heading = f"<p><b>{escape(title)}{len(results)} wavefronts</b></p>"
-    return heading + _table(wavefront_rows(results)) + _table(focus_rows(results))
+def as_html(title: str, *tables: Rows) -> str:
+    """Tables under a title, for a notebook."""
+    return f"<p><b>{escape(title)}</b></p>" + "".join(map(_table, tables))
 
 
 def _signed(value: Uncertain) -> str:

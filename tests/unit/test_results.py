@@ -11,8 +11,7 @@ import pytest
 
 from labkit.errors import DataError
 from labkit.results import Results
-from labkit.results.storage import as_json, kept_keys
-from labkit.results.tables import focus_rows, wavefront_rows
+from labkit.results.storage import kept_keys
 from tests.results_samples import FOCUS, a_wavefront, some_results, written
 
 CONTRACT = {
@@ -66,7 +65,7 @@ def test_what_the_contract_prints_is_read(tmp_path: Path) -> None:
 
 
 def test_every_key_of_the_contract_is_written() -> None:
-    entry = as_json(some_results())
+    entry = some_results().as_json()
     assert CONTRACT.keys() <= entry.keys()
     assert CONTRACT["wavefronts"][0].keys() <= entry["wavefronts"][0].keys()  # type: ignore[index]
     assert CONTRACT["focus"].keys() <= entry["focus"].keys()  # type: ignore[attr-defined]
@@ -115,17 +114,17 @@ def test_a_notebook_shows_tables_and_obeys_no_names() -> None:
 def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
     rejected = replace(a_wavefront(3000.0, "R", -0.3).test, accepted=False)  # type: ignore[type-var]
     results = some_results(wavefronts=(a_wavefront(3000.0, "R", -0.3, test=rejected), a_wavefront(None)))
-    _, first, second = wavefront_rows(results)
+    _, first, second = results.wavefront_rows()
     # sqrt(0.3^2 + 0.03^2 + 0.04^2)
     assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041", "1.018", "REJECTED"]
     assert second[:2] == ["", "R"]
 
 
 def test_a_magnification_that_is_not_determined_is_marked() -> None:
-    _, focus, _, magnification = focus_rows(some_results())
+    _, focus, _, magnification = some_results().focus_rows()
     assert focus == ["best focus R", "2986.84 ± 0.42 mm"]
     assert "do not determine" in magnification[1]
-    assert "not fitted" in focus_rows(some_results(focus=None))[0][0]
+    assert "not fitted" in some_results(focus=None).focus_rows()[0][0]
 
 
 def test_a_report_of_earlier_results_does_not_stay(tmp_path: Path) -> None:

@@ -1,0 +1,119 @@
+"""All that was estimated from a session: by range and channel, as a file, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labkit.plan import Plan
+from labkit.results import storage, tables
+from labkit.results.model import Focus, Wavefront, same_range
+from labkit.version import __version__
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that was estimated from a session.
+
+    plan: what it was estimated with, plan_sha256 its checksum. unanswered: what these frames cannot determine though it was
+    to be estimated; one of the warnings too. folder: where it is kept.
+
+    >>> results = labkit.Results.load("night-3")
+    >>> print(results.focus["G"])
+    3024.00 ± 0.40 mm
+    """
+
+    plan: Plan
+    plan_sha256: str
+    wavefronts: tuple[Wavefront, ...]
+    focus: Focus | None
+    warnings: tuple[str, ...] = ()
+    unanswered: str | None = None
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    labkit_version: str = __version__
+    folder: Path | None = None
+
+    def __getitem__(self, place: tuple[float | None, str]) -> Wavefront:
+        """The wavefront at a range (mm, or None where the frames have none) and channel. Raises KeyError for another."""
+        range_mm, channel = place
+        for wavefront in self.wavefronts:
+            if same_range(wavefront.range_mm, range_mm) and wavefront.channel == channel:
+                return wavefront
+        known = ", ".join(w.key.replace("_", " mm ") for w in self.wavefronts)
+        raise KeyError(f"no wavefront at {range_mm} mm, channel {channel!r}: there are {known}")
+
+    def __iter__(self) -> Iterator[Wavefront]:
+        return iter(self.wavefronts)
+
+    def __len__(self) -> int:
+        return len(self.wavefronts)
+
+    @property
+    def reference_wavelength_nm(self) -> float:
+        """What waves are counted in."""
+        return self.plan.reference_wavelength_nm
+
+    @property
+    def ranges_mm(self) -> tuple[float | None, ...]:
+        """Each range once, ascending; wavefronts without one come first."""
+        ranges = {w.range_mm for w in self.wavefronts}
+        return tuple(sorted(ranges, key=lambda r: -inf if r is None else r))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Each channel once, in the order of the wavefronts."""
+        return tuple(dict.fromkeys(w.channel for w in self.wavefronts))
+
+    def at_range(self, range_mm: float | None) -> tuple[Wavefront, ...]:
+        """The wavefronts of one range."""
+        return tuple(w for w in self.wavefronts if same_range(w.range_mm, range_mm))
+
+    def of_channel(self, channel: str) -> tuple[Wavefront, ...]:
+        """The wavefronts of one channel."""
+        return tuple(w for w in self.wavefronts if w.channel == channel)
+
+    @classmethod
+    def load(cls, folder: Path | str, name: str = "latest") -> Results:
+        """The results of that name in a session's folder, or those in a results folder itself.
+
+        Raises DataError where there are none, or they cannot be read.
+        """
+        return cls(**storage.read(Path(folder), name))
+
+    def write(self, folder: Path) -> Path:
+        """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""
+        return storage.write(folder, self.as_json(), self.wavefronts)
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of results.json."""
+        return storage.entry(**{name: getattr(self, name) for name in storage.FIELDS})
+
+    def wavefront_rows(self) -> tables.Rows:
+        """A heading, and a row of text for each wavefront."""
+        return tables.wavefront_rows(self.wavefronts, self.reference_wavelength_nm)
+
+    def focus_rows(self) -> tables.Rows:
+        """A heading, and rows of text for best focus and pupil magnification."""
+        return tables.focus_rows(self.focus)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""
+        import pandas
+
+        rows = [
+            (w.range_mm, w.channel, mode, float(waves), float(std))
+            for w in self.wavefronts
+            for mode, waves, std in zip(w.noll, w.waves, w.std, strict=True)
+        ]
+        return pandas.DataFrame(rows, columns=["range_mm", "channel", "mode", "waves", "std"])
+
+    def _repr_html_(self) -> str:
+        title = f"{self.folder or 'Results'}: {len(self)} wavefronts"
+        return tables.as_html(title, self.wavefront_rows(), self.focus_rows())
