@@ -9,7 +9,7 @@ from scipy import special
 
 from labkit.optics.zernike import mode_name
 from labkit.report.quantities import millimetres, plus_minus
-from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels
+from labkit.report.style import FAINT, INK, SOFT, WIDTH_IN, Ink, channel_inks, columns_for, panels, scaling
 from labkit.results import Focus, Residuals, Results, Wavefront
 from labkit.types import Floats
 
@@ -95,7 +95,7 @@ def zernike_chart(
     axes_of = figure.subplots(1, len(groups), squeeze=False, width_ratios=[max(len(g), 1.4) for g in groups])[0]
     for axes, group in zip(axes_of, groups, strict=True):
         _bars(axes, group, fits, inks)
-        nanometres = axes.secondary_yaxis("right", functions=_scaling(results.reference_wavelength_nm))
+        nanometres = axes.secondary_yaxis("right", functions=scaling(results.reference_wavelength_nm))
         nanometres.tick_params(labelsize=7.5)
         if axes is axes_of[-1]:
             nanometres.set_ylabel("nm RMS")
@@ -106,10 +106,6 @@ def zernike_chart(
     axes_of[0].set_ylabel("waves RMS")
     axes_of[-1].legend(loc="upper right", ncols=len(fits), borderaxespad=0, handlelength=1)
     return figure
-
-
-def _scaling(factor: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
-    return lambda waves: waves * factor, lambda nm: nm / factor
 
 
 def _bars(axes: Axes, modes: Sequence[int], fits: Sequence[Wavefront], inks: dict[str, Ink]) -> None:

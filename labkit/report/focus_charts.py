@@ -10,7 +10,7 @@ from labkit.optics.encircled_energy import encircled_energy
 from labkit.optics.metrics import opd_map
 from labkit.report.best_focus import SHARE, BestFocus
 from labkit.report.quantities import estimated
-from labkit.report.style import DOTTED, INK, SOFT, WIDTH_IN, banded, channel_inks, panels
+from labkit.report.style import DOTTED, INK, SOFT, WIDTH_IN, banded, channel_inks, panels, scaling
 from labkit.results import Results
 from labkit.types import Floats
 
@@ -34,10 +34,10 @@ def opd_picture(focused: Sequence[BestFocus], reference_nm: float) -> Figure:
         axes.set_title(f"{best.channel}\n")
         axes.set_title(f"RMS {rms}\nP–V {span} waves", loc="right", fontweight="normal", fontsize=8)
     bar = figure.colorbar(image, ax=list(grid), shrink=0.9, aspect=28, pad=0.02)
-    bar.ax.set_title("waves", loc="left", fontweight="normal", fontsize=8)
     bar.ax.yaxis.set_ticks_position("left")
-    nanometres = bar.ax.secondary_yaxis("right", functions=(lambda w: w * reference_nm, lambda nm: nm / reference_nm))
-    bar.ax.set_title("nm", loc="right", fontweight="normal", fontsize=8)
+    nanometres = bar.ax.secondary_yaxis("right", functions=scaling(reference_nm))
+    bar.ax.text(-0.3, 1.02, "waves", ha="right", va="bottom", fontsize=8, transform=bar.ax.transAxes)
+    bar.ax.text(1.3, 1.02, "nm", ha="left", va="bottom", fontsize=8, transform=bar.ax.transAxes)
     nanometres.tick_params(labelsize=8)
     return figure
 

@@ -1,6 +1,7 @@
 """MTF with error bands, the diffraction limit and Nyquist's frequencies: at best focus, and as photographed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +17,7 @@ from labkit.report.style import DASHED, DOTTED, LINE_OF, SOFT, SOLID, banded, ch
 from labkit.results import Results
 
 POINTS = 120
+SPARSE = (0, (6, 3))
 
 
 def draw_mtf(axes: Axes, wavefront: FittedWavefront, last_per_mm: float, colour: str) -> None:
@@ -27,17 +29,23 @@ def draw_mtf(axes: Axes, wavefront: FittedWavefront, last_per_mm: float, colour:
     axes.plot(grid, diffraction_mtf(grid / wavefront.cutoff_per_mm), color=colour, lw=0.8, ls=DOTTED)
 
 
-def draw_nyquist(axes: Axes, full_per_mm: float, plane_per_mm: float, last_per_mm: float) -> None:
-    """Lines at Nyquist's frequencies of all pixels and of one colour's, where they are within the axis and differ."""
-    lines = {
-        full_per_mm: "Nyquist",
-        plane_per_mm: "Nyquist of\none colour" if plane_per_mm < full_per_mm else "Nyquist",
-    }
-    for frequency, name in lines.items():
-        if frequency <= last_per_mm:
-            axes.axvline(frequency, color=SOFT, lw=0.7, zorder=1)
-            at = (frequency + 0.01 * last_per_mm, 0.98)
-            axes.text(*at, name, color=SOFT, fontsize=7.5, ha="left", va="top", linespacing=1.1)
+def draw_nyquist(axes: Axes, results: Results, channels: Sequence[str]) -> None:
+    """Lines at Nyquist's frequencies of all pixels, and of the channels' own where those are fewer."""
+    for channel in channels:
+        full, plane = nyquist_per_mm(results, channel)
+        axes.axvline(full, color=SOFT, lw=0.7, zorder=1)
+        if plane < full:
+            axes.axvline(plane, color=SOFT, lw=0.7, ls=SPARSE, zorder=1)
+
+
+def _key(results: Results, styles: Mapping[str, Any]) -> list[Line2D]:
+    """What lines mean, whatever their colour."""
+    key = [Line2D([], [], color=SOFT, ls=style, label=label) for label, style in styles.items()]
+    key.append(Line2D([], [], color=SOFT, lw=0.8, ls=DOTTED, label="diffraction limit"))
+    key.append(Line2D([], [], color=SOFT, lw=0.7, label="Nyquist, all pixels"))
+    if any(plane < full for full, plane in (nyquist_per_mm(results, channel) for channel in results.channels)):
+        key.append(Line2D([], [], color=SOFT, lw=0.7, ls=SPARSE, label="Nyquist, one colour"))
+    return key
 
 
 def last_frequency_per_mm(results: Results) -> float:
@@ -52,18 +60,18 @@ def focus_mtf_chart(results: Results, focused: Sequence[BestFocus]) -> Figure:
     figure, axes_of = panels(len(focused), columns_for(len(focused)), 3.1, sharey=True)
     for axes, best in zip(axes_of, focused, strict=True):
         colour = inks[best.channel].colour
-        draw_nyquist(axes, *nyquist_per_mm(results, best.channel), last)
+        draw_nyquist(axes, results, [best.channel])
         draw_mtf(axes, best.fitted, last, colour)
         axes.axhline(0.5, color=SOFT, lw=0.5, ls=(0, (1, 3)))
         keys = [
             Line2D([], [], color=colour, ls=LINE_OF[d], label=f"along {d}: MTF50 {estimated(best.mtf50[d])}")
             for d in DIRECTIONS
         ]
-        keys.append(Line2D([], [], color=colour, lw=0.8, ls=DOTTED, label="diffraction limit"))
-        axes.legend(handles=keys, loc="upper right", bbox_to_anchor=(1, 0.88), handlelength=1.6, fontsize=8)
+        axes.legend(handles=keys, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, labelspacing=0.3)
         axes.set_title(best.channel)
         axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="cycles/mm on the sensor")
     axes_of[0].set_ylabel("MTF")
+    figure.legend(handles=_key(results, {}), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -74,14 +82,12 @@ def mtf_chart(results: Results, ranges_mm: Sequence[float | None]) -> Figure:
     for axes, range_mm in zip(axes_of, ranges_mm, strict=True):
         axes.set_title(millimetres(range_mm))
         wavefronts = results.at_range(range_mm)
-        for limits in {nyquist_per_mm(results, w.channel) for w in wavefronts}:
-            draw_nyquist(axes, *limits, last)
+        draw_nyquist(axes, results, [w.channel for w in wavefronts])
         for wavefront in wavefronts:
             draw_mtf(axes, wavefront.fitted, last, inks[wavefront.channel].colour)
         axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="cycles/mm on the sensor")
     axes_of[0].set_ylabel("MTF")
     colours = [Line2D([], [], color=inks[c].colour, label=c) for c in results.channels]
-    styles = {"along x": SOLID, "along y": DASHED, "diffraction limit": DOTTED}
-    key = colours + [Line2D([], [], color=SOFT, ls=style, label=label) for label, style in styles.items()]
-    figure.legend(handles=key, loc="outside lower center", ncols=7)
+    key = colours + _key(results, {"along x": SOLID, "along y": DASHED})
+    figure.legend(handles=key, loc="outside lower center", ncols=-(-len(key) // 2))
     return figure

@@ -1,6 +1,6 @@
 """How figures look: type, lines, the colour of each channel, and their encoding as PNG and SVG."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BytesIO
@@ -92,6 +92,11 @@ def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[F
     for unused in grid[count:]:
         unused.set_visible(False)
     return figure, list(grid[:count])
+
+
+def scaling(factor: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
+    """What a second axis shows of the first, and back: waves in nanometres."""
+    return lambda waves: waves * factor, lambda nm: nm / factor
 
 
 def banded(axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line: Any = SOLID) -> None:

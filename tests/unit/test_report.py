@@ -70,8 +70,8 @@ def test_links_in_the_page_lead_somewhere(report: Path) -> None:
 
 def test_every_image_says_in_words_what_it_shows(report: Path) -> None:
     images = [attrs for tag, attrs in Page(report.read_text()).tags if tag == "img"]
-    # focus, two ranges of modes, PSFs, MTFs, four fits, Q-Q
-    assert len(images) == 10
+    # focus; at best focus maps, MTFs, energy; two ranges of modes, PSFs, MTFs, four fits, Q-Q
+    assert len(images) == 13
     assert all(len(attrs["alt"] or "") > 20 for attrs in images)
 
 
@@ -82,13 +82,35 @@ def test_the_answer_is_given_to_the_digits_of_its_error(report: Path) -> None:
     assert "0.981 ± 0.038" in words
     # sqrt(0.03² + 0.04²) = 0.05; its error sqrt((0.6·0.0012)² + (0.8·0.0013)²) = 0.00126
     assert "0.0500 ± 0.0013" in words
-    assert "It cannot be told at these ranges." in words
+    assert "These ranges do not determine it." in words
+
+
+def test_numbers_at_best_focus_stand_in_a_table(report: Path) -> None:
+    words = Page(report.read_text()).words()
+    # defocus 0.0751 left out: 0.05 waves RMS in red light, exp(-(2π · 0.05 · 450/650)²) = 0.954 by Maréchal
+    assert re.search(r"Strehl ratio at best focus 0\.95\d+ ± 0\.00\d+", words)
+    assert "RMS without defocus waves 0.0500 ± 0.0013" in words
+    assert re.search(r"nm 22\.50 ± 0\.5\d", words)  # of 450 nm
+    # 0.40397 of the cutoff, 1/(0.65 µm · 2.8) and 1/(0.45 µm · 2.8): Goodman's MTF is one half there
+    assert "of a perfect lens cycles/mm 222.0 320.6" in words
+    assert "Astigmatism waves RMS — —" in words  # Noll 6 was not fitted
+
+
+def test_a_number_is_never_parted_from_its_error(report: Path) -> None:
+    text = Page(report.read_text()).text
+    assert len(re.findall(r"\d\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}\d", text)) > 50
+    assert not re.search(r"\d ±|± \d", text)
+
+
+def test_optima_are_not_certified_but_show_no_sign_against_them(report: Path) -> None:
+    words = Page(report.read_text()).words()
+    assert "no sign of a wrong optimum in any of 4 fits" in words
 
 
 def test_tables_hold_every_mode_in_waves_and_nanometres(report: Path) -> None:
     words = Page(report.read_text()).words()
-    assert "5 oblique astigmatism 0.0300 ± 0.0012 13.5" in words  # 0.03 · 450 nm
-    assert "8 horizontal coma −0.0400 ± 0.0013 −18.0" in words
+    assert "5 3 6 oblique astigmatism 0.0300 ± 0.0012 13.5" in words  # 0.03 · 450 nm
+    assert "8 8 7 horizontal coma −0.0400 ± 0.0013 −18.0" in words
     assert "1.1432 ± 0.0011 514.4" in words
 
 
@@ -112,6 +134,9 @@ def test_figures_are_files_too(report: Path) -> None:
         "focus.svg",
         "psf.png",
         "mtf.svg",
+        "opd.png",
+        "mtf_at_best_focus.svg",
+        "encircled_energy.svg",
         "zernike_3000.svg",
         "fit_3200_B.png",
         "residuals.svg",

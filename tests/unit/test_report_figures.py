@@ -16,18 +16,18 @@ from labkit.results import Residuals
 def test_quantiles_of_normal_residuals_keep_to_their_band() -> None:
     rng = np.random.default_rng(3)
     model, sigma = np.full((1, 1, 100, 100), 500.0), np.full((1, 1, 100, 100), 7.0)
-    normal, low, high, seen = residual_quantiles(Residuals(rng.normal(model, sigma), model, sigma))
+    normal, low, high, observed = residual_quantiles(Residuals(rng.normal(model, sigma), model, sigma))
     assert np.all((low < normal) & (normal < high))
     # neighbouring order statistics go together, so a stray one takes some with it: allow 5 % for 1 %
-    assert np.mean((seen < low) | (seen > high)) <= 0.05
+    assert np.mean((observed < low) | (observed > high)) <= 0.05
     assert normal[-1] == pytest.approx(special.ndtri(1 - 0.625 / 10000.25), abs=1e-9)
 
 
 def test_masked_pixels_leave_the_quantiles() -> None:
     model = np.ones((1, 1, 2, 2))
     data = np.array([[[[1.5, np.nan], [0.5, 1.0]]]])
-    *_, seen = residual_quantiles(Residuals(data, model, model))
-    assert seen.tolist() == [-0.5, 0.0, 0.5]
+    *_, observed = residual_quantiles(Residuals(data, model, model))
+    assert observed.tolist() == [-0.5, 0.0, 0.5]
 
 
 def test_chip_and_model_share_a_scale_and_the_residual_has_its_own() -> None:
@@ -47,9 +47,9 @@ def test_a_channel_keeps_its_colour_whatever_others_there_are() -> None:
 @pytest.mark.parametrize(
     ("value", "std", "text"),
     [
-        (3024.04, 0.4231, "3024.04 ± 0.42"),
-        (-0.12345, 0.000996, "−0.1235 ± 0.0010"),
-        (2054.3, 123.4, "2054 ± 123"),
+        (3024.04, 0.4231, "3024.04\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}0.42"),
+        (-0.12345, 0.000996, "−0.1235\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}0.0010"),
+        (2054.3, 123.4, "2054\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}123"),
         (0.25, float("nan"), "0.2500"),
         (float("nan"), float("nan"), "—"),
     ],
