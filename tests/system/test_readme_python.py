@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
+from labkit.types import Floats
 from tests.golden.simulate import ACTIVE, F_NUMBER, FINER, ORDER, PITCH_UM, SIZE_MM, write_session
 
 README = Path(__file__).parents[2] / "README.md"
@@ -32,7 +34,7 @@ def blocks() -> list[str]:
     return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def truth(folder: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def truth(folder: Path) -> Floats:
     """Modes 4 to 15 of green at 1600 mm."""
     wavefronts = json.loads((folder / "truth.json").read_text())["wavefronts"]
     (entry,) = (w for w in wavefronts if (w["range_mm"], w["channel"]) == (1600.0, "G"))
@@ -42,11 +44,11 @@ def truth(folder: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 def test_photographs_become_a_plot_of_the_mtf(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(golden)
     mpl.use("agg")
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     exec(blocks()[0], names)
     assert (golden / "mtf.png").stat().st_size > 5_000
     w = names["w"]
-    np.testing.assert_allclose(w.waves, truth(golden), atol=LIMIT_OF_A_SESSION)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(w.waves, truth(golden), atol=LIMIT_OF_A_SESSION)
 
 
 def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
@@ -55,10 +57,10 @@ def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
     numbers = f"order={ORDER},size_mm={SIZE_MM:g}", f"f_number={F_NUMBER}", f"active_um={PITCH_UM * ACTIVE / FINER:.2f}"
     assert [number in code for number in numbers] == [True] * 3
     mosaic = read_raw(golden / "target_1600_0.dng", Plan.load(golden / "plan.toml").sensor)
-    names: dict[str, object] = {"counts": mosaic.counts - mosaic.black_map()}
+    names: dict[str, Any] = {"counts": mosaic.counts - mosaic.black_map()}
     exec(f"import labkit\n{code}", names)
     w = names["w"]
-    even = np.isin(w.noll, (4, 5, 6, 11, 12, 13, 14, 15))  # type: ignore[attr-defined]
+    even = np.isin(w.noll, (4, 5, 6, 11, 12, 13, 14, 15))
     # one range cannot decide between twins: the even modes may all have the other sign
-    signed = np.where(even, np.sign(w.waves[0] * truth(golden)[0]), 1.0) * w.waves  # type: ignore[attr-defined]
+    signed = np.where(even, np.sign(w.waves[0] * truth(golden)[0]), 1.0) * w.waves
     np.testing.assert_allclose(signed, truth(golden), atol=LIMIT_OF_ONE)
