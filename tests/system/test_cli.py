@@ -123,7 +123,7 @@ def test_import_and_verify_answer_in_json(
     assert run(["import", str(frames), str(plan), str(session), "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["kinds"] == {"target": 1, "flat": 0, "dark": 0, "bias": 0}
     assert run(["--json", "verify", str(session)]) == 0
-    assert json.loads(capfd.readouterr().out) == {"session": str(session), "frames": 1, "problems": []}
+    assert json.loads(capfd.readouterr().out) == {"session": str(session), "frames": 1, "problems": [], "remarks": []}
 
 
 def test_quiet_prints_nothing_when_all_is_well(
@@ -153,7 +153,9 @@ def test_a_torn_journal_is_told_as_a_warning(
     journal.write_bytes(journal.read_bytes()[:-9])
     capfd.readouterr()
     assert run(["verify", str(session)]) == 0
-    assert "torn last line" in one_line(capfd.readouterr().err)
+    torn, adding = capfd.readouterr().err.splitlines(keepends=True)
+    assert "torn last line" in one_line(torn)
+    assert "target.dng was being added" in one_line(adding)
 
 
 def test_reporting_before_fitting_says_what_to_do(
