@@ -94,7 +94,7 @@ def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[F
     return figure, list(grid[:count])
 
 
-def scaling(factor: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
+def scaling(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """What a second axis shows of the first, and back: waves in nanometres."""
     return lambda waves: waves * factor, lambda nm: nm / factor
 
