@@ -89,12 +89,14 @@ def test_ranges_that_are_proposed_determine_the_magnification(plan: Plan) -> Non
     assert proposed.magnification_determined
 
 
+@pytest.mark.slow
 def test_a_lone_range_gives_no_focus(plan: Plan) -> None:
     advice = advise(plan, ranges_mm=[3000.0])
     assert advice.best_focus_std_mm is None
     assert advice.magnification_std is None
 
 
+@pytest.mark.slow
 def test_a_pattern_that_determines_nothing_is_a_note_and_no_error(tmp_path: Path) -> None:
     (tmp_path / "grey.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([255] * 16))
     image = 'kind = "image"\nfile = "grey.pgm"\nsize_mm = 46.8\nsurround = "white"\n'
@@ -171,6 +173,7 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cfa_pattern", "cell"),
     [

@@ -47,6 +47,7 @@ def test_importing_labkit_loads_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, timeout=60).stdout == "[]\n"
 
 
+@pytest.mark.slow
 def test_a_room_of_the_same_name_hides_no_function() -> None:
     # importing a submodule binds its name in the package: no room may be called as a function is
     loaded = "import labkit.cli, labkit.demo, labkit; print(all(callable(getattr(labkit, n)) for n in {names}))"
