@@ -1,8 +1,9 @@
 """The simulated world that the simulated camera, rail and display share.
 
 One seed settles all of it: what is fixed (aberration, pose, the panel's unevenness, each pixel's response) is drawn
-when the bench is made; noise is drawn for each frame by its name and scatter for each stop by its number, so a capture
-that was interrupted goes on as if it had not been. Time is a number here: nothing sleeps.
+when the bench is made; noise is drawn for each frame by its name and scatter for each visit to a stop by the visit's
+number, so a capture that was interrupted goes on as if it had not been, unless a preflight visits stops in between. Time
+is a number here: nothing sleeps.
 """
 
 from __future__ import annotations
