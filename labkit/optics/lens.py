@@ -40,6 +40,24 @@ class ThinLens:
             raise ValueError(f"range must exceed the focal length, {self.focal_length_mm:g} mm: {range_mm}")
         return range_mm * self.focal_length_mm / (range_mm - self.focal_length_mm)
 
+    def focused_magnification(self, focus_mm: Floats | float) -> Floats:
+        """Size of the picture over the object's, unitless, at the best focus of a range: f / (r - f)."""
+        return self.image_distance_mm(focus_mm) / np.asarray(focus_mm)
+
+    def working_f_number(self, focus_mm: Floats | float) -> Floats:
+        """f-number of the cone that reaches the sensor of a lens focused at a range: N (1 + m0 / mp), the same wherever the
+        target stands."""
+        return self.f_number * (1 + self.focused_magnification(focus_mm) / self.pupil_magnification)
+
+    def chief_ray_scale(self, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:
+        """Size of the picture over the target's, unitless, of a target at one range and a lens focused at another.
+
+        Along chief rays, through the pupils' centres: blur moves no size. target_mm, focus_mm: broadcast together.
+        """
+        f, mp = self.focal_length_mm, self.pupil_magnification
+        from_entrance_mm = real_array("target_mm", target_mm, None, "mm") - f + f / mp
+        return np.asarray(self.pupil_to_image_mm(focus_mm) / (mp * from_entrance_mm))
+
     def pupil_to_image_mm(self, range_mm: Floats | float, convention: Convention = "corrected") -> Floats:
         """Distance from the exit pupil to the image of a range, mm. Thesis (E.2); (4.40) prints the sign of (mp-1) wrong."""
         offset = (self.pupil_magnification - 1.0) * self.focal_length_mm

@@ -36,12 +36,16 @@ from labkit.plan.fields import (
 )
 from labkit.plan.messages import message
 from labkit.plan.text import plain
+from labkit.uncertain import Uncertain
 
 LAST_NOLL = 66
 """The last Zernike mode that can be fitted: all of the tenth radial order."""
 
 NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
 """Kind of target -> the field that it cannot do without."""
+
+ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE = 0.02, 0.03, 1e-4
+"""Relative standard errors of engravings, and of a target's size, that a plan does not state otherwise."""
 
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
@@ -65,11 +69,35 @@ class Table(BaseModel):
             raise PlanError(message(error, cls, tables)) from None
 
 
+Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
+
+
 class Lens(Table):
-    """The lens as engraved: nominal values are enough."""
+    """The lens as engraved: nominal values are enough.
+
+    focal_length_std_mm, f_number_std: how far engravings may be off, standard errors; 2 % and 3 % where they are left out.
+    """
 
     focal_length_mm: Annotated[Number, AfterValidator(Allowed(0.1, 10_000))]
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
+    focal_length_std_mm: Error | None = None
+    f_number_std: Error | None = None
+
+    @property
+    def stated_focal_length(self) -> Uncertain:
+        """As engraved, with its error."""
+        return _stated(self.focal_length_mm, self.focal_length_std_mm, ENGRAVED_FOCAL_LENGTH, "mm")
+
+    @property
+    def stated_f_number(self) -> Uncertain:
+        """As engraved, with its error."""
+        return _stated(self.f_number, self.f_number_std, ENGRAVED_F_NUMBER)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Lens:
+        _refuse_larger(self, "focal_length_mm", "focal_length_std_mm")
+        _refuse_larger(self, "f_number", "f_number_std")
+        return self
 
 
 class Sensor(Table):
@@ -108,11 +136,12 @@ class TargetSpec(Table):
     """What was photographed. `file` is absolute once a plan is loaded.
 
     order: of a carpet, or octaves of a tri-bar target; cells: along a side of a checkerboard or of noise, which `seed` draws;
-    angle_deg: by which a slanted edge leans.
+    angle_deg: by which a slanted edge leans. size_std_mm: standard error of the size; 1e-4 of it where it is left out.
     """
 
     kind: Annotated[str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
     size_mm: Length
+    size_std_mm: Error | None = None
     order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
     cells: Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))] | None = None
     seed: Annotated[Count, AfterValidator(Allowed(0, 2**32 - 1, whole=True))] = 0
@@ -120,6 +149,11 @@ class TargetSpec(Table):
     surround: Literal["black", "white", "unknown"] = "black"
     file: Path | None = None
     corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
+
+    @property
+    def stated_size(self) -> Uncertain:
+        """Its size, with its error."""
+        return _stated(self.size_mm, self.size_std_mm, PRINTED_SIZE, "mm")
 
     @field_validator("file")
     @classmethod
@@ -136,6 +170,7 @@ class TargetSpec(Table):
 
     @model_validator(mode="after")
     def _complete(self, info: ValidationInfo) -> TargetSpec:
+        _refuse_larger(self, "size_mm", "size_std_mm")
         key = NEEDED.get(self.kind)
         if key is not None and getattr(self, key) is None:
             raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
@@ -148,13 +183,15 @@ class TargetSpec(Table):
 class FitSettings(Table):
     """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model.
 
-    range_std_mm: standard error of each range beside the others, for the errors of best focus and pupil magnification.
+    Standard errors of the ranges: range_std_mm of each beside the others, range_zero_std_mm of what is common to all, the
+    tape from the lens to the rail.
     """
 
     zernike_noll: Annotated[tuple[Count, Count], Field(description=NOLL)] = (4, 15)
     reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
     convention: Literal["corrected", "thesis"] = "corrected"
-    range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.0
+    range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.01
+    range_zero_std_mm: Error = 10.0
 
     @field_validator("zernike_noll")
     @classmethod
@@ -180,7 +217,8 @@ class CameraSettings(Table):
 class RailSettings(Table):
     """Where to stop: range = range_at_zero_mm + direction * rail position.
 
-    run_up_mm: every stop is approached from below over this way; microstep_um: what a Zaber counts in.
+    run_up_mm: every stop is approached from below over this way; microstep_um: what a Zaber counts in; homing_std_mm: to
+    what its home switch repeats.
     """
 
     address: Address
@@ -190,6 +228,7 @@ class RailSettings(Table):
     settle_s: Annotated[Number, AfterValidator(Allowed(0, 3600))] = 1.0
     run_up_mm: Annotated[Number, AfterValidator(Allowed(0, 100))] = 1.0
     microstep_um: Annotated[Number, AfterValidator(Allowed(1e-4, 1e4))] | None = None
+    homing_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.03
 
     @field_validator("ranges_mm")
     @classmethod
@@ -224,6 +263,17 @@ class DisplaySettings(Table):
         if self.pixels is not None and min(self.pixels) < 1:
             raise problem(f"pixels = {list(self.pixels)}: allowed is [height, width], each at least 1")
         return self
+
+
+def _stated(value: float, std: float | None, relative: float, unit: str = "") -> Uncertain:
+    return Uncertain(value, relative * value if std is None else std, unit)
+
+
+def _refuse_larger(table: Table, name: str, error: str) -> None:
+    """Raise for a standard error that is larger than its value."""
+    value, std = getattr(table, name), getattr(table, error)
+    if std is not None and std > value:
+        raise problem(f"{error} = {std:g}: allowed is 0 to {name} = {value:g}")
 
 
 def _is_convex(corners: tuple[tuple[float, float], ...]) -> bool:

@@ -10,6 +10,7 @@ import poppy
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import j1
 
@@ -214,3 +215,34 @@ def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:
     working = lens.pupil_to_image_mm(3000.0) / lens.exit_pupil_mm
     # corrections: NA^2 and the relative change of the image distance, each about 1e-3
     assert circle_of_confusion_mm(lens, 3050.0, 3000.0) == pytest.approx(8 * working * path_mm, rel=3e-3)
+
+
+def test_working_f_number_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> None:
+    """Paraxial rays (height, angle) traced by matrices through f1 | stop | f2; pupils are images of the stop."""
+    f1, f2, first, second, stop_mm = 90.0, 160.0, 12.0, 25.0, 14.0  # lengths before and behind the stop, its radius
+
+    def gap(d: float) -> NDArray[np.float64]:
+        return np.array([[1, d], [0, 1]])
+
+    def thin(f: float) -> NDArray[np.float64]:
+        return np.array([[1, 0], [-1 / f, 1]])
+
+    before, behind = gap(first) @ thin(f1), thin(f2) @ gap(second)
+    (a, _), (c, d) = system = behind @ before
+    f, front, back = -1 / c, (d - 1) / c, (1 - a) / c  # principal planes: from the first lens, from the second
+    assert np.linalg.det(system) == pytest.approx(1)
+    entrance = stop_mm / before[0, 0]  # a ray parallel to the axis that meets the stop's rim
+    exit_ = stop_mm / behind[1, 1]  # one that leaves parallel to the axis, from the stop's rim
+    lens = ThinLens(f, f / (2 * entrance), exit_ / entrance)
+    focus, target = 700.0, 650.0  # from the front principal plane
+    sensor = lens.image_distance_mm(focus) + back  # from the second lens
+    onto_sensor = gap(float(sensor)) @ system @ gap(focus - front)
+    assert onto_sensor[0, 1] == pytest.approx(0, abs=1e-9)  # an image
+    rim = stop_mm / (before @ gap(focus - front))[0, 1]  # angle of the ray from the axis to the stop's rim
+    cone = abs((system @ gap(focus - front) @ [0, rim])[1])
+    assert lens.working_f_number(focus) == pytest.approx(1 / (2 * cone), rel=1e-9)
+    to_first = before @ gap(target - front)
+    chief = -to_first[0, 0] / to_first[0, 1]  # angle of the ray of unit height through the stop's middle
+    height = (gap(float(sensor)) @ system @ gap(target - front) @ [1, chief])[0]
+    assert lens.chief_ray_scale(target, focus) == pytest.approx(-height, rel=1e-9)
+    assert lens.chief_ray_scale(focus, focus) == pytest.approx(lens.focused_magnification(focus), rel=1e-12)
