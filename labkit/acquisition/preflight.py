@@ -20,7 +20,7 @@ from labkit.acquisition.patient import PatientDevices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.sharpness import blur_px
 from labkit.inference.sketch import FARTHEST_WAVES
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
@@ -147,7 +147,10 @@ class _Look:
             self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}"))
             return None
         blur = blur_px(grey, target, corners)
-        margin = min(float(corners.min()), float(np.min(np.array(grey.shape) - 1 - corners)))
+        margin = margin_px(corners, grey.shape)
+        if margin < 0:
+            away = f"the target reaches {-margin:.0f} pixels out of the frame: move it, or the camera, back in"
+            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {away}"))
         self.findings.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
         return blur
 

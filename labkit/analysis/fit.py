@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from labkit.analysis.focus import summarise_focus
 from labkit.analysis.observe import observe
-from labkit.analysis.wavefronts import estimate
+from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
+from labkit.analysis.wavefronts import PATIENCE_S, fit_session
 from labkit.errors import DataError, SessionError
 from labkit.execute import default_workers
 from labkit.plan import Plan
@@ -36,12 +36,14 @@ def fit(
     noll: tuple[int, int] | None = None,
     workers: int | None = None,
     name: str | None = None,
+    patience_s: float = PATIENCE_S,
     progress: Progress = no_progress,
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
-    only these. name: "latest" by default; of a fit of only some ranges or channels, their names.
+    only these. patience_s: after so long the search for a wavefront makes no further start.
+    name: "latest" by default; of a fit of only some ranges or channels, their names.
     Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
     more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -53,14 +55,17 @@ def fit(
         raise SessionError("; ".join(damage))
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    wavefronts = estimate(observations, plan, target, workers or default_workers(), progress)
-    focus, warnings = summarise_focus(wavefronts, plan)
+    fits = fit_session(observations, plan, target, workers or default_workers(), progress, patience_s)
+    wavefronts, lens, warnings = as_wavefronts(fits), fits.lens, warnings_of(fits)
+    focus = None if lens is None else as_focus(lens)
     wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
     results = Results(
         plan=plan,
         plan_sha256=_checksum(session, plan),
         wavefronts=wavefronts,
         focus=focus,
+        lens=None if lens is None else as_lens(lens),
+        budget={} if lens is None else budget(lens),
         warnings=(*session.warnings, *assumed, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join(warnings) if wanted and focus is None else None,
         folder=folder,

@@ -38,7 +38,8 @@ class Observation:
 
     range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it has one; else the same.
     names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
-    each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw.
+    each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw. homings:
+    of each frame, how often the rail had been homed; empty where that was not recorded.
     """
 
     range_mm: float | None
@@ -51,6 +52,7 @@ class Observation:
     places: tuple[tuple[int, int], ...]
     period: int
     origin_px: tuple[int, int] = (0, 0)
+    homings: tuple[int, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -169,6 +171,7 @@ def _observation(
         places=((0, 0),) if mono else first.places(channel),  # the cut begins on an even row and column
         period=1 if mono else 2,
         origin_px=(rows.start, columns.start),
+        homings=tuple(int(frame.meta["homing"]) for frame in group if "homing" in frame.meta),
     )
     return observation, tuple(warning for part in data for warning in part.warnings)
 

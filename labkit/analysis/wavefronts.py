@@ -1,41 +1,58 @@
-"""Observations to local fits: each range and channel by itself, doubtful ones again from their neighbours, twins chosen."""
+"""Observations to the wavefronts of one lens: each fit helped by those before it, all held against the session as a whole."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.analysis.focus import choose_signs
+from labkit.analysis.lens_fit import LensFit, fit_session_lens, outliers, predict
+from labkit.analysis.lens_model import Member, Stated
 from labkit.analysis.observe import Observation
+from labkit.analysis.twins import choose_twins
 from labkit.execute import run_all
 from labkit.imaging.model import Optics
-from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
+from labkit.inference.cone import Measured
+from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront
 from labkit.optics.lens import ThinLens
-from labkit.optics.zernike import is_even
 from labkit.plan import Plan
-from labkit.results import OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
 from labkit.target import Target
 from labkit.types import Floats, Progress
 
-NEAR_FOCUS_WAVES = 0.2  # RMS
-NEAR_STARTS_WAVES = (0.01, 0.06, 0.12)
 SEED = 1  # of the further starts: a session fitted twice gives the same results
+PATIENCE_S = 120.0
+SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
+SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 
 @dataclass(frozen=True)
 class Task:
-    """One fit, as it travels to a worker."""
+    """One fit, as it travels to a worker. f_number_std: relative. starts, alike: wavefronts as `fit_wavefront` takes them."""
 
     optics: Optics
     target: Target
     observation: Observation
+    f_number_std: float = 0.0
     starts: tuple[Floats, ...] = ()
+    alike: tuple[Floats, ...] = ()
+    patience_s: float = PATIENCE_S
+
+    @property
+    def ranged(self) -> bool:
+        """Whether it can tell of the lens: its range is known, and defocus is fitted."""
+        return self.observation.measured_range_mm is not None and 4 in self.optics.noll
+
+    def as_member(self, measured: Measured) -> Member:
+        """Of a session, with what was measured. Its range is where the rail was read to stand, or what the plan says."""
+        o = self.observation
+        assert o.measured_range_mm is not None
+        stop = o.measured_range_mm if o.range_mm is None else o.range_mm
+        return Member(o.channel, o.measured_range_mm, stop, measured, o.homings)
 
     @property
     def label(self) -> str:
+        """Channel and range."""
         where = "" if self.observation.range_mm is None else f" at {self.observation.range_mm:g} mm"
         return f"{self.observation.channel}{where}"
 
@@ -48,26 +65,166 @@ class LocalFit:
     fit: WavefrontFit
 
     @property
-    def range_mm(self) -> float | None:
-        """Where the rail was read to stand; what the plan says where it was not read."""
-        return self.task.observation.measured_range_mm
-
-    @property
     def channel(self) -> str:
+        """Of the observation."""
         return self.task.observation.channel
 
     @property
-    def defocus(self) -> float:
-        """Waves RMS; infinite where it was not fitted."""
-        return float(self.fit.waves[0]) if self.fit.noll[0] == 4 else np.inf
+    def ranged(self) -> bool:
+        """Whether it can tell of the lens."""
+        return self.task.ranged
+
+    @property
+    def member(self) -> Member:
+        """As a session's estimate takes it."""
+        return self.task.as_member(self.fit.measured)
 
 
-def estimate(
-    observations: Sequence[Observation], plan: Plan, target: Target, workers: int, progress: Progress
-) -> tuple[Wavefront, ...]:
-    """The wavefront of each observation."""
-    tasks = [Task(optics_of(plan, observation.channel), target, observation) for observation in observations]
-    return tuple(as_wavefront(local) for local in choose_twins(fit_all(tasks, workers, progress), plan))
+@dataclass(frozen=True)
+class SessionFits:
+    """All fits of a session, in the order of its observations, and the lens that they have in common.
+
+    lens: None where no ranges, or no defocus, are there to tell of one. members: which fits it is made of; the others were
+    rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
+    belong, and then did. open_channels: whose signs the ranges leave open.
+    """
+
+    fits: tuple[LocalFit, ...]
+    lens: LensFit | None = None
+    members: tuple[int, ...] = ()
+    strangers: tuple[int, ...] = ()
+    mended: tuple[int, ...] = ()
+    open_channels: tuple[str, ...] = ()
+
+
+def fit_session(
+    observations: Sequence[Observation],
+    plan: Plan,
+    target: Target,
+    workers: int,
+    progress: Progress,
+    patience_s: float = PATIENCE_S,
+) -> SessionFits:
+    """Every observation fitted, and the session estimated from all.
+
+    Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. The rest begin at
+    what these predict. Those that the session finds not to belong are made again from what the others predict.
+    """
+    chain = _Chain(tuple(observations), plan, target, workers, progress, patience_s)
+    chain.fit(chain.anchors())
+    chain.fit([k for k in range(len(observations)) if k not in chain.fits])
+    return chain.settled()
+
+
+@dataclass
+class _Chain:
+    """Fits made so far, and what they predict of the others."""
+
+    observations: tuple[Observation, ...]
+    plan: Plan
+    target: Target
+    workers: int
+    progress: Progress
+    patience_s: float
+    fits: dict[int, LocalFit] = field(default_factory=dict)
+
+    def anchors(self) -> list[int]:
+        """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
+        channels = [o.channel for o in self.observations]
+        first = "G" if "G" in channels else channels[0]
+        of = [k for k, channel in enumerate(channels) if channel == first]
+        ranges = {k: r for k in of if (r := self.observations[k].measured_range_mm) is not None}
+        return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)])) or of[:1]
+
+    def fit(self, places: Sequence[int]) -> None:
+        """Fit these, all at once."""
+        known = self._joined()
+        tasks = [self._task(k, known) for k in places]
+        self.progress(len(self.fits), len(self.observations), "fitting")
+        for index, fit in run_all(fit_task, tasks, self.workers):
+            self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
+            self.progress(len(self.fits), len(self.observations), tasks[index].label)
+
+    def settled(self) -> SessionFits:
+        """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
+        before = self._joined()
+        again = {} if before.lens is None else self._tasks_again(before, before.lens)
+        for index, fit in run_all(fit_task, list(again.values()), self.workers):
+            place = list(again)[index]
+            self.progress(len(self.fits), len(self.observations), f"{again[place].label} again")
+            made, old = LocalFit(again[place], canonical(fit)), self.fits[place].fit
+            if fit.objective > old.objective - SAME_OPTIMUM:
+                self.fits[place] = made
+        after = self._joined() if again else before
+        mended = tuple(k for k in again if k in after.members)
+        return replace(after, mended=mended)
+
+    def _joined(self) -> SessionFits:
+        """What the accepted fits so far say of the lens, their twins chosen."""
+        fits = {k: self.fits[k] for k in sorted(self.fits)}
+        good = [k for k, f in fits.items() if f.fit.verdict.accepted and f.ranged]
+        if not good:
+            return SessionFits(tuple(fits.values()))
+        stated = Stated.of(self.plan)
+        signs, open_ = choose_twins([fits[k].member for k in good], stated)
+        for k, sign in zip(good, signs, strict=True):
+            if sign < 0:
+                fits[k] = replace(fits[k], fit=fits[k].fit.twin())
+        out, lens = outliers(fit_session_lens([fits[k].member for k in good], stated))
+        order = list(fits)
+        return SessionFits(
+            tuple(fits.values()),
+            lens,
+            tuple(order.index(k) for i, k in enumerate(good) if i not in out),
+            tuple(order.index(good[i]) for i in sorted(out)),
+            open_channels=tuple(open_),
+        )
+
+    def _task(self, k: int, known: SessionFits) -> Task:
+        """From what is known of the lens: its cone, its modes, and where its focus lies."""
+        observation = self.observations[k]
+        optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
+        std = self.plan.lens.stated_f_number.std / self.plan.lens.f_number
+        task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
+        nearest = _nearest(observation, [f for f in known.fits if f.fit.verdict.accepted])
+        if nearest is None:
+            return task
+        if known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
+            predicted = predict(known.lens, task.as_member(nearest.fit.measured))
+            return _starting_at(task, predicted)
+        cone = replace(optics, f_number=nearest.fit.f_number)
+        return replace(task, optics=cone, f_number_std=SHARED_CONE_STD, alike=(nearest.fit.waves,))
+
+    def _engraved_cone(self) -> float:
+        """The f-number at the sensor, by the engraving, of a lens focused among the ranges."""
+        ranges = [o.measured_range_mm for o in self.observations if o.measured_range_mm is not None]
+        lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
+        return float(lens.working_f_number(sum(ranges) / len(ranges))) if ranges else lens.f_number
+
+    def _tasks_again(self, known: SessionFits, lens: LensFit) -> dict[int, Task]:
+        """Of those that are no members, from what the members predict, where they do."""
+        again = {}
+        for k in range(len(known.fits)):
+            local = known.fits[k]
+            if k not in known.members and local.ranged and local.channel in lens.model.channels:
+                again[k] = _starting_at(local.task, predict(lens, local.member))
+        return again
+
+
+def _starting_at(task: Task, predicted: Floats) -> Task:
+    """A task that begins at a prediction, (modes + 2,)."""
+    optics = replace(task.optics, f_number=float(np.exp(predicted[-2])))
+    return replace(task, optics=optics, f_number_std=SHARED_CONE_STD, starts=(predicted[:-2],), alike=())
+
+
+def _nearest(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | None:
+    """Of fits the one most like an observation: of its channel, of its range."""
+
+    def unlike(fit: LocalFit) -> tuple[bool, float]:
+        there, here = fit.task.observation.measured_range_mm, observation.measured_range_mm
+        return fit.channel != observation.channel, abs((there or 0.0) - (here or 0.0))
+
+    return min(fits, key=unlike, default=None)
 
 
 def fit_task(task: Task) -> WavefrontFit:
@@ -79,13 +236,16 @@ def fit_task(task: Task) -> WavefrontFit:
         observation.frames,
         observation.poses,
         observation.noise,
+        f_number_std=task.f_number_std,
         rng=np.random.default_rng(SEED),
         starts=task.starts,
+        alike=task.alike,
+        patience_s=task.patience_s,
     )
 
 
 def optics_of(plan: Plan, channel: str) -> Optics:
-    """Lens, light and sensor of a plan's channel."""
+    """Light, sensor and lens of a plan's channel, the cone as engraved."""
     wavelength_nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
     return Optics(
@@ -96,120 +256,3 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         active_um=plan.sensor.active_um,
         noll=tuple(range(first, last + 1)),
     )
-
-
-def fit_all(tasks: Sequence[Task], workers: int, progress: Progress) -> list[LocalFit]:
-    """All fits; doubtful ones are made again with their neighbours' wavefronts to start from, the likelier is kept.
-
-    Near best focus wrong optima lie close by and leave little behind, while a defocused neighbour of the same lens, whose
-    other modes are the same, is estimated without doubt.
-    """
-    fits: dict[int, LocalFit] = {}
-    progress(0, len(tasks), "fitting")
-    for index, fit in run_all(fit_task, tasks, workers):
-        fits[index] = LocalFit(tasks[index], fit)
-        progress(len(fits), len(tasks), tasks[index].label)
-    doubtful = [i for i, f in sorted(fits.items()) if not f.fit.verdict.accepted or abs(f.defocus) < NEAR_FOCUS_WAVES]
-    again = {i: replace(tasks[i], starts=tuple(_neighbours(fits[i], fits.values()))) for i in doubtful}
-    again = {i: task for i, task in again.items() if task.starts}
-    for place, fit in run_all(fit_task, list(again.values()), workers):
-        index = list(again)[place]
-        progress(len(fits), len(tasks), f"{tasks[index].label} again")
-        if fit.objective > fits[index].fit.objective:
-            fits[index] = LocalFit(tasks[index], fit)
-    return [fits[i] for i in range(len(tasks))]
-
-
-def _neighbours(doubtful: LocalFit, fits: Iterable[LocalFit]) -> Iterable[Floats]:
-    """The best-determined wavefront of the same channel, at several values of defocus around none and the fit's own."""
-    settled = [
-        local
-        for local in fits
-        if local.channel == doubtful.channel and local.fit.verdict.accepted and abs(local.defocus) >= NEAR_FOCUS_WAVES
-    ]
-    if not settled or settled[0].defocus == np.inf:
-        return
-    best = min(settled, key=lambda local: float(np.linalg.norm(local.fit.std)))
-    for defocus in (abs(doubtful.defocus), *NEAR_STARTS_WAVES):
-        for sign in (1.0, -1.0):
-            waves = best.fit.waves.copy()
-            waves[0] = sign * defocus
-            yield waves
-
-
-def choose_twins(local_fits: Sequence[LocalFit], plan: Plan) -> list[LocalFit]:
-    """Of each twin the right one: by the range series of its channel where there is one, else by the stated rule."""
-    series = defaultdict(list)
-    for index, local in enumerate(local_fits):
-        if local.range_mm is not None and 4 in local.fit.noll:
-            series[local.channel].append(index)
-    chosen = [replace(local, fit=canonical(local.fit)) for local in local_fits]
-    for indices in series.values():
-        members = [chosen[i] for i in indices]
-        if len({local.range_mm for local in members}) < 2:
-            continue
-        for i, sign in zip(indices, _signs(members, plan), strict=True):
-            if sign < 0:
-                chosen[i] = replace(chosen[i], fit=chosen[i].fit.twin())
-    return chosen
-
-
-def _signs(members: Sequence[LocalFit], plan: Plan) -> list[int]:
-    """+1 for the fits of one channel that are the right twin, -1 for those that are not."""
-    fits = [local.fit for local in members]
-    return choose_signs(
-        [local.range_mm for local in members if local.range_mm is not None],
-        [fit.waves[0] for fit in fits],
-        [fit.std[0] for fit in fits],
-        {j: [fit.waves[k] for fit in fits] for k, j in enumerate(fits[0].noll) if is_even(j) and j != 4},
-        ThinLens(plan.lens.focal_length_mm, plan.lens.f_number),
-        plan.reference_wavelength_nm,
-        plan.fit.convention,
-    )
-
-
-def as_wavefront(local: LocalFit) -> Wavefront:
-    """A local fit as results keep it."""
-    optics, observation, fit = local.task.optics, local.task.observation, local.fit
-    poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in fit.state.poses]
-    verdict = fit.verdict
-    return Wavefront(
-        range_mm=observation.range_mm,
-        measured_range_mm=observation.measured_range_mm,
-        channel=observation.channel,
-        wavelength_nm=round(optics.wavelength_um * 1e3, 6),
-        reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
-        f_number=optics.f_number,
-        noll=fit.noll,
-        waves=fit.waves,
-        covariance=fit.covariance,
-        poses=np.array([pose.v for pose in fit.state.poses]),
-        gain=float(fit.state.gain),
-        read_noise=float(fit.state.read_noise),
-        chi2_per_pixel=float(fit.chi2_per_pixel),
-        test=OptimumTest(
-            verdict.name,
-            bool(verdict.accepted),
-            float(verdict.p_value),
-            fit.starts,
-            tuple(verdict.undetermined),
-            tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
-        ),
-        seconds=fit.seconds,
-        frames=observation.names,
-        placement=Placement(observation.origin_px, observation.shape, np.array([pose.corners_px() for pose in poses])),
-        residuals=_residuals(local),
-    )
-
-
-def _residuals(local: LocalFit) -> Residuals:
-    """Counts, model and noise of each Bayer plane of each frame; nan where a pixel was not used."""
-    observation = local.task.observation
-    planes = []
-    for frame, (mean, std) in zip(observation.frames, residuals(local.fit, observation.frames), strict=True):
-        images = np.full((3, *frame.counts.shape), np.nan)
-        images[:, frame.used] = frame.counts[frame.used], mean, std
-        every = observation.period
-        planes.append([images[:, row::every, column::every] for row, column in observation.places])
-    data, model, sigma = np.moveaxis(np.array(planes), 2, 0)
-    return Residuals(data, model, sigma)

@@ -36,9 +36,18 @@ The sweep looks for targets of 16 pixels and more; registration may shrink one b
 
 MOST_HYPOTHESES = 12
 
+MOST_OUTSIDE = 0.05
+"""Share of a target's side that may lie outside the frame: what is there is known, and modelled."""
+
 LEAST_CONTRAST = 1.3
 """Bright over dark, below which a picture shows no target. Prints have 5 at the least; an even panel stays below 1.2,
 and stretched to black and white its fading corners look like a small carpet far out of focus."""
+
+
+def margin_px(corners: Floats, shape: tuple[int, ...]) -> float:
+    """How far a target's corners (4, 2) stay from the frame's edge; negative where they reach out of it."""
+    last = np.array(shape) - 0.5
+    return -max(float(np.max(-0.5 - corners)), float(np.max(corners - last)))
 
 
 def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None) -> Floats:
@@ -48,7 +57,8 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     through `grey_image` first. mm_per_pixel: the target's millimetres that a pixel spans, within 15 %; a carpet is
     found without it, others sooner with it. Returns (4, 2) corners (row, col), pixel centres at integers, in the order
     of the target's own (0, 0), (0, w), (h, w), (h, 0). Where several poses look the same (a carpet has eight), the one
-    that turns it least. Raises TargetError if the target is not in the frame, or not wholly.
+    that turns it least. Raises TargetError if the target is not in the frame, or lies outside it by more than 5 % of its
+    side.
     """
     picture = _normalised(_picture("image", image))
     agreements: list[Agreement] = []
@@ -160,10 +170,9 @@ def _right_scale(corners: Floats, target: Target, mm_per_pixel: float | None, sl
 
 
 def _checked(picture: Singles, target: Target, corners: Floats) -> Floats:
-    """The corners, if they are the whole target's and inside the frame."""
-    last = np.array(picture.shape) - 0.5
-    beyond = max(float(np.max(-0.5 - corners)), float(np.max(corners - last)))
-    if beyond > 0.5:
+    """The corners, if they are the whole target's and inside the frame, or nearly."""
+    beyond = -margin_px(corners, picture.shape)
+    if beyond > MOST_OUTSIDE * np.ptp(corners, axis=0).max():
         raise TargetError(f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in")
     if central_square(target) is not None and parent_agreement(picture, target, corners) > LEAST_AGREEMENT:
         raise TargetError("only a part of the target is in the frame: move it, or the camera, back in")

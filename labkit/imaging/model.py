@@ -96,6 +96,19 @@ class ForwardModel:
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
         return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um))
 
+    @property
+    def optics(self) -> Optics:
+        """What it was built for."""
+        pupil, pitch_um, active_um = self.blur.pupil, self.scene.torus.pitch_um, self.blur.active_um
+        return Optics(
+            wavelength_um=pupil.wavelength_um,
+            reference_um=pupil.reference_um,
+            f_number=pupil.f_number,
+            pitch_um=pitch_um,
+            active_um=active_um,
+            noll=pupil.noll,
+        )
+
     def draw(self, poses: Sequence[Pose]) -> Drawing:
         """The target from the frames' poses: what `means` and `evaluate` blur."""
         return self.scene.draw(poses)

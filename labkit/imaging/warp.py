@@ -84,6 +84,22 @@ class Pose:
         dx = np.hypot(v[2] - v[0] * v[7], v[5] - v[3] * v[7])
         return float(dy), float(dx)
 
+    def log_scale(self) -> tuple[float, Floats]:
+        """ln of pixels per mm at the target's centre, along the line there that does not recede; and its slopes (8,) by v.
+
+        A tilt shortens the target across that line only, so that this is the scale of a target that does not lean, wherever
+        it stands in the picture. The line has (y, x) in the direction (v7, -v6).
+        """
+        v, (tall, wide) = self.v, self.half_size_mm
+        y, x = (v[7], -v[6]) if v[6:].any() else (0.0, 1.0)
+        down, right, length = v[1] * y + v[2] * x, v[4] * y + v[5] * x, np.hypot(tall * y, wide * x)
+        square = down**2 + right**2
+        slope = np.array([0.0, down * y, down * x, 0.0, right * y, right * x, 0.0, 0.0]) / square
+        if v[6:].any():
+            slope[6] = -(down * v[2] + right * v[5]) / square + wide**2 * x / length**2
+            slope[7] = (down * v[1] + right * v[4]) / square - tall**2 * y / length**2
+        return float(np.log(np.sqrt(square) / length)), slope
+
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
         y, x = self.to_target(row, col)

@@ -8,6 +8,7 @@ import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
+from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
@@ -30,14 +31,17 @@ class Other:
 class WavefrontFit:
     """The wavefront of one channel at one range.
 
-    noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance; state: all
-    parameters; starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,)
-    of the used pixels of each frame; seconds: it took.
+    noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance, the error of the
+    given f-number in it; f_number: where the cone ended; measured: what the frames alone say; state: all parameters; starts:
+    made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used pixels of
+    each frame; seconds: it took.
     """
 
     noll: tuple[int, ...]
     state: State
     covariance: Floats
+    f_number: float
+    measured: Measured
     objective: float
     chi2_per_pixel: float
     verdict: Verdict
@@ -58,7 +62,8 @@ class WavefrontFit:
         """The same fit with all even modes' signs changed: the same PSF, the same likelihood (thesis §3.6)."""
         sign = twin_signs(self.noll)
         state = replace(self.state, waves=self.waves * sign)
-        return replace(self, state=state, covariance=self.covariance * np.outer(sign, sign))
+        covariance = self.covariance * np.outer(sign, sign)
+        return replace(self, state=state, covariance=covariance, measured=self.measured.twin(sign))
 
 
 def twin_signs(noll: Sequence[int]) -> Floats:
@@ -80,38 +85,45 @@ def fit_wavefront(
     noise: NoisePrior,
     *,
     rng: np.random.Generator,
+    f_number_std: float = 0.0,
     starts: Sequence[Floats] = (),
+    alike: Sequence[Floats] = (),
     max_starts: int = 40,
+    patience_s: float = np.inf,
     progress: Callable[[str], None] = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
 
-    poses: of the target in each frame, right to about a pixel. starts: wavefronts (modes,) to start from instead of those
-    of the sweep, such as those estimated at other ranges. rng: for further starts, made while no optimum is accepted.
-    max_starts: of the whole likelihood far from focus, before the best is returned, rejected.
+    poses: of the target in each frame, right to about a pixel. f_number_std: relative standard error of the optics' f-number,
+    0: exact. starts: wavefronts (modes,) that other frames of the lens predict; alike: such whose first mode, defocus, is not
+    known. rng: for further starts, made while no optimum is accepted. max_starts: of the whole likelihood far from focus,
+    before the best is returned, rejected; patience_s: after so long no further start is made.
     What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
     whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape, poses[0]), tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
     sketches = Sketches(optics, target, frames[0], poses[0], noise)
-    search = Search(whole, sketches, poses, first, rng, max_starts, progress)
-    record = search.run([replace(first, waves=np.asarray(waves, float)) for waves in starts])
+    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, progress)
+    given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
+    record = search.run(given, swept)
     return _as_fit(record, optics.noll, perf_counter() - began)
 
 
 def _as_fit(record: Record, noll: tuple[int, ...], seconds: float) -> WavefrontFit:
     """The best of a search, and what else it came across."""
     assert record.best is not None
-    solution, optima = record.best.solution, sorted(record.optima, key=lambda optimum: optimum[1])
-    covariance = solution.covariance()[: len(noll), : len(noll)]
+    freed, optima = record.best.freed, sorted(record.optima, key=lambda optimum: optimum[1])
+    solution = freed.solution
     return WavefrontFit(
         noll,
         solution.state,
-        covariance,
+        freed.covariance,
+        freed.f_number,
+        freed.measured,
         solution.objective,
         solution.chi2_per_pixel,
-        record.best.verdict.knowing(covariance, noll),
+        record.best.verdict.knowing(solution.covariance()[: len(noll), : len(noll)], noll),
         record.starts,
         tuple(Other(waves, misfit - optima[0][1]) for waves, misfit in optima[1:]),
         tuple(record.best.relative),

@@ -5,11 +5,13 @@ No start is ever at zero: there the likelihood has a saddle, every even mode's d
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
 from labkit.imaging.model import Optics
 from labkit.imaging.warp import Pose
+from labkit.inference.cone import Freed, free_cone
 from labkit.inference.fisher_scoring import Problem, Solution, State, maximize
 from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.phase_retrieval import PhaseRetrieval, Retrieved
@@ -22,6 +24,7 @@ SEARCH_STEPS = 25  # of a maximisation while searching: those that end in the be
 SEARCH_TOLERANCE = 0.3  # standard errors; a sketch's optimum is 0.001 to 0.002 waves, about one, from the whole band's
 SWEPT = 3  # best values of the sweep that are started from: the right one was among them on every session tried
 PLAUSIBLE = 0.005  # of a sweep's excess variance is left by right optima of sketches, more by wrong ones
+ALIKE = 2  # the same where the other modes are known
 # starts that come back to the best optimum: then it is returned, accepted or not. A better one to which as many starts lead
 # has escaped that many with a chance of 1 in 2^8
 ENOUGH = 8
@@ -30,9 +33,10 @@ SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less, which is one standard
 
 @dataclass(frozen=True)
 class Outcome:
-    """A maximum of the whole likelihood, judged. relative: images (pixels,) of the used pixels of each frame."""
+    """A maximum of the whole likelihood with its cone freed, judged. relative: images (pixels,) of the used pixels of each
+    frame."""
 
-    solution: Solution
+    freed: Freed
     verdict: Verdict
     relative: list[Floats]
 
@@ -61,25 +65,44 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What does not change in a search. whole: the problem of all frames; poses: as first known, one a frame; first: a state
-    of the first frame without wavefront; rng: for random starts; max_starts: about so many, where the best is rejected."""
+    """What does not change in a search. whole: the problem of all frames; f_number_std: relative error of its cone; poses: as
+    first known, one a frame; first: a state of the first frame without wavefront; rng: for random starts; max_starts: about
+    so many, where the best is rejected; ends_at: no start is made after this time of `perf_counter`."""
 
     whole: Problem
+    f_number_std: float
     sketches: Sketches
     poses: Sequence[Pose]
     first: State
     rng: np.random.Generator
     max_starts: int
+    ends_at: float
     progress: Callable[[str], None]
 
-    def run(self, given: Sequence[State]) -> Record:
-        """The record of a search from given states, or from a sweep over defocus where none is given."""
-        record = Record(tuple(given))
+    def run(self, given: Sequence[State], alike: Sequence[State] = ()) -> Record:
+        """The record of a search from states that other frames of the lens predict, or else from a sweep over defocus.
+
+        alike: states whose defocus is not known: the other modes are tried at each defocus of a sweep. Where none of all
+        these leads to an end that is accepted, the search is as from nothing.
+        """
+        swept = [state for one in alike for state in sweep(self.sketches, one)[:ALIKE]]
+        record = self._predicted([*given, *swept]) if given or swept else Record(())
         for step in (self._swept, self._retrieved_near_focus, self._best_of_given, self._from_further_starts):
-            record = step(record)
-            if record.accepted:
+            if record.accepted or (self.late and record.best is not None):
                 break
+            record = step(record)
         return record
+
+    @property
+    def late(self) -> bool:
+        """Whether the search has had its time."""
+        return perf_counter() > self.ends_at
+
+    def _predicted(self, given: Sequence[State]) -> Record:
+        """Maximisations from what is predicted; only the best end is left in the record."""
+        sketches = self.sketches
+        ends = [_searched_from(sketches.problem(state, sketches.band), state) for state in given]
+        return self._tried(Record((), starts=len(ends)), _likeliest(ends))
 
     def _swept(self, record: Record) -> Record:
         """Where no state is given: the sweep's best, the first of them carried on if its sketch is plausible."""
@@ -89,7 +112,7 @@ class Search:
         sketches = self.sketches
         given = tuple(sweep(sketches, self.first)[:SWEPT])
         end = _searched_from(sketches.problem(given[0], sketches.band), given[0])
-        record = replace(record, given=given, band=sketches.band, ends=(end,), starts=1)
+        record = replace(record, given=given, band=sketches.band, ends=(end,), starts=record.starts + 1)
         plausible = self._excess(end.state) < PLAUSIBLE * self._excess(given[0])
         return self._tried(record, end.state) if plausible else record
 
@@ -119,7 +142,7 @@ class Search:
         """Candidates of the small problem at a state's pose, until one is accepted."""
         sketches, before, retrieved = self.sketches, record.starts, Retrieved(tuple(given))
         small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
-        while not record.accepted:
+        while not (record.accepted or self.late):
             retrieved = small.to_next_candidate(retrieved, self.rng)
             if retrieved.candidate is None:
                 break
@@ -135,7 +158,7 @@ class Search:
         best = maximize(problem, state, max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
         record = replace(record, optima=((best.state.waves, -best.objective),))
         origin, made, again = best.state, 0, 0
-        while not record.accepted and again < ENOUGH and record.starts < self.max_starts:
+        while not (record.accepted or self.late) and again < ENOUGH and record.starts < self.max_starts:
             end = _searched_from(problem, _further_start(origin, made, sketches.optics, self.rng))
             made += 1
             record = _with_optimum(replace(record, starts=record.starts + 1), end)
@@ -165,11 +188,11 @@ class Search:
         if len(self.poses) > 1:
             rough = self.sketches.problem(candidate, self.sketches.band)
             state = settle(replace(rough, frames=self.whole.frames), state)
-        solution = maximize(self.whole, state)
-        if record.best is not None and solution.objective <= record.best.solution.objective:
+        freed = free_cone(self.whole, maximize(self.whole, state), self.f_number_std)
+        if record.best is not None and freed.solution.objective <= record.best.freed.solution.objective:
             return record
-        relative = self.whole.relative(solution.state)
-        return replace(record, best=Outcome(solution, judge(self.whole, solution.state, relative), relative))
+        relative = freed.problem.relative(freed.solution.state)
+        return replace(record, best=Outcome(freed, judge(freed.problem, freed.solution.state, relative), relative))
 
 
 def settle(problem: Problem, start: State) -> State:

@@ -59,16 +59,19 @@ class Sketches:
 def sweep(sketches: Sketches, start: State) -> list[State]:
     """States at each of a row of defocus values, their light fitted, the one with the least sum of squares first.
 
-    The row goes on outwards while its last value is the best. The pose is left alone: a pixel hardly changes the order.
+    The other modes are the start's. Where there are none the twin covers negative values; else they are tried too. The row
+    goes on outwards while its last value is the best. The pose is left alone: a pixel hardly changes the order.
     """
     scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
     light, counts = frame.illumination[frame.used], frame.counts[frame.used]
-    values, swept, best = list(DEFOCUS_WAVES), list[tuple[float, State]](), np.inf
+    signs = (1, -1) if start.waves[1:].any() else (1,)
+    values = [sign * value for value in DEFOCUS_WAVES for sign in signs]
+    swept, best, outermost = list[tuple[float, State]](), np.inf, 0.0
     problem = sketches.problem(start, sketches.band)
     drawing = problem.draw(start)
     while values:
         value = values.pop(0)
-        state = replace(start, waves=np.append(value * scale, np.zeros(start.waves.size - 1)))
+        state = replace(start, waves=np.append(value * scale, start.waves[1:]))
         if problem is not sketches.problem(state, sketches.band):
             problem = sketches.problem(state, sketches.band)
             drawing = problem.draw(start)
@@ -77,7 +80,8 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
         levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
         misfit = float(np.sum((columns @ levels - counts) ** 2))
         swept.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
-        if not values and misfit < best and value < FARTHEST_WAVES:
-            values.append(OUTWARDS * value)
-        best = min(best, misfit)
+        if misfit < best:
+            best, outermost = misfit, value
+        if not values and abs(outermost) * OUTWARDS**0.5 > abs(value) and abs(value) < FARTHEST_WAVES:
+            values += [sign * OUTWARDS * abs(value) for sign in signs]
     return [state for _, state in sorted(swept, key=lambda entry: entry[0])]

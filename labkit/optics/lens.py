@@ -42,7 +42,7 @@ class ThinLens:
 
     def focused_magnification(self, focus_mm: Floats | float) -> Floats:
         """Size of the picture over the object's, unitless, at the best focus of a range: f / (r - f)."""
-        return self.image_distance_mm(focus_mm) / np.asarray(focus_mm)
+        return np.asarray(self.image_distance_mm(focus_mm) / np.asarray(focus_mm))
 
     def working_f_number(self, focus_mm: Floats | float) -> Floats:
         """f-number of the cone that reaches the sensor of a lens focused at a range: N (1 + m0 / mp), the same wherever the

@@ -44,8 +44,8 @@ LAST_NOLL = 66
 NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
 """Kind of target -> the field that it cannot do without."""
 
-ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE = 0.02, 0.03, 1e-4
-"""Relative standard errors of engravings, and of a target's size, that a plan does not state otherwise."""
+ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02, 0.03, 1e-4, 0.005
+"""Relative standard errors of engravings, of a target's size, and of a colour's wavelength, that a plan does not state."""
 
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
@@ -126,10 +126,21 @@ class Sensor(Table):
 
 
 class Channel(Table):
-    """A colour of the filter array and the wavelength that stands for it."""
+    """A colour of the filter array and the wavelength that stands for it; 0.5 % is its standard error if none is given."""
 
     name: Name
     wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
+    wavelength_std_nm: Error | None = None
+
+    @property
+    def stated_wavelength(self) -> Uncertain:
+        """With its error."""
+        return _stated(self.wavelength_nm, self.wavelength_std_nm, FILTER_WAVELENGTH, "nm")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Channel:
+        _refuse_larger(self, "wavelength_nm", "wavelength_std_nm")
+        return self
 
 
 class TargetSpec(Table):

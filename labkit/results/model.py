@@ -83,7 +83,9 @@ class Wavefront:
     """The wavefront of one channel at one range, estimated from one or more photographs.
 
     range_mm: as the plan states it, None where it is unknown; measured_range_mm: where the rail was read to stand. noll: the
-    modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number: of the cone.
+    modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number, f_number_std: of
+    the cone that reaches the sensor. blur: diameter of defocus's geometric blur on the sensor, um, negative before best focus,
+    8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
@@ -106,6 +108,8 @@ class Wavefront:
     test: OptimumTest | None = None
     seconds: float = nan
     frames: tuple[str, ...] = ()
+    f_number_std: float = nan
+    blur: Uncertain | None = None
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
 
@@ -137,6 +141,11 @@ class Wavefront:
     def defocus(self) -> Uncertain | None:
         """Noll mode 4, waves RMS, where it was estimated."""
         return self[4] if 4 in self.noll else None
+
+    @property
+    def working_f_number(self) -> Uncertain:
+        """Of the cone that reaches the sensor."""
+        return Uncertain(self.f_number, self.f_number_std)
 
     @property
     def accepted(self) -> bool:
@@ -176,6 +185,20 @@ class Wavefront:
     def mtf(self, frequency_per_mm: ArrayLike, direction: Direction | float = "x") -> Curve:
         """MTF of the optics alone with standard errors, along "x" (right), "y" (down), or degrees from x towards y."""
         return mtf(self.fitted, frequency_per_mm, direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """The lens that all ranges and channels have in common.
+
+    f_number: at infinity; range_zero: what is to be added to the stated ranges to have the true ones, from the front
+    principal plane, mm.
+    """
+
+    focal_length: Uncertain
+    f_number: Uncertain
+    pupil_magnification: Uncertain
+    range_zero: Uncertain
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from labkit.plan import Plan
 from labkit.results import storage, tables
-from labkit.results.model import Focus, Wavefront, same_range
+from labkit.results.model import Focus, Lens, Wavefront, same_range
 from labkit.version import __version__
 
 if TYPE_CHECKING:
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 class Results:
     """All that was estimated from a session.
 
-    plan: what it was estimated with, plan_sha256 its checksum. unanswered: what these frames cannot determine though it was
-    to be estimated; one of the warnings too. folder: where it is kept.
+    plan: what it was estimated with, plan_sha256 its checksum. lens: None where ranges or defocus are missing. budget: of every
+    number that leads the results, its standard error by source, in the number's unit. unanswered: what these frames cannot
+    determine though it was to be estimated; one of the warnings too. folder: where it is kept.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -34,6 +35,8 @@ class Results:
     plan_sha256: str
     wavefronts: tuple[Wavefront, ...]
     focus: Focus | None
+    lens: Lens | None = None
+    budget: dict[str, dict[str, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     unanswered: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
@@ -100,8 +103,12 @@ class Results:
         return tables.wavefront_rows(self.wavefronts, self.reference_wavelength_nm)
 
     def focus_rows(self) -> tables.Rows:
-        """A heading, and rows of text for best focus and pupil magnification."""
-        return tables.focus_rows(self.focus)
+        """A heading, and rows of text for best focus and the lens."""
+        return tables.focus_rows(self.focus, self.lens)
+
+    def budget_rows(self) -> tables.Rows:
+        """A heading, and a row for each number with its standard error by source."""
+        return tables.budget_rows(self.budget)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""

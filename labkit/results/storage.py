@@ -16,12 +16,12 @@ import numpy.typing as npt
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically
 from labkit.plan import Plan
-from labkit.results.model import Focus, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront, array_key
+from labkit.results.model import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront, array_key
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
-SCHEMA = 1
+SCHEMA, READABLE = 2, (1, 2)
 MOST_OTHERS = 5  # other optima that are kept, the likeliest
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = 32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
@@ -29,11 +29,21 @@ REPORT = ("report.html", "figures")  # made of results: stale as soon as there a
 
 Json = dict[str, Any]
 
+LENS = {
+    "focal_length_mm": ("focal_length", "mm"),
+    "f_number": ("f_number", ""),
+    "pupil_magnification": ("pupil_magnification", ""),
+    "range_zero_mm": ("range_zero", "mm"),
+}
+"""Keys of the lens, the fields that they hold, and their units."""
+
 FIELDS = (
     "plan",
     "plan_sha256",
     "wavefronts",
     "focus",
+    "lens",
+    "budget",
     "warnings",
     "unanswered",
     "created",
@@ -72,8 +82,9 @@ def read(folder: Path, name: str) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
     schema = entry.get("schema") if isinstance(entry, dict) else None
-    if schema != SCHEMA:
-        raise DataError(f"{path} has schema {schema!r}; this version reads schema {SCHEMA}: fit the session again")
+    if schema not in READABLE:
+        known = " and ".join(map(str, READABLE))
+        raise DataError(f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again")
     residuals = _arrays(place / RESIDUALS)
     try:
         return _fields(entry, residuals, place)
@@ -81,7 +92,7 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(f"{path}: {error}; fit the session again") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         detail = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise DataError(f"{path} is not as schema {SCHEMA} has it: {detail}; fit the session again") from None
+        raise DataError(f"{path} is not as schema {schema} has it: {detail}; fit the session again") from None
 
 
 def kept_keys(folder: Path) -> set[str]:
@@ -99,6 +110,8 @@ def entry(
     plan_sha256: str,
     wavefronts: Sequence[Wavefront],
     focus: Focus | None,
+    lens: Lens | None,
+    budget: Mapping[str, Mapping[str, float]],
     warnings: Sequence[str],
     unanswered: str | None,
     created: str,
@@ -115,6 +128,8 @@ def entry(
         "reference_wavelength_nm": plan.reference_wavelength_nm,
         "wavefronts": [_wavefront_json(w) for w in wavefronts],
         "focus": None if focus is None else _focus_json(focus),
+        "lens": None if lens is None else _lens_json(lens),
+        "budget": {name: dict(shares) for name, shares in budget.items()},
         "warnings": list(warnings),
         "unanswered": unanswered,
     }
@@ -154,6 +169,8 @@ def _wavefront_json(w: Wavefront) -> Json:
         "channel": w.channel,
         "wavelength_nm": w.wavelength_nm,
         "f_number": w.f_number,
+        "f_number_working": w.working_f_number.as_json(),
+        "blur_um": None if w.blur is None else w.blur.as_json(),
         "noll": list(w.noll),
         "waves_rms": _listed(w.waves),
         "std": _listed(w.std),
@@ -164,6 +181,10 @@ def _wavefront_json(w: Wavefront) -> Json:
         "read_noise": _number(w.read_noise),
         "chi2_per_pixel": _number(w.chi2_per_pixel),
         "global_test": None if w.test is None else _test_json(w.test),
+        "optimum": None if w.test is None else _optimum_json(w.test),
+        "model": None
+        if w.test is None
+        else {"accepted": w.test.accepted, "p_value": _number(w.test.p_value), "missing": []},
         "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
         "frames": list(w.frames),
     }
@@ -185,6 +206,14 @@ def _test_json(test: OptimumTest) -> Json:
             for other in test.others[:MOST_OTHERS]
         ],
     }
+
+
+def _optimum_json(test: OptimumTest) -> Json:
+    return {"accepted": test.accepted, "p_value": _number(test.p_value), "others": len(test.others)}
+
+
+def _lens_json(lens: Lens) -> Json:
+    return {name: getattr(lens, field).as_json() for name, (field, _) in LENS.items()}
 
 
 def _focus_json(focus: Focus) -> Json:
@@ -229,6 +258,8 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
         "plan_sha256": str(entry["plan_sha256"]),
         "wavefronts": tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
         "focus": None if entry["focus"] is None else _focus(entry["focus"]),
+        "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
+        "budget": {str(name): dict(shares) for name, shares in entry.get("budget", {}).items()},
         "warnings": tuple(str(words) for words in entry["warnings"]),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),
@@ -267,6 +298,8 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         wavelength_nm=float(entry["wavelength_nm"]),
         reference_wavelength_nm=plan.reference_wavelength_nm,
         f_number=float(entry.get("f_number", plan.lens.f_number)),
+        f_number_std=_optional(entry.get("f_number_working", {}).get("std")),
+        blur=None if entry.get("blur_um") is None else Uncertain.from_json(entry["blur_um"], "um"),
         noll=tuple(int(j) for j in entry["noll"]),
         waves=_numbers(entry["waves_rms"]),
         covariance=_covariance(entry),
@@ -309,6 +342,10 @@ def _test(entry: Json | None) -> OptimumTest | None:
         undetermined=tuple(entry.get("undetermined", ())),
         others=tuple(others),
     )
+
+
+def _lens(entry: Json) -> Lens:
+    return Lens(**{field: Uncertain.from_json(entry[name], unit) for name, (field, unit) in LENS.items()})
 
 
 def _focus(entry: Json) -> Focus:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from math import sqrt
 
-from labkit.results.model import Focus, Wavefront
-from labkit.uncertain import Uncertain
+from labkit.results.model import Focus, Lens, Wavefront
+from labkit.uncertain import Uncertain, decimals
 
 Rows = list[list[str]]
 
@@ -22,14 +23,29 @@ def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: flo
     return rows
 
 
-def focus_rows(focus: Focus | None) -> Rows:
-    """A heading, best focus of each channel, and the pupil magnification; one row that says so if there are none."""
+def focus_rows(focus: Focus | None, lens: Lens | None = None) -> Rows:
+    """A heading, best focus of each channel, and the lens; one row that says so if there is no focus."""
     if focus is None:
         return [["best focus: not fitted, see the warnings"]]
     rows = [["quantity", "estimate"]]
     rows += [[f"best focus {channel}", str(best)] for channel, best in focus.best_focus_mm.items()]
     note = "" if focus.identifiable else " (these ranges do not determine it)"
     rows.append(["pupil magnification", f"{focus.pupil_magnification}{note}"])
+    if lens is not None:
+        rows.append(["focal length", str(lens.focal_length)])
+        rows.append(["f-number at infinity", str(lens.f_number)])
+        rows.append(["true ranges less stated", str(lens.range_zero)])
+    return rows
+
+
+def budget_rows(budget: Mapping[str, Mapping[str, float]]) -> Rows:
+    """A heading, and a row for each number: its standard error by source, and the whole."""
+    sources = list(dict.fromkeys(source for shares in budget.values() for source in shares))
+    rows = [["standard error of", *sources, "all"]]
+    for name, shares in budget.items():
+        whole = sqrt(sum(share**2 for share in shares.values()))
+        digits = decimals(whole)
+        rows.append([name, *(f"{shares.get(source, 0.0):.{digits}f}" for source in sources), f"{whole:.{digits}f}"])
     return rows
 
 

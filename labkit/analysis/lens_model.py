@@ -1,0 +1,256 @@
+"""What a session's fits have in common: one lens, one sensor at rest, one rail (thesis §4.5.2, Appendix E).
+
+Every fit measures modes, the cone's f-number and the picture's scale. All follow from a few numbers that hold for the whole
+session, some of which a plan states with an error: a measurement like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labkit.inference.cone import Measured
+from labkit.optics.lens import Convention, ThinLens, defocus_waves
+from labkit.plan import Plan
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+USUAL_LOG_MAGNIFICATION = 0.7  # standard error: pupil magnifications of lenses lie between 0.5 and 2
+SIZE_FLOOR = 3e-5  # of a size in the picture: a target is as flat, a picture as free of distortion
+FREE_CONE, FREE_SIZE = 0.1, 0.03  # relative errors of cone and scale where no law holds
+COLOUR_STD = 0.01  # of a colour's size in the picture against the reference colour's
+MODE_STD = 10.0  # waves RMS, of a mode before it is measured
+EXACT = 1e-9  # the error of what is held exact, in the units of its column
+STEP = 1e-6  # relative, of the differences that give the laws' slopes
+OPEN_MM = 1e5  # the error of a best focus before it is measured
+GEOMETRY = ("focal length", "f-number", "pupil magnification", "tape", "homing", "steps", "target size")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a plan says of lens, target and rail, with standard errors. size_std, wavelength_std (by channel): relative."""
+
+    focal_length: Uncertain
+    f_number: Uncertain
+    size_std: float
+    range_std_mm: float
+    range_zero_std_mm: float
+    homing_std_mm: float
+    wavelength_std: dict[str, float]
+    reference_nm: float
+    convention: Convention = "corrected"
+
+    @classmethod
+    def of(cls, plan: Plan) -> Stated:
+        """The plan's."""
+        size = plan.target.stated_size
+        return cls(
+            plan.lens.stated_focal_length,
+            plan.lens.stated_f_number,
+            size.std / size.value,
+            plan.fit.range_std_mm,
+            plan.fit.range_zero_std_mm,
+            plan.rail.homing_std_mm if plan.rail else 0.0,
+            {c.name: c.stated_wavelength.std / c.wavelength_nm for c in plan.channel},
+            plan.reference_wavelength_nm,
+            plan.fit.convention,
+        )
+
+
+@dataclass(frozen=True)
+class Member:
+    """One fit of a session. range_mm: as the rail was read; stop: names the place where it stood, whose range has one error;
+    homings: of its photographs, how often the rail had been homed."""
+
+    channel: str
+    range_mm: float
+    stop: float
+    measured: Measured
+    homings: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number that is estimated. kind: its group, in a budget's words where it is geometry; of: which of the group.
+    value, std: before the session, std the prior error; scale: a step of it that matters."""
+
+    kind: str
+    of: tuple[str | float, ...]
+    value: float
+    std: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """Members, what is stated, and the columns of the estimate.
+
+    shared: modes but defocus are the same at all ranges. paraxial: the cone at the sensor and the picture's scale follow from
+    the pupils of a lens that moves as a whole; else they are tied to nothing, and only defocus tells of the lens.
+    """
+
+    members: tuple[Member, ...]
+    stated: Stated
+    shared: bool = True
+    paraxial: bool = True
+    columns: tuple[Column, ...] = field(init=False, repr=False)
+    _index: dict[tuple[str, tuple[str | float, ...]], int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        columns = tuple(self._columns())
+        object.__setattr__(self, "columns", columns)
+        object.__setattr__(self, "_index", {(c.kind, c.of): k for k, c in enumerate(columns)})
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Each once, in the order of the members."""
+        return tuple(dict.fromkeys(m.channel for m in self.members))
+
+    @property
+    def reference(self) -> str:
+        """The channel whose sizes the lens's scale is held to: green, where there is one."""
+        return "G" if "G" in self.channels else self.channels[0]
+
+    @property
+    def size_floor(self) -> float:
+        """Relative error of each size in the picture, beside the frames' own."""
+        return SIZE_FLOOR if self.paraxial else FREE_SIZE
+
+    def index(self, kind: str, *of: str | float) -> int:
+        """Of a column. Raises KeyError for one that is not estimated."""
+        return self._index[kind, of]
+
+    def lens(self, theta: Floats) -> ThinLens:
+        """The lens at a point of the estimate."""
+        f, n, pupils = (theta[self.index(kind)] for kind in GEOMETRY[:3])
+        return ThinLens(float(f), float(n), float(np.exp(pupils)))
+
+    def true(self, theta: Floats) -> list[Floats]:
+        """Modes, ln of the cone's f-number and ln of the scale at each member, (modes + 2,)."""
+        laws = self._laws(self._arguments(theta))
+        return [self._one(k, theta, laws[:, k]) for k in range(len(self.members))]
+
+    def predicted(self, theta: Floats) -> list[Floats]:
+        """What each member should measure, (modes + 2,).
+
+        A light of another wavelength than stated makes the same picture through a cone narrower by as much, with paths
+        shorter by as much: N grows with the wavelength's error, the modes shrink.
+        """
+        return [value + self._by_wavelength(value) * theta[at] for value, at in self._with_wavelengths(theta)]
+
+    def jacobian(self, theta: Floats) -> list[Floats]:
+        """Of each member's prediction, (modes + 2, columns)."""
+        arguments = self._arguments(theta)
+        slopes = np.empty((len(arguments), 3, len(self.members)))
+        for k, argument in enumerate(arguments):
+            step = STEP * np.maximum(np.abs(argument), 0.1)
+            moved = [[*arguments[:k], argument + sign * step, *arguments[k + 1 :]] for sign in (1, -1)]
+            slopes[k] = (self._laws(moved[0]) - self._laws(moved[1])) / (2 * step)
+        rows = [self._rows(k, slopes[:, :, k]) for k in range(len(self.members))]
+        for row, (value, at) in zip(rows, self._with_wavelengths(theta), strict=True):
+            row[:-2] *= 1 - theta[at]
+            row[:, at] = self._by_wavelength(value)
+        return rows
+
+    def _with_wavelengths(self, theta: Floats) -> list[tuple[Floats, int]]:
+        """Of each member what is true, and the column of its wavelength."""
+        columns = [self.index("wavelength", m.channel) for m in self.members]
+        return list(zip(self.true(theta), columns, strict=True))
+
+    @staticmethod
+    def _by_wavelength(value: Floats) -> Floats:
+        """Slope (modes + 2,) of what is measured, by the relative error of the wavelength."""
+        return np.concatenate([-value[:-2], [1.0, 0.0]])
+
+    def _columns(self) -> list[Column]:
+        stated, channels = self.stated, self.channels
+        far = max(m.range_mm for m in self.members)
+        f, n = stated.focal_length, stated.f_number
+        columns = [
+            Column(GEOMETRY[0], (), f.value, f.std, 1e-2 * f.value),
+            Column(GEOMETRY[1], (), n.value, n.std, 1e-2 * n.value),
+            Column(GEOMETRY[2], (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1),
+            Column(GEOMETRY[3], (), 0.0, stated.range_zero_std_mm, 1e-3 * far),
+            Column(GEOMETRY[6], (), 0.0, stated.size_std, 1e-4),
+            Column("cone", (), 0.0, 0.0 if self.paraxial else FREE_CONE, 1e-2),
+        ]
+        homings = sorted({h for m in self.members for h in m.homings})
+        columns += [Column(GEOMETRY[4], (h,), 0.0, stated.homing_std_mm, 1e-2) for h in homings[1:]]
+        for stop in sorted({m.stop for m in self.members}):
+            columns.append(Column(GEOMETRY[5], (stop,), 0.0, stated.range_std_mm, 1e-2))
+        columns += [Column("best focus", (c,), far, OPEN_MM, 1e-3 * far) for c in channels]
+        columns += [Column("wavelength", (c,), 0.0, stated.wavelength_std.get(c, 0.0), 1e-3) for c in channels]
+        columns += [Column("lateral colour", (c,), 0.0, COLOUR_STD, 1e-4) for c in channels if c != self.reference]
+        modes = [(self._mode_of(k), j) for k, m in enumerate(self.members) for j in m.measured.noll if j != 4]
+        columns += [Column("mode", (*of, j), 0.0, MODE_STD, 1e-2) for of, j in dict.fromkeys(modes)]
+        return columns
+
+    def _mode_of(self, k: int) -> tuple[str | float, ...]:
+        """Whose modes member k has: those of its channel, or its own."""
+        member = self.members[k]
+        return (member.channel,) if self.shared else (member.channel, member.range_mm, k)
+
+    def _arguments(self, theta: Floats) -> list[Floats]:
+        """Of the laws: f, N, ln mp; and (members,) true range, true best focus of the channel, and of the reference."""
+        common = [np.asarray(theta[self.index(kind)]) for kind in GEOMETRY[:3]]
+        zero = theta[self.index("tape")]
+        ranges = np.array([m.range_mm + zero + self._offset(m, theta) for m in self.members])
+        focus = np.array([theta[self.index("best focus", m.channel)] + zero for m in self.members])
+        reference = np.full(len(focus), theta[self.index("best focus", self.reference)] + zero)
+        return [*common, ranges, focus, reference]
+
+    def _offset(self, member: Member, theta: Floats) -> float:
+        """Of a member's range, beside the tape's zero, mm."""
+        shares = self._homing_shares(member)
+        return float(theta[self.index("steps", member.stop)] + sum(theta[k] * share for k, share in shares))
+
+    def _homing_shares(self, member: Member) -> list[tuple[int, float]]:
+        """Columns of the homings after the first, and the share of the member's photographs taken after each."""
+        known = [(self._index.get((GEOMETRY[4], (h,))), h) for h in dict.fromkeys(member.homings)]
+        return [(k, member.homings.count(h) / len(member.homings)) for k, h in known if k is not None]
+
+    def _laws(self, arguments: Sequence[Floats]) -> Floats:
+        """(3, members): defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale."""
+        f, n, pupils = (float(argument) for argument in arguments[:3])
+        lens = ThinLens(f, n, float(np.exp(pupils)))
+        ranges, focus, reference = (np.maximum(mm, 1.01 * f) for mm in arguments[3:])
+        return np.stack(
+            [
+                defocus_waves(lens, ranges, focus, self.stated.reference_nm, self.stated.convention),
+                np.log(lens.working_f_number(focus)),
+                np.log(lens.chief_ray_scale(ranges, reference)),
+            ]
+        )
+
+    def _one(self, k: int, theta: Floats, laws: Floats) -> Floats:
+        member = self.members[k]
+        modes = [laws[0] if j == 4 else theta[self.index("mode", *self._mode_of(k), j)] for j in member.measured.noll]
+        size = laws[2] + theta[self.index("target size")]
+        if member.channel != self.reference:
+            size += theta[self.index("lateral colour", member.channel)]
+        return np.array([*modes, laws[1] + theta[self.index("cone")], size])
+
+    def _rows(self, k: int, slopes: Floats) -> Floats:
+        """(modes + 2, columns) of one member. slopes: (6, 3) of the laws by their arguments."""
+        member = self.members[k]
+        noll = member.measured.noll
+        rows = np.zeros((len(noll) + 2, len(self.columns)))
+        laws = [noll.index(4), -2, -1]
+        by_range, by_focus, by_reference = slopes[3:]
+        for kind, slope in zip(GEOMETRY[:3], slopes[:3], strict=True):
+            rows[laws, self.index(kind)] = slope
+        rows[laws, self.index("tape")] = by_range + by_focus + by_reference
+        rows[laws, self.index("steps", member.stop)] = by_range
+        for column, share in self._homing_shares(member):
+            rows[laws, column] = share * by_range
+        rows[laws, self.index("best focus", member.channel)] += by_focus
+        rows[laws, self.index("best focus", self.reference)] += by_reference
+        rows[-2, self.index("cone")] = rows[-1, self.index("target size")] = 1.0
+        if member.channel != self.reference:
+            rows[-1, self.index("lateral colour", member.channel)] = 1.0
+        for row, j in enumerate(noll):
+            if j != 4:
+                rows[row, self.index("mode", *self._mode_of(k), j)] = 1.0
+        return rows

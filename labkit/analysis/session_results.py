@@ -1,0 +1,212 @@
+"""A session's fits and its lens, as results keep them: wavefronts, best focus, the lens, and where the errors come from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from labkit.analysis.lens_fit import LEAST_MAGNIFICATION, MOST_MAGNIFICATION, LensFit
+from labkit.analysis.lens_model import GEOMETRY
+from labkit.analysis.wavefronts import LocalFit, SessionFits
+from labkit.inference.fit import residuals
+from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+TELLING_STD = 0.1  # pupil magnifications of real lenses lie between 0.5 and 2: with a larger error little was learnt
+FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
+
+
+def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
+    """Of every fit. Those that belong to a lens are as the whole session has them."""
+    wavefronts = [as_wavefront(local) for local in session.fits]
+    for place, index in enumerate(session.members):
+        assert session.lens is not None
+        values, covariance = session.lens.posterior(place)
+        wavefronts[index] = _with(wavefronts[index], values, covariance)
+    return tuple(wavefronts)
+
+
+def _with(w: Wavefront, values: Floats, covariance: Floats) -> Wavefront:
+    """A wavefront with a session's values for it, (modes + 2,)."""
+    f_number, waves = float(np.exp(values[-2])), values[:-2]
+    blur = None
+    if 4 in w.noll:
+        um = 8 * f_number * np.sqrt(12) * w.reference_wavelength_nm * 1e-3
+        pull = np.zeros(len(values))
+        pull[[w.noll.index(4), -2]] = um, um * waves[w.noll.index(4)]
+        blur = Uncertain(um * waves[w.noll.index(4)], float(np.sqrt(pull @ covariance @ pull)), "um")
+    return replace(
+        w,
+        waves=waves,
+        covariance=covariance[:-2, :-2],
+        f_number=f_number,
+        f_number_std=f_number * float(np.sqrt(covariance[-2, -2])),
+        blur=blur,
+    )
+
+
+def as_focus(lens: LensFit) -> Focus | None:
+    """Best focus of the channels that were seen at two ranges or more; None where there is none."""
+    model = lens.model
+    channels = [c for c in model.channels if len({m.stop for m in model.members if m.channel == c}) > 1]
+    if not channels:
+        return None
+    columns = [*(model.index("best focus", c) for c in channels), model.index(MAGNIFICATION)]
+    pupils = _magnification(lens)
+    scale = np.append(np.ones(len(channels)), pupils.value)
+    covariance = lens.covariance[np.ix_(columns, columns)] * lens.widening**2 * np.outer(scale, scale)
+    rest = _defocus_residuals(lens)
+    inside = 1.001 * LEAST_MAGNIFICATION < pupils.value < MOST_MAGNIFICATION / 1.001
+    return Focus(
+        {c: Uncertain(lens.value("best focus", c), lens.std("best focus", c), "mm") for c in channels},
+        pupils,
+        pupils.std <= TELLING_STD and inside,
+        {c: tuple(rest[k] for k, m in enumerate(model.members) if m.channel == c) for c in channels},
+        covariance,
+        lens.chi2 / lens.freedom if lens.freedom else None,
+    )
+
+
+def as_lens(lens: LensFit) -> Lens:
+    """Focal length, f-number at infinity, pupil magnification, and what is to be added to the stated ranges."""
+    return Lens(
+        Uncertain(lens.value(FOCAL_LENGTH), lens.std(FOCAL_LENGTH), "mm"),
+        Uncertain(lens.value(F_NUMBER), lens.std(F_NUMBER)),
+        _magnification(lens),
+        Uncertain(lens.value(TAPE), lens.std(TAPE), "mm"),
+    )
+
+
+def budget(lens: LensFit) -> dict[str, dict[str, float]]:
+    """Of every headline number its standard error by source: photons, calibration, geometry, model."""
+    model, wanted = lens.model, dict[str, tuple[int, float]]()
+    for name in model.channels:
+        wanted[f"best_focus_mm.{name}"] = model.index("best focus", name), 1.0
+    wanted["focal_length_mm"] = model.index(FOCAL_LENGTH), 1.0
+    wanted["f_number"] = model.index(F_NUMBER), 1.0
+    wanted["pupil_magnification"] = model.index(MAGNIFICATION), _magnification(lens).value
+    wanted["range_zero_mm"] = model.index(TAPE), 1.0
+    unit = np.eye(len(model.columns))
+    return {name: lens.contributions(scale * unit[column]) for name, (column, scale) in wanted.items()}
+
+
+def warnings_of(session: SessionFits) -> list[str]:
+    """What the session found, a line each."""
+    lens, warnings = session.lens, list[str]()
+    labels = [local.task.label for local in session.fits]
+    warnings += [f"{labels[k]}: made again from the other fits, and mended" for k in session.mended]
+    warnings += [
+        f"{labels[k]}: does not belong to the session, as the other fits have it; was the lens touched, or is it another "
+        "optimum? It is left out of best focus"
+        for k in session.strangers
+    ]
+    if lens is None:
+        ranged = any(local.ranged for local in session.fits)
+        fitted = any(4 in local.fit.noll for local in session.fits)
+        why = (
+            "every fit was rejected" if ranged else "the frames carry no ranges" if fitted else "defocus was not fitted"
+        )
+        return [*warnings, f"no best focus: {why}"]
+    warnings += [
+        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would tell"
+        for channel in session.open_channels
+    ]
+    warnings += _lens_warnings(lens)
+    return warnings
+
+
+def _lens_warnings(lens: LensFit) -> list[str]:
+    warnings, pupils = [], _magnification(lens)
+    for channel in lens.model.channels:
+        if len({m.stop for m in lens.model.members if m.channel == channel}) < 2:
+            warnings.append(
+                f"no best focus of {channel}: it needs at least 2 ranges: photograph the target at more ranges"
+            )
+    if not LEAST_MAGNIFICATION * 1.001 < pupils.value < MOST_MAGNIFICATION / 1.001:
+        warnings.append(
+            f"no pupil magnification from {LEAST_MAGNIFICATION:g} to {MOST_MAGNIFICATION:g} fits: defocus does not follow a "
+            "lens's curve; check ranges, focal length and target size"
+        )
+    elif pupils.std > TELLING_STD:
+        warnings.append(
+            f"these ranges do not determine the pupil magnification: its standard error is {pupils.std:.3f}; "
+            "ranges near the closest focus would, or a focal length and a tape known better"
+        )
+    if not lens.model.paraxial:
+        off = 100 * np.expm1(lens.value("cone"))
+        warnings.append(
+            f"cone and sizes do not follow from one lens that is focused as a whole (the cone is {off:+.1f} % off): they were not "
+            "used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size right?"
+        )
+    if not lens.model.shared:
+        warnings.append("the modes differ from range to range beyond their errors: they were not taken for the same")
+    if lens.widening > 1:
+        warnings.append(
+            f"the fits depart from one lens by {lens.widening:.1f} times their standard errors (χ² per degree of freedom "
+            f"{lens.chi2 / lens.freedom:.1f}); all errors were widened by as much"
+        )
+    return warnings
+
+
+def _magnification(lens: LensFit) -> Uncertain:
+    value = float(np.exp(lens.value(MAGNIFICATION)))
+    return Uncertain(value, value * lens.std(MAGNIFICATION))
+
+
+def _defocus_residuals(lens: LensFit) -> list[float]:
+    """Measured less modelled defocus of each member, waves RMS."""
+    rest = []
+    for member, predicted in zip(lens.model.members, lens.model.predicted(lens.theta), strict=True):
+        at = member.measured.noll.index(4)
+        rest.append(float(member.measured.values[at] - predicted[at]))
+    return rest
+
+
+def as_wavefront(local: LocalFit) -> Wavefront:
+    """A local fit as results keep it."""
+    optics, observation, fit = local.task.optics, local.task.observation, local.fit
+    poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in fit.state.poses]
+    verdict = fit.verdict
+    return Wavefront(
+        range_mm=observation.range_mm,
+        measured_range_mm=observation.measured_range_mm,
+        channel=observation.channel,
+        wavelength_nm=round(optics.wavelength_um * 1e3, 6),
+        reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
+        f_number=fit.f_number,
+        f_number_std=float(np.sqrt(fit.measured.covariance[-2, -2])) * fit.f_number,
+        noll=fit.noll,
+        waves=fit.waves,
+        covariance=fit.covariance,
+        poses=np.array([pose.v for pose in fit.state.poses]),
+        gain=float(fit.state.gain),
+        read_noise=float(fit.state.read_noise),
+        chi2_per_pixel=float(fit.chi2_per_pixel),
+        test=OptimumTest(
+            verdict.name,
+            bool(verdict.accepted),
+            float(verdict.p_value),
+            fit.starts,
+            tuple(verdict.undetermined),
+            tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
+        ),
+        seconds=fit.seconds,
+        frames=observation.names,
+        placement=Placement(observation.origin_px, observation.shape, np.array([pose.corners_px() for pose in poses])),
+        residuals=_residuals(local),
+    )
+
+
+def _residuals(local: LocalFit) -> Residuals:
+    """Counts, model and noise of each Bayer plane of each frame; nan where a pixel was not used."""
+    observation = local.task.observation
+    planes = []
+    for frame, (mean, std) in zip(observation.frames, residuals(local.fit, observation.frames), strict=True):
+        images = np.full((3, *frame.counts.shape), np.nan)
+        images[:, frame.used] = frame.counts[frame.used], mean, std
+        every = observation.period
+        planes.append([images[:, row::every, column::every] for row, column in observation.places])
+    data, model, sigma = np.moveaxis(np.array(planes), 2, 0)
+    return Residuals(data, model, sigma)

@@ -1,0 +1,73 @@
+"""Of each fit and its twin the right one: a lens's defocus grows with range, and its other modes stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labkit.analysis.lens_fit import fit_lens, turned
+from labkit.analysis.lens_model import Member, Stated
+from labkit.inference.fit import twin_signs
+from labkit.types import Floats
+
+ROUGH_WAVES = 0.01  # errors below this decide no sign
+CLEAR = 9.0  # of chi2 between one choice of signs and the next
+
+
+def choose_twins(members: Sequence[Member], stated: Stated) -> tuple[list[int], list[str]]:
+    """+1 for each member that is the right twin, -1 for one that is not; and the channels where the ranges leave it open.
+
+    With the range, defocus passes from negative to positive once: of n ranges the first k are negative. Each k is tried with
+    the whole law of the lens, which is steeper on one side of focus than on the other, and with modes that stay.
+    """
+    signs, open_ = [1] * len(members), list[str]()
+    for channel in dict.fromkeys(m.channel for m in members):
+        places = [k for k, m in enumerate(members) if m.channel == channel]
+        places.sort(key=lambda k: members[k].range_mm)
+        if len({members[k].range_mm for k in places}) < 2:
+            chosen, clear = _like_the_first(members, places, signs), True
+        else:
+            chosen, clear = _by_range([members[k] for k in places], stated)
+        for k, sign in zip(places, chosen, strict=True):
+            signs[k] = sign
+        open_ += [] if clear else [channel]
+    return signs, open_
+
+
+def _by_range(members: Sequence[Member], stated: Stated) -> tuple[list[int], bool]:
+    """Signs of one channel's members in order of range, and whether the next choice is clearly worse."""
+    costs, choices = [], []
+    for negative in range(len(members) + 1):
+        wanted = [-1 if k < negative else 1 for k in range(len(members))]
+        signs = [sign if defocus(m) >= 0 else -sign for sign, m in zip(wanted, members, strict=True)]
+        choices.append(signs)
+        costs.append(
+            fit_lens([twin(m, s) for m, s in zip(members, signs, strict=True)], stated, extra_waves=ROUGH_WAVES).chi2
+        )
+    order = np.argsort(costs)
+    return choices[order[0]], bool(costs[order[1]] - costs[order[0]] > CLEAR)
+
+
+def _like_the_first(members: Sequence[Member], places: Sequence[int], signs: Sequence[int]) -> list[int]:
+    """Where there is one range: the twin nearest to the first channel's, whose own follows the stated rule."""
+    first = twin(members[0], signs[0]).measured
+    chosen = []
+    for k in places:
+        here = [_distance(twin(members[k], sign).measured.values, first.values) for sign in (1, -1)]
+        chosen.append(1 if k == 0 or here[0] <= here[1] else -1)
+    return chosen
+
+
+def _distance(one: Floats, other: Floats) -> float:
+    return float(np.linalg.norm(one[:-2] - other[:-2]))
+
+
+def defocus(member: Member) -> float:
+    """As measured, waves RMS."""
+    return float(member.measured.values[member.measured.noll.index(4)])
+
+
+def twin(member: Member, sign: int) -> Member:
+    """The member itself, or its twin for -1."""
+    return member if sign > 0 else turned(member, twin_signs(member.measured.noll))
