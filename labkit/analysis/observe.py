@@ -39,6 +39,7 @@ class Observation:
     range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it has one; else the same.
     names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
     each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw.
+    homings: the rail's homing, counted through the session, that each frame was taken after; None where nobody noted it.
     """
 
     range_mm: float | None
@@ -51,6 +52,7 @@ class Observation:
     places: tuple[tuple[int, int], ...]
     period: int
     origin_px: tuple[int, int] = (0, 0)
+    homings: tuple[int | None, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -169,6 +171,7 @@ def _observation(
         places=((0, 0),) if mono else first.places(channel),  # the cut begins on an even row and column
         period=1 if mono else 2,
         origin_px=(rows.start, columns.start),
+        homings=tuple(frame.meta.get("homing") for frame in group),
     )
     return observation, tuple(warning for part in data for warning in part.warnings)
 
