@@ -51,6 +51,7 @@ class Sensor:
 WITH_LEVELS: Tables = {
     "sensor": {"cfa_pattern": "RGGB", "black_level": BLACK, "white_level": WHITE},
     "target": {"size_mm": 30.0, "corners_px": [[40, 60], [40, 160], [140, 160], [140, 60]]},
+    "fit": {"range_zero_std_mm": 10_000.0},  # its target spans 100 pixels at every range
 }
 
 

@@ -17,7 +17,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.drivers.simulated.optics import defocus_waves, point_spread
+from labkit.drivers.simulated.optics import (
+    defocus_waves,
+    entrance_pupil_to_target_mm,
+    image_per_tangent_mm,
+    point_spread,
+    working_f_number,
+)
 from labkit.drivers.simulated.scene import (
     FineGrid,
     Glass,
@@ -51,6 +57,8 @@ class Bench:
         self._faults = tuple(faults)
         self._calls: Counter[str] = Counter()
         self._stops: Counter[float] = Counter()
+        self._homings = 0
+        self._homing_mm = 0.0
         self._scatter_mm = 0.0
         self._wander_px = (0.0, 0.0)
         self._asked_mm = 0.0
@@ -90,16 +98,27 @@ class Bench:
         wander = self.settings.pose.wander_px
         self._wander_px = (rng.uniform(-wander, wander), rng.uniform(-wander, wander))
 
+    def trip_home_switch(self) -> None:
+        """Positions count from where the switch trips now: this homing's scatter is drawn."""
+        self._homings += 1
+        rng = self._generator("homing", str(self._homings))
+        self._homing_mm = rng.normal(0, self.settings.rail.homing_scatter_mm)
+
     @property
-    def position_mm(self) -> float:
-        """Where the carriage truly stands."""
+    def counted_mm(self) -> float:
+        """Where the carriage stands beyond the place at which the home switch tripped: what an encoder sees."""
         return self.carriage_mm + self._scatter_mm
 
     @property
+    def position_mm(self) -> float:
+        """Where the carriage truly stands."""
+        return self.counted_mm + self._homing_mm
+
+    @property
     def range_mm(self) -> float:
-        """How far the panel's centre truly is from the lens, along its axis."""
+        """How far the panel's centre truly is from the lens's front principal plane, along its axis."""
         rail = self.settings.rail
-        return rail.range_at_zero_mm + rail.direction * self.position_mm
+        return rail.range_at_zero_mm + rail.tape_error_mm + rail.direction * self.position_mm
 
     def light(self, picture: NDArray[np.uint8]) -> None:
         """Put grey values of panel pixels on the glass, centred and black around. Raises ValueError if too large."""
@@ -126,11 +145,15 @@ class Bench:
     @property
     def truth(self) -> Truth:
         """What is true of this bench and of the stops at which it took pictures."""
-        lens, sensor = self.settings.lens, self.settings.sensor
+        lens, sensor, tape_error_mm = self.settings.lens, self.settings.sensor, self.settings.rail.tape_error_mm
         return Truth(
             seed=self.settings.seed,
-            best_focus_mm=dict(lens.best_focus_mm),
+            best_focus_mm={colour: range_mm - tape_error_mm for colour, range_mm in lens.best_focus_mm.items()},
+            range_zero_mm=tape_error_mm,
+            focal_length_mm=lens.focal_length_mm,
+            f_number=lens.f_number,
             pupil_magnification=lens.pupil_magnification,
+            lateral_colour=dict(lens.lateral_colour),
             modes_waves=self._modes,
             counts_per_electron=sensor.counts_per_electron,
             read_noise_counts=sensor.read_noise_electrons * sensor.counts_per_electron,
@@ -139,7 +162,7 @@ class Bench:
 
     def irradiance(self, colour: str, samples: int | None = None, halo_um: float | None = None) -> Floats32:
         """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
-        scene = self._scene(samples, halo_um)
+        scene = self._scene(self._lateral(colour), samples, halo_um)
         return photograph(scene, self._psf(colour, scene.grid), self.settings.sensor.fill_factor)
 
     def _draw(self) -> None:
@@ -209,18 +232,23 @@ class Bench:
         lit = 1 / panel.contrast + (1 - 1 / panel.contrast) * (np.arange(256) / 255) ** panel.gamma
         return lit.astype(np.float32)[codes]
 
-    def _to_pixels(self) -> Floats:
-        """(3, 3): panel mm to pixels, by the camera's true pose at this stop."""
+    def _lateral(self, colour: str) -> float:
+        """Size of a colour's picture, relative."""
+        return 1 + self.settings.lens.lateral_colour.get(colour, 0.0)
+
+    def _to_pixels(self, lateral: float = 1.0) -> Floats:
+        """(3, 3): panel mm to pixels, by the camera's true pose at this stop: perspective from the entrance pupil."""
         lens, sensor = self.settings.lens, self.settings.sensor
-        focus_mm = float(np.mean(list(lens.best_focus_mm.values())))
-        image_mm = lens.focal_length_mm * focus_mm / (focus_mm - lens.focal_length_mm)
-        pixels_per_tangent = image_mm / (sensor.pitch_um * 1e-3)
+        focal_mm, pupils = lens.focal_length_mm, lens.pupil_magnification
+        focus_mm = float(np.mean(list(lens.best_focus_mm.values())))  # the sensor stands at one place for all colours
+        tangent_px = lateral * image_per_tangent_mm(focus_mm, focal_mm, pupils) / (sensor.pitch_um * 1e-3)
         col = (sensor.cols - 1) / 2 + self._wander_px[1]
         row = (sensor.rows - 1) / 2 + self._wander_px[0]
-        camera = np.array([[pixels_per_tangent, 0, col], [0, pixels_per_tangent, row], [0, 0, 1]])
-        aside = self.range_mm / pixels_per_tangent
+        camera = np.array([[tangent_px, 0, col], [0, tangent_px, row], [0, 0, 1]])
+        away_mm = entrance_pupil_to_target_mm(self.range_mm, focal_mm, pupils)
+        aside = away_mm * lateral / tangent_px
         shift = (self._offset_px[0] * aside, self._offset_px[1] * aside)
-        return camera @ project(self._tilt_deg, self._roll_deg, shift, self.range_mm)
+        return camera @ project(self._tilt_deg, self._roll_deg, shift, away_mm)
 
     def _from_pixels(self) -> Floats:
         return np.asarray(np.linalg.inv(self._to_pixels()), dtype=np.float64)
@@ -232,16 +260,18 @@ class Bench:
         reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um * per_pixel))
         return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
 
-    def _scene(self, samples: int | None = None, halo_um: float | None = None) -> SceneTransform:
+    def _scene(self, lateral: float = 1.0, samples: int | None = None, halo_um: float | None = None) -> SceneTransform:
         grid = self._grid(samples, halo_um)
         glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm)
-        return transform(render(glass, self._to_pixels(), grid), grid)
+        return transform(render(glass, self._to_pixels(lateral), grid), grid)
 
     def _psf(self, colour: str, grid: FineGrid) -> Floats32:
         lens = self.settings.lens
         waves = {4: self._defocus(colour), **self._modes[colour]}
+        focus_mm, focal_mm, pupils = lens.best_focus_mm[colour], lens.focal_length_mm, lens.pupil_magnification
+        cone = working_f_number(lens.f_number, focus_mm, focal_mm, pupils)
         spacing_um = self.settings.sensor.pitch_um / grid.samples
-        return point_spread(waves, lens.wavelength_nm[colour], lens.f_number, spacing_um, grid.reach, REFERENCE_NM)
+        return point_spread(waves, lens.wavelength_nm[colour], cone, spacing_um, grid.reach, REFERENCE_NM)
 
     def _defocus(self, colour: str) -> float:
         lens = self.settings.lens
@@ -264,16 +294,18 @@ class Bench:
 
     def _mosaic(self) -> Floats32:
         """Each pixel through its own colour; the stop is noted in the truth."""
-        scene, colours = self._scene(), self._colours()
+        colours, scenes = self._colours(), dict[float, SceneTransform]()
         seen = np.zeros(colours.shape, dtype=np.float32)
         for colour in np.unique(colours):
-            here = colours == colour
+            here, lateral = colours == colour, self._lateral(str(colour))
+            scene = scenes[lateral] = scenes.get(lateral) or self._scene(lateral)
             seen[here] = photograph(scene, self._psf(str(colour), scene.grid), self.settings.sensor.fill_factor)[here]
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
         defocus = {colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm}
         pose = tuple(tuple(row) for row in self._to_pixels().tolist())
-        self._visits[asked_mm] = Visit(asked_mm, self.range_mm, defocus, pose)
+        zero_mm = rail.tape_error_mm + rail.direction * self._homing_mm
+        self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
         return seen
 
     def _fills_the_view(self) -> bool:

@@ -1,4 +1,4 @@
-"""The true lens of the simulated bench: Zernike modes, defocus against range, diffraction.
+"""The true lens of the simulated bench: Zernike modes, defocus against range, pupils, diffraction.
 
 Written without labkit.optics and labkit.imaging, which it is there to test.
 
@@ -65,17 +65,48 @@ def defocus_waves(
     principal plane. Thesis (4.40) with its sign corrected.
     """
 
-    def image_mm(distance_mm: float) -> float:
-        return distance_mm * focal_length_mm / (distance_mm - focal_length_mm)
-
     half_pupil = pupil_magnification * focal_length_mm / f_number / 2
 
     def sagitta(distance_mm: float) -> float:
-        radius = image_mm(distance_mm) + (pupil_magnification - 1) * focal_length_mm
-        return sqrt(radius**2 - half_pupil**2)
+        return sqrt(exit_pupil_to_image_mm(distance_mm, focal_length_mm, pupil_magnification) ** 2 - half_pupil**2)
 
-    path_mm = image_mm(range_mm) - image_mm(best_focus_mm) + sagitta(best_focus_mm) - sagitta(range_mm)
+    moved_mm = image_mm(range_mm, focal_length_mm) - image_mm(best_focus_mm, focal_length_mm)
+    path_mm = moved_mm + sagitta(best_focus_mm) - sagitta(range_mm)
     return path_mm / sqrt(12) / (reference_nm * 1e-6)
+
+
+def image_mm(range_mm: float, focal_length_mm: float) -> float:
+    """How far behind the rear principal plane a range comes to focus, mm."""
+    return range_mm * focal_length_mm / (range_mm - focal_length_mm)
+
+
+def exit_pupil_to_image_mm(range_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+    """How far behind the exit pupil a range comes to focus, mm. Thesis (E.2)."""
+    return image_mm(range_mm, focal_length_mm) + (pupil_magnification - 1) * focal_length_mm
+
+
+def entrance_pupil_to_target_mm(range_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+    """How far before the entrance pupil a target at a range stands, mm; ranges count from the front principal plane."""
+    return range_mm - focal_length_mm + focal_length_mm / pupil_magnification
+
+
+def working_f_number(
+    f_number: float, best_focus_mm: float, focal_length_mm: float, pupil_magnification: float
+) -> float:
+    """f-number of the cone that meets at the sensor: its height over the exit pupil's diameter. f_number: at infinity.
+
+    The sensor stands where best_focus_mm comes to focus, wherever the target may be.
+    """
+    height_mm = exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification)
+    return height_mm / (pupil_magnification * focal_length_mm / f_number)
+
+
+def image_per_tangent_mm(best_focus_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+    """Height at the sensor, mm, of a chief ray that enters with unit tangent to the axis.
+
+    It goes from centre to centre of the pupils, and leaves with 1/mp of the tangent: an invariant of the pupils' images.
+    """
+    return exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification) / pupil_magnification
 
 
 def point_spread(

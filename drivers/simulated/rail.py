@@ -42,6 +42,7 @@ class SimulatedRail(SimulatedDevice):
     def home(self) -> None:
         """Drive to the lower end and find the zero again."""
         self._bench.turn_screw(self._bench.settings.rail.low_mm)
+        self._bench.trip_home_switch()
         self._homed = True
 
     def move_to(self, position_mm: float) -> float:
@@ -72,7 +73,7 @@ class SimulatedRail(SimulatedDevice):
 
     def _measure(self, position_mm: float) -> float:
         step_mm = self._bench.settings.rail.encoder_step_mm
-        measured_mm = round(self._bench.position_mm / step_mm) * step_mm
+        measured_mm = round(self._bench.counted_mm / step_mm) * step_mm
         if abs(measured_mm - position_mm) > TOLERANCE_MM:
             self._homed = False
             raise RailError(

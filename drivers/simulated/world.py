@@ -17,16 +17,22 @@ FIXED_MODES = tuple(range(5, 16))
 
 @dataclass(frozen=True, slots=True)
 class TrueLens:
-    """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm)."""
+    """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm).
+
+    best_focus_mm: true ranges, from the front principal plane.
+    """
 
     focal_length_mm: float = 70.0
     f_number: float = 2.8
+    """At infinity: focal length over the entrance pupil's diameter."""
     pupil_magnification: float = 0.985
     wavelength_nm: Mapping[str, float] = field(default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0})
     best_focus_mm: Mapping[str, float] = field(default_factory=lambda: {"R": 3024.0, "G": 3013.2, "B": 3031.0})
     aberration_waves: float = 0.07
     colour_share: float = 0.15
     """Size of what each colour has of its own in the aberration, relative to what they share."""
+    lateral_colour: Mapping[str, float] = field(default_factory=dict)
+    """By how much a colour's picture is larger than the others', relative; 0 of those left out."""
     vignetting: float = 0.10
     """Light lost in the frame's corner."""
 
@@ -66,7 +72,10 @@ class TruePanel:
 
 @dataclass(frozen=True, slots=True)
 class TrueRail:
-    """The rail: travel, its scatter from visit to visit, play between screw and carriage, the encoder's step."""
+    """The rail: travel, its scatter from visit to visit, play between screw and carriage, the encoder's step.
+
+    range_at_zero_mm: as a plan has it, by tape; tape_error_mm: by how much the true range is longer.
+    """
 
     low_mm: float = 0.0
     high_mm: float = 500.0
@@ -75,6 +84,9 @@ class TrueRail:
     encoder_step_mm: float = 0.005
     speed_mm_per_s: float = 20.0
     range_at_zero_mm: float = 2950.0
+    tape_error_mm: float = 0.0
+    homing_scatter_mm: float = 0.0
+    """Standard deviation of where the home switch trips; the encoder counts from there and does not see it."""
     direction: int = 1
 
 
@@ -121,24 +133,34 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """The truth while the carriage stood at one stop: asked and actual range, defocus in waves RMS per colour.
+    """The truth while the carriage stood at one stop: range asked for, true range, defocus in waves RMS per colour.
 
-    target_to_pixels: (3, 3) panel mm (x right, y down from the centre, 1) to pixels (column, row, 1).
+    range_mm: on the plan's scale; actual_range_mm: from the front principal plane; range_zero_mm: the true range less
+    what encoder and tape say, the same until the rail is homed again. target_to_pixels: (3, 3) panel mm (x right, y down
+    from the centre, 1) to pixels (column, row, 1), without lateral colour.
     """
 
     range_mm: float
     actual_range_mm: float
+    range_zero_mm: float
     defocus_waves: Mapping[str, float]
     target_to_pixels: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What an estimate may be compared with afterwards. Modes are {Noll: waves RMS at 450 nm} per colour."""
+    """What an estimate may be compared with afterwards. Modes are {Noll: waves RMS at 450 nm} per colour.
+
+    best_focus_mm: on the plan's scale, as the tape has it; range_zero_mm: the true range less that of the tape.
+    """
 
     seed: int
     best_focus_mm: Mapping[str, float]
+    range_zero_mm: float
+    focal_length_mm: float
+    f_number: float
     pupil_magnification: float
+    lateral_colour: Mapping[str, float]
     modes_waves: Mapping[str, Mapping[int, float]]
     counts_per_electron: float
     read_noise_counts: float

@@ -2,7 +2,8 @@
 
 Every photograph is committed to the session before the next is taken, so whatever interrupts a capture, it goes on with
 just what is missing. A frame's `range_mm` is the plan's number, the same for all frames of a stop; where the
-carriage was measured to stand is in the frame's meta, as `position_mm` and `measured_range_mm`.
+carriage was measured to stand is in the frame's meta, as `position_mm` and `measured_range_mm`, and as `homing` after the
+how many'th homing of the session that was: positions of two homings have two zeros.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session
 from labkit.types import Progress
 
+HOMED = "homed"
+
 
 class CaptureLog:
     """done, total: photographs that the session has, and those of the whole plan."""
@@ -40,6 +42,12 @@ class CaptureLog:
         self.show("doing", what=doing)
         for observer in self._observers:
             observer.may_go_on()
+
+    def homed(self) -> int:
+        """The rail was homed; the how many'th time in this session, from 1, earlier processes counted."""
+        homing = 1 + len([event for event in self._session.events if event["event"] == HOMED])
+        self.note(HOMED, homing=homing)
+        return homing
 
     def took(self, shot: Shot, mosaic: Mosaic) -> None:
         """A photograph was committed."""

@@ -22,7 +22,8 @@ TRIES = 3
 
 
 class PatientDevices:
-    """Camera, rail and display, each tried again on trouble, and what is known of where the carriage stands.
+    """Camera, rail and display, each tried again on trouble, and what is known of where the carriage stands: positions
+    count from where the home switch tripped last, so each is noted with its homing.
 
     folder: a camera writes its photograph there; it is emptied before each. Every method raises DeviceError if trouble
     lasts.
@@ -34,6 +35,7 @@ class PatientDevices:
         self._log = log
         self._folder = folder
         self._standing: tuple[float, dict[str, Any]] | None = None
+        self._homing: int | None = None
 
     @property
     def can_cover(self) -> bool:
@@ -48,7 +50,7 @@ class PatientDevices:
     def home(self) -> None:
         """Home the rail."""
         self._log.step("homing the rail")
-        self._try("rail", self.devices.rail.home, lambda: None)
+        self._try("rail", self._home, lambda: None)
 
     def ready(self) -> None:
         """Find the camera and set it."""
@@ -66,9 +68,10 @@ class PatientDevices:
         self._standing = None
         self._log.step(f"moving to {range_mm:g} mm")
         rail, position_mm = self.devices.rail, self._rail.position_mm(range_mm)
-        at_mm = self._try("rail", lambda: rail.move_to(position_mm), rail.home)
+        at_mm = self._try("rail", lambda: rail.move_to(position_mm), self._home)
         self.devices.wait(self._rail.settle_s)
-        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(self._rail.range_mm(at_mm), 6)}
+        measured_mm = self._rail.range_mm(at_mm)
+        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6), "homing": self._homing}
         self._log.note("moved", range_mm=range_mm, **meta)
         self._standing = range_mm, meta
         return meta
@@ -102,6 +105,10 @@ class PatientDevices:
             self._log.note("trouble", device="display", attempt=attempt, error=f"lost its picture during {name}")
             self.show(picture)
         raise DisplayError(f"the display lost its picture during {name}, {TRIES} times in a row; look at it")
+
+    def _home(self) -> None:
+        self.devices.rail.home()
+        self._homing = self._log.homed()
 
     def _ready_camera(self) -> None:
         """Find the camera, again if it had dropped off, and set it."""

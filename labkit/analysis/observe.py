@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, Cut, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError, TargetError
+from labkit.finder.carpet_squares import central_square
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
@@ -88,7 +90,8 @@ def observe(
 
     plan: of lens, sensor and channels, the session's or another. range_mm, channel: one, several, or None for all.
     Each photograph is decoded once; those of one range are in memory at a time.
-    Raises DataError where there is nothing to fit, TargetError where a frame does not show the target.
+    Raises DataError where there is nothing to fit or the target's sizes contradict plan and ranges, TargetError where a
+    frame does not show the target.
     """
     frames = _chosen(session, range_mm)
     channels = _channels(plan, channel)
@@ -103,6 +106,10 @@ def observe(
             observation, assumed = _observation(calibration, target, shots, name)
             observations.append(observation)
             warnings += assumed
+    sights = [
+        Sight(o.measured_range_mm, at) for o in observations if o.measured_range_mm is not None for at in o.corners_px
+    ]
+    refuse_contradictions(sights, plan, target.size_mm)
     return observations, list(dict.fromkeys(warnings))
 
 
@@ -135,15 +142,35 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_raw(frame.path, plan.sensor)
     if plan.target.corners_px is not None:
         return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
-    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    scale = (
-        None if frame.range_mm is None else float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
-    )
     try:
         grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
-        return _Shot(frame, mosaic, find_target(grey, target, mm_per_pixel=scale))
+        return _Shot(frame, mosaic, _found(grey, target, _stated_scale(frame, plan)))
     except TargetError as error:
         raise TargetError(f"{frame.file}: {error}") from error
+
+
+def _stated_scale(frame: Frame, plan: Plan) -> float | None:
+    """Millimetres of the target to a pixel, as plan and range have it; None where they have none."""
+    if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
+        return None
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    return float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
+
+
+def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
+    """The target's corners, at the scale stated or at any: what is wrong with a statement is then told by the size.
+
+    A carpet is looked for at any scale first, for a wrong one would find a smaller carpet in it; other targets are found
+    sooner at the right one.
+    """
+    scales = [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
+    failures: list[TargetError] = []
+    for scale in dict.fromkeys(scales):
+        try:
+            return find_target(grey, target, mm_per_pixel=scale)
+        except TargetError as error:
+            failures.append(error)
+    raise failures[0]
 
 
 def _observation(

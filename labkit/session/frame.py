@@ -83,6 +83,7 @@ ALLOWED: Mapping[str, Callable[[Any], bool]] = {
     "kind": lambda value: value in FRAME_KINDS,
     "range_mm": _is_number_or_none,
     "measured_range_mm": _is_number,
+    "homing": lambda value: isinstance(value, int) and value is not True and value > 0,
     "exposure_s": _is_number_or_none,
     "sha256": _is_text,
     "plan_sha256": _is_text,

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import poppy
 import pytest
 from scipy.special import j1
 
-from labkit.drivers.simulated.optics import defocus_waves, noll_to_nm, point_spread, zernike
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.optics import defocus_waves, noll_to_nm, point_spread, working_f_number, zernike
+from labkit.drivers.simulated.scene import carry
+from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePose, TrueRail
+from labkit.types import Floats
 
 
 @pytest.mark.parametrize("j", range(1, 22))
@@ -66,3 +72,69 @@ def test_a_path_that_grows_to_the_right_or_down_throws_light_there(mode: int, ax
 def test_a_grid_too_coarse_for_the_light_is_refused() -> None:
     with pytest.raises(ValueError, match="too coarse"):
         point_spread({}, 450.0, 1.4, 0.6, 50)
+
+
+def gap(mm: float) -> Floats:
+    return np.array([[1.0, mm], [0.0, 1.0]])
+
+
+def thin(focal_mm: float) -> Floats:
+    return np.array([[1.0, 0.0], [-1 / focal_mm, 1.0]])
+
+
+FRONT, BACK = gap(15.0) @ thin(90.0), thin(120.0) @ gap(24.0)
+STOP_MM = 9.0
+"""Radius of the stop that stands between a lens of 90 mm, 15 mm before it, and one of 120 mm, 24 mm behind it."""
+
+
+def two_lenses() -> tuple[float, float, float, float]:
+    """Focal length, f-number at infinity, pupil magnification, and how far the front principal plane lies behind the
+    first lens, mm: of rays (height, angle) through both lenses, and from the stop outwards."""
+    (_, _), (c, d) = BACK @ FRONT
+    focal_mm, principal_mm = -1 / c, (d - 1) / c
+    entrance_mm, exit_mm = STOP_MM / FRONT[0, 0], STOP_MM / BACK[1, 1]  # radii of the pupils
+    behind_mm = FRONT[0, 1] / FRONT[0, 0]  # of the first lens, by so much: rays to there go through the stop's centre
+    assert behind_mm == pytest.approx(principal_mm - focal_mm + focal_mm * entrance_mm / exit_mm)
+    return focal_mm, focal_mm / (2 * entrance_mm), exit_mm / entrance_mm, principal_mm
+
+
+def test_cone_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> None:
+    focal_mm, f_number, pupils, principal_mm = two_lenses()
+    best_mm, range_mm = 800.0, 700.0
+    whole = BACK @ FRONT @ gap(best_mm - principal_mm)
+    sensor = gap(-whole[0, 1] / whole[1, 1])  # where rays from the axis at best focus meet again
+    angle = STOP_MM / (FRONT @ gap(best_mm - principal_mm))[0, 1]  # of the ray that just passes the stop
+    cone = 1 / (2 * abs((sensor @ whole @ [0, angle])[1]))
+    assert working_f_number(f_number, best_mm, focal_mm, pupils) == pytest.approx(cone, rel=1e-12)
+
+    to_stop = FRONT @ gap(range_mm - principal_mm)
+    chief = np.array([1.0, -to_stop[0, 0] / to_stop[0, 1]])  # from 1 mm off the axis through the stop's centre
+    scale = abs((sensor @ BACK @ FRONT @ gap(range_mm - principal_mm) @ chief)[0])
+    lens = TrueLens(focal_mm, f_number, pupils, {"G": 550.0}, {"G": best_mm})
+    assert millimetre_px(lens, range_mm) * 4.78e-3 == pytest.approx(scale, rel=1e-12)
+
+
+def millimetre_px(lens: TrueLens, range_mm: float, tape_error_mm: float = 0.0, colour: str = "G") -> float:
+    """How many pixels of the bench's picture a millimetre of a target spans that faces the camera squarely."""
+    rail = TrueRail(range_at_zero_mm=range_mm, tape_error_mm=tape_error_mm, scatter_mm=0)
+    bench = Bench(replace(BenchSettings(), lens=lens, rail=rail, pose=TruePose(0, 0, 0, 0)))
+    right, _ = carry(bench._to_pixels(bench._lateral(colour)), np.array([0.0, 1.0]), np.zeros(2))
+    return float(right[1] - right[0])
+
+
+def test_a_target_at_best_focus_is_as_large_as_its_image_wherever_the_pupils_stand() -> None:
+    for pupils in (0.6, 1.0, 1.7):
+        lens = TrueLens(pupil_magnification=pupils, best_focus_mm=dict.fromkeys("RGB", 500.0))
+        assert millimetre_px(lens, 500.0) == pytest.approx(70 / (500 - 70) / 4.78e-3, rel=1e-12)
+
+
+def test_sizes_follow_the_distance_from_the_entrance_pupil_and_the_tape_errs() -> None:
+    lens = TrueLens(pupil_magnification=0.7)
+    near, far = millimetre_px(lens, 1000.0), millimetre_px(lens, 1100.0)
+    assert 100 / (near / far - 1) == pytest.approx(1000 - 70 + 70 / 0.7, rel=1e-9)
+    assert millimetre_px(lens, 1000.0, tape_error_mm=100.0) == far
+
+
+def test_a_colour_may_be_larger_than_the_others() -> None:
+    lens = TrueLens(lateral_colour={"B": 2e-4})
+    assert millimetre_px(lens, 3000.0, colour="B") == pytest.approx(millimetre_px(lens, 3000.0) * 1.0002, rel=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.drivers.simulated.display import SimulatedDisplay
 from labkit.drivers.simulated.rail import SimulatedRail
 from labkit.drivers.simulated.setup import settings_for
-from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueSensor
+from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
 from labkit.plan import Plan
 from tests.plans import IPAD, SMALL, plan_text, simulated
@@ -105,6 +106,24 @@ def test_a_stop_is_reached_whichever_way_it_comes(before_mm: float) -> None:
     # scatter has a standard deviation of 0.02 mm, play is 0.15 mm
     assert rail.move_to(200.0) == pytest.approx(200.0, abs=0.08)
     assert bench.position_mm == pytest.approx(200.0, abs=0.08)
+
+
+def test_the_encoder_does_not_see_where_the_home_switch_tripped() -> None:
+    exact = replace(a_bench().settings, rail=TrueRail(scatter_mm=0.0, homing_scatter_mm=0.02, tape_error_mm=3.0))
+    rail = SimulatedRail(bench := Bench(exact))
+    errors_mm = []
+    for _ in range(400):
+        rail.home()
+        assert rail.move_to(200.0) == pytest.approx(200.0, abs=1e-9)
+        errors_mm.append(bench.range_mm - exact.rail.range_at_zero_mm - 200.0)
+    # the standard deviation of 400 draws has 3.5 % relative error, and their mean 5 % of it: allow four of them
+    assert np.std(errors_mm) == pytest.approx(0.02, rel=0.14)
+    assert np.mean(errors_mm) == pytest.approx(3.0, abs=4 * 0.02 / 20)
+    bench.light(np.full((20, 20), 255, dtype=np.uint8))
+    bench.expose(0.01, 100, "a")
+    (visit,) = bench.truth.visits
+    assert visit.actual_range_mm == bench.range_mm == pytest.approx(visit.range_mm + visit.range_zero_mm, abs=1e-9)
+    assert bench.truth.best_focus_mm["G"] == exact.lens.best_focus_mm["G"] - 3.0
 
 
 def test_lost_steps_show_on_the_encoder_and_homing_finds_the_place_again() -> None:

@@ -1,8 +1,11 @@
-"""A session whose truth is known, formed by brute force: `python -m tests.golden.simulate FOLDER [SEED]`.
+"""A session whose truth is known, formed by brute force: `python -m tests.golden.simulate FOLDER [SEED [engraved]]`.
 
 It shares nothing with labkit: modes written out as polynomials, a PSF from a pupil of its own, the carpet averaged over
 samples nine to a pixel, laid over without wrap-around, a pixel as a sum of samples, Poisson and read noise. It writes
 frames.csv, plan.toml, the photographs as DNG, truth.json and psf.npz.
+
+The sensor stands still behind a lens with two pupils: the cone is that from the exit pupil to the sensor, the picture is
+drawn by chief rays. `engraved`: the plan then has another focal length and f-number than the lens, and a tape that is off.
 
 Axes as on the sensor: rows down, columns right; pupil x right, y down; a path that grows to the right throws light right.
 """
@@ -43,8 +46,8 @@ GAIN, READ_NOISE_COUNTS, BLACK, WHITE = 0.5, 1.2, 600, 16383
 RESPONSE_STD = 0.005  # of the pixels' sensitivities
 PLAN = f"""\
 [lens]
-focal_length_mm = {FOCAL_MM}
-f_number = {F_NUMBER}
+focal_length_mm = {{focal_mm}}
+f_number = {{f_number}}
 
 [sensor]
 pixel_pitch_um = {PITCH_UM}
@@ -90,9 +93,9 @@ def defocus_waves(
     return path / sqrt(12) / (REFERENCE_NM * 1e-6)
 
 
-def point_spread(waves: dict[int, float], wavelength_nm: float) -> Floats:
+def point_spread(waves: dict[int, float], wavelength_nm: float, f_number: float) -> Floats:
     """(2 REACH + 1, same) light in each sample of the image of a point: the share of all the light that passes the lens."""
-    radius = PERIOD * SPACING_UM / (2 * wavelength_nm * 1e-3 * F_NUMBER)  # of the pupil, in samples of it
+    radius = PERIOD * SPACING_UM / (2 * wavelength_nm * 1e-3 * f_number)  # of the pupil, in samples of it
     half, many = int(radius) + 2, 6
     fine = (np.arange((2 * half + 1) * many) - ((2 * half + 1) * many - 1) / 2) / many / radius
     disc = (np.hypot(fine[:, None], fine) < 1).reshape(2 * half + 1, many, 2 * half + 1, many).mean(axis=(1, 3))
@@ -115,6 +118,28 @@ def carpet() -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
+class Stated:
+    """What the plan says of the lens; tape_mm: by how much a true range is longer than the one stated."""
+
+    focal_mm: float = FOCAL_MM
+    f_number: float = F_NUMBER
+    tape_mm: float = 0.0
+
+
+ENGRAVED = Stated(59.2, 4.1, 3.0)
+
+
+def sensor_mm(best_mm: float) -> float:
+    """How far behind the exit pupil, itself (1 - mp) f behind the rear principal plane, a sensor sees a range sharp."""
+    return best_mm * FOCAL_MM / (best_mm - FOCAL_MM) - (1 - MAGNIFICATION) * FOCAL_MM
+
+
+def cone(colour: str) -> float:
+    """f-number of the light that meets at the sensor: distance of the exit pupil over its diameter."""
+    return sensor_mm(BEST_FOCUS_MM[colour]) / (MAGNIFICATION * FOCAL_MM / F_NUMBER)
+
+
+@dataclass(frozen=True, slots=True)
 class Stand:
     """Range of the target, tilts about the sensor's rows and columns, roll (degrees), shift (pixels, right and down)."""
 
@@ -124,16 +149,17 @@ class Stand:
     shift_px: tuple[float, float]
 
     def radiance(self, row: Floats, column: Floats) -> Floats:
-        """What pixel coordinates see through the lens's centre: rays cut with the target's plane."""
+        """What pixel coordinates see: chief rays, from the entrance pupil's centre, cut with the target's plane."""
         a, b, c = np.radians([*self.tilts_deg, self.roll_deg])
         roll = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
         tilt = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
         turn = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
         across, down, normal = (tilt @ turn @ roll).T
-        millimetre = PITCH_UM * 1e-3 / FOCAL_MM  # of ray for a pixel, at unit depth
+        sharp_mm = sum(BEST_FOCUS_MM.values()) / len(BEST_FOCUS_MM)  # the sensor stands at one place for all colours
+        millimetre = PITCH_UM * 1e-3 * MAGNIFICATION / sensor_mm(sharp_mm)  # of ray for a pixel, at unit depth
         x = (column - (FRAME - 1) / 2 - self.shift_px[0]) * millimetre
         y = (row - (FRAME - 1) / 2 - self.shift_px[1]) * millimetre
-        centre = self.range_mm - FOCAL_MM
+        centre = self.range_mm - FOCAL_MM + FOCAL_MM / MAGNIFICATION
         depth = centre * normal[2] / (normal[0] * x + normal[1] * y + normal[2])
         point = (x * depth, y * depth, depth - centre)
         cells = carpet()
@@ -192,7 +218,14 @@ def draw_waves(rng: np.random.Generator) -> dict[str, dict[int, float]]:
     return {c: dict(zip(range(5, 16), common + rng.normal(0, 0.003, 11), strict=True)) for c in COLOURS}
 
 
-def write_session(folder: Path, seed: int) -> None:
+def true_lens(stated: Stated) -> dict[str, Any]:
+    """The lens, best focus on the scale that the plan's ranges have."""
+    best = {colour: best_mm - stated.tape_mm for colour, best_mm in BEST_FOCUS_MM.items()}
+    lens = {"focal_length_mm": FOCAL_MM, "f_number": F_NUMBER, "mp": MAGNIFICATION, "range_zero_mm": stated.tape_mm}
+    return lens | {"best_focus_mm": best}
+
+
+def write_session(folder: Path, seed: int, stated: Stated = Stated()) -> None:
     """Everything that a lab would have, and the truth beside it, into an empty folder."""
     rng = np.random.default_rng(seed)
     lens = draw_waves(rng)
@@ -213,22 +246,24 @@ def write_session(folder: Path, seed: int) -> None:
     shoot("dark", 4, "", 0 * one)
     for stand in STANDS:
         waves = {c: {4: defocus_waves(stand.range_mm, BEST_FOCUS_MM[c])} | lens[c] for c in COLOURS}
-        psfs = {c: point_spread(waves[c], COLOURS[c]) for c in COLOURS}
+        psfs = {c: point_spread(waves[c], COLOURS[c], cone(c)) for c in COLOURS}
+        range_mm = stand.range_mm - stated.tape_mm
         seen = {c: picture + AMBIENT for c, picture in pictures(stand, psfs).items()}
-        shoot("target", 2, f"{stand.range_mm:g}", mosaic(seen))
-        shoot("flat", 4, f"{stand.range_mm:g}", 0.9 * mosaic(dict.fromkeys(COLOURS, one)))
+        shoot("target", 2, f"{range_mm:g}", mosaic(seen))
+        shoot("flat", 4, f"{range_mm:g}", 0.9 * mosaic(dict.fromkeys(COLOURS, one)))
         for colour in COLOURS:
-            truth.append({"range_mm": stand.range_mm, "channel": colour, "waves": list(waves[colour].values())})
+            truth.append({"range_mm": range_mm, "channel": colour, "waves": list(waves[colour].values())})
             middle = slice(REACH - 140, REACH + 141)  # 156 um: within the window that labkit writes
-            stored[f"{stand.range_mm:g}_{colour}"] = psfs[colour][middle, middle]
+            stored[f"{range_mm:g}_{colour}"] = psfs[colour][middle, middle]
     with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("file", "kind", "range_mm"), *rows])
-    (folder / "plan.toml").write_text(PLAN, encoding="utf-8")
-    summary = {"mp": MAGNIFICATION, "best_focus_mm": BEST_FOCUS_MM, "gain": GAIN, "read_noise": READ_NOISE_COUNTS}
+    (folder / "plan.toml").write_text(PLAN.format(focal_mm=stated.focal_mm, f_number=stated.f_number), encoding="utf-8")
+    summary = true_lens(stated) | {"gain": GAIN, "read_noise": READ_NOISE_COUNTS}
     (folder / "truth.json").write_text(json.dumps(summary | {"wavefronts": truth}, indent=1), encoding="utf-8")
     np.savez_compressed(folder / "psf.npz", allow_pickle=False, **stored)
 
 
 if __name__ == "__main__":
     Path(sys.argv[1]).mkdir(parents=True, exist_ok=True)
-    write_session(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    given = ENGRAVED if "engraved" in sys.argv[3:] else Stated()
+    write_session(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0, given)

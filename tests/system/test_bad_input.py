@@ -252,3 +252,21 @@ def test_a_fit_that_is_interrupted_says_so_and_leaves_earlier_results_whole(fold
 def workers_of(pid: int) -> list[str]:
     """Processes begun by another, from its main thread."""
     return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+
+
+def test_a_plan_that_the_targets_size_contradicts_is_told_before_any_search(
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    # threefold is the scale of the smaller carpets within a carpet
+    for right, wrong in (
+        ("size_mm = 9.0", "size_mm = 3.0"),
+        ("size_mm = 9.0", "size_mm = 90"),
+        ("um = 6.0", "um = 2.0"),
+    ):
+        text = (folder / "plan.toml").read_text()
+        assert right in text
+        other = tmp_path / "other.toml"
+        other.write_text(text.replace(right, wrong))
+        line = refusal(["fit", str(folder), "--plan", str(other), "--name", "other"], capfd)
+        assert "pixels; it spans 38, as it would at" in line
+        assert not (folder / "results").exists()
