@@ -131,7 +131,10 @@ def fit_lens(
     extra_waves: RMS, an error of every mode beyond the measured ones, for rough comparisons.
     """
     model = LensModel(tuple(members), stated, shared, paraxial)
-    values, roots = [m.measured.values for m in members], tuple(_root(m, extra_waves, model.size_floor) for m in members)
+    values, roots = (
+        [m.measured.values for m in members],
+        tuple(_root(m, extra_waves, model.size_floor) for m in members),
+    )
     centre = np.array([c.value for c in model.columns])
     prior = np.array([max(c.std, EXACT * c.scale) for c in model.columns])
     scale = np.array([min(c.scale, p) for c, p in zip(model.columns, prior, strict=True)])
