@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from labkit.analysis.joint import climb
 from labkit.analysis.observe import observe
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.wavefronts import PATIENCE_S, fit_session
@@ -37,13 +39,15 @@ def fit(
     workers: int | None = None,
     name: str | None = None,
     patience_s: float = PATIENCE_S,
+    joint: bool = False,
     progress: Progress = no_progress,
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
     only these. patience_s: after so long the search for a wavefront makes no further start.
-    name: "latest" by default; of a fit of only some ranges or channels, their names.
+    joint: climb over all frames at once in the end. name: "latest" by default; of a fit of only some ranges or channels,
+    their names.
     Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
     more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -56,6 +60,9 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     fits = fit_session(observations, plan, target, workers or default_workers(), progress, patience_s)
+    together = climb(fits, workers or default_workers(), progress) if joint and fits.lens is not None else None
+    if together is not None:
+        fits = replace(fits, lens=together.lens)
     wavefronts, lens, warnings = as_wavefronts(fits), fits.lens, warnings_of(fits)
     focus = None if lens is None else as_focus(lens)
     wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
@@ -66,6 +73,7 @@ def fit(
         focus=focus,
         lens=None if lens is None else as_lens(lens),
         budget={} if lens is None else budget(lens),
+        joint={} if together is None else together.differences,
         warnings=(*session.warnings, *assumed, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join(warnings) if wanted and focus is None else None,
         folder=folder,
@@ -129,11 +137,13 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 f"{where}: the frames do not determine {', '.join(w.test.undetermined)}; "
                 "is the target lit, sharp and large enough?"
             )
-        elif not w.test.accepted:
-            doubts.append(
-                f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); "
-                "the optimum may be a wrong one, or the model lacks something"
+        elif not w.test.explains:
+            why = (
+                "the session vouches for the optimum: the model lacks something"
+                if w.test.accepted
+                else ("the optimum may be a wrong one, or the model lacks something")
             )
+            doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
         if not low <= w.chi2_per_pixel <= high:
             doubts.append(
                 f"{where}: χ² per pixel is {w.chi2_per_pixel:.2f}, expected is {USUAL_CHI2[0]:g} to {USUAL_CHI2[1]:g}"

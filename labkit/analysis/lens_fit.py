@@ -182,6 +182,17 @@ def outliers(fit: LensFit) -> tuple[list[int], LensFit]:
     return out, fit
 
 
+def belongs(fit: LensFit, member: Member) -> bool:
+    """Whether a member that was not in it agrees with a session."""
+    if member.channel not in fit.model.channels:
+        return False
+    whole = _like(fit, [*fit.model.members, member])
+    last = len(fit.model.members)
+    size = len(member.measured.values)
+    typical = max(1.0, fit.chi2 / fit.freedom)
+    return bool(chi2.sf(whole.misfit(last) / typical, size) > SIGNIFICANCE or _departure(whole, last) < MATERIAL_WAVES)
+
+
 def _departure(fit: LensFit, k: int) -> float:
     """Of a member's modes from those that the others predict, waves RMS."""
     members = [m for i, m in enumerate(fit.model.members) if i != k]

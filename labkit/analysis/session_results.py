@@ -25,7 +25,18 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
         wavefronts[index] = _with(wavefronts[index], values, covariance)
-    return tuple(wavefronts)
+    return tuple(_judged(w, k, session) for k, w in enumerate(wavefronts))
+
+
+def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
+    """With the session's word on the optimum, where it has one: other frames tell a wrong optimum, residuals a poor model."""
+    if session.lens is None or w.test is None:
+        return w
+    if index in session.members and not w.test.accepted:
+        return replace(w, test=replace(w.test, name="session", accepted=True))
+    if index in session.strangers:
+        return replace(w, test=replace(w.test, name="session", accepted=False))
+    return w
 
 
 def _with(w: Wavefront, values: Floats, covariance: Floats) -> Wavefront:
@@ -137,8 +148,8 @@ def _lens_warnings(lens: LensFit) -> list[str]:
     if not lens.model.paraxial:
         off = 100 * np.expm1(lens.value("cone"))
         warnings.append(
-            f"cone and sizes do not follow from one lens that is focused as a whole (the cone is {off:+.1f} % off): they were not "
-            "used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size right?"
+            f"cone and sizes do not follow from one lens that is focused as a whole (the cone is {off:+.1f} % off): they were "
+            "not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size right?"
         )
     if not lens.model.shared:
         warnings.append("the modes differ from range to range beyond their errors: they were not taken for the same")
@@ -191,6 +202,7 @@ def as_wavefront(local: LocalFit) -> Wavefront:
             fit.starts,
             tuple(verdict.undetermined),
             tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
+            bool(verdict.accepted),
         ),
         seconds=fit.seconds,
         frames=observation.names,

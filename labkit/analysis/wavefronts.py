@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.analysis.lens_fit import LensFit, fit_session_lens, outliers, predict
+from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, outliers, predict
 from labkit.analysis.lens_model import Member, Stated
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
@@ -22,6 +22,7 @@ from labkit.types import Floats, Progress
 
 SEED = 1  # of the further starts: a session fitted twice gives the same results
 PATIENCE_S = 120.0
+MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
@@ -160,24 +161,34 @@ class _Chain:
         return replace(after, mended=mended)
 
     def _joined(self) -> SessionFits:
-        """What the accepted fits so far say of the lens, their twins chosen."""
+        """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.
+
+        Fits whose residuals were rejected belong where the others predict them: then the model lacks something, and the
+        optimum is right. Where too few are accepted, all of them vouch for each other.
+        """
         fits = {k: self.fits[k] for k in sorted(self.fits)}
-        good = [k for k, f in fits.items() if f.fit.verdict.accepted and f.ranged]
-        if not good:
+        ranged = [k for k, f in fits.items() if f.ranged and not f.fit.verdict.undetermined]
+        good = [k for k in ranged if fits[k].fit.verdict.accepted]
+        if not ranged:
             return SessionFits(tuple(fits.values()))
         stated = Stated.of(self.plan)
-        signs, open_ = choose_twins([fits[k].member for k in good], stated)
-        for k, sign in zip(good, signs, strict=True):
+        signs, open_ = choose_twins([fits[k].member for k in ranged], stated)
+        for k, sign in zip(ranged, signs, strict=True):
             if sign < 0:
                 fits[k] = replace(fits[k], fit=fits[k].fit.twin())
-        out, lens = outliers(fit_session_lens([fits[k].member for k in good], stated))
+        members = good if len(good) > 1 else ranged
+        out, lens = outliers(fit_session_lens([fits[k].member for k in members], stated))
+        kept = [k for i, k in enumerate(members) if i not in out]
+        late = [k for k in ranged if k not in members and belongs(lens, fits[k].member)]
+        if late:
+            kept = sorted([*kept, *late])
+            lens = fit_session_lens([fits[k].member for k in kept], stated)
+        if not good and (out or lens.widening > MOST_WIDENING):
+            return SessionFits(tuple(fits.values()))
         order = list(fits)
+        strangers = tuple(order.index(k) for k in ranged if k not in kept)
         return SessionFits(
-            tuple(fits.values()),
-            lens,
-            tuple(order.index(k) for i, k in enumerate(good) if i not in out),
-            tuple(order.index(good[i]) for i in sorted(out)),
-            open_channels=tuple(open_),
+            tuple(fits.values()), lens, tuple(map(order.index, kept)), strangers, open_channels=tuple(open_)
         )
 
     def _task(self, k: int, known: SessionFits) -> Task:

@@ -76,6 +76,10 @@ OnlyChannels = Annotated[list[str] | None, typer.Option("--channel", metavar="NA
 OtherPlan = Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Instead of the session's own.")]
 Modes = Annotated[str | None, typer.Option(metavar="FIRST:LAST", help="Of Zernike's, by Noll: such as 4:22.")]
 ResultsName = Annotated[str | None, typer.Option(metavar="NAME", help="Of the results; by default latest.")]
+Patience = Annotated[
+    float, typer.Option(min=0.0, metavar="S", help="Seconds, after which a wavefront is searched no more.")
+]
+Joint = Annotated[bool, typer.Option("--joint", help="Climb over all frames at once in the end.")]
 Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")]
 
 
@@ -89,8 +93,10 @@ def fit(
     noll: Modes = None,
     name: ResultsName = None,
     workers: Workers = None,
+    patience: Patience = 120.0,
+    joint: Joint = False,
 ) -> None:
-    """Flat field, wavefronts, best focus."""
+    """Flat field, wavefronts, the lens that they have in common."""
     from labkit.analysis.fit import fit as fit_session
     from labkit.session.session import Session
 
@@ -107,6 +113,8 @@ def fit(
             noll=_modes(noll),
             workers=workers,
             name=name,
+            patience_s=patience,
+            joint=joint,
             progress=report,
         )
     for warning in results.warnings:
@@ -114,6 +122,11 @@ def fit(
             console.warn(warning)
     console.table(results.wavefront_rows())
     console.table(results.focus_rows())
+    if results.budget:
+        console.table(results.budget_rows())
+    if results.joint:
+        most = max(results.joint, key=results.joint.__getitem__)
+        console.say(f"jointly climbed: {most} moved most, by {results.joint[most]:.2f} standard errors")
     console.say(f"results: {results.folder}/results.json")
     console.answer(results.as_json())
     if results.unanswered:

@@ -65,26 +65,81 @@ class Freed:
     measured: Measured
 
 
+@dataclass(frozen=True)
+class Expansion:
+    """The log-likelihood about a state to second order, over modes, ln N of the cone, and the rest as in `Problem.scores`.
+
+    gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
+    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state.
+    """
+
+    problem: Problem
+    state: State
+    gradient: Floats
+    information: Floats
+    flats: Floats
+    here: Floats
+    picked: Floats
+
+    @property
+    def f_number(self) -> float:
+        """Of the cone that it is about."""
+        return self.problem.model.blur.pupil.f_number
+
+    def newton(self, precision: float, pull: float = 0.0) -> tuple[Floats, Floats]:
+        """(p,) the step to the optimum and (p, p) the covariance there; precision, pull: of what else is known of ln N."""
+        at = self.state.waves.size
+        information, gradient = self.information.copy(), self.gradient.copy()
+        information[at, at] += precision
+        gradient[at] += pull
+        covariance = inverse(information)
+        return covariance @ gradient, covariance
+
+    def measured(self) -> Measured:
+        """The Gaussian of modes, ln N and scale."""
+        step, covariance = self.newton(OPEN_STD**-2)
+        pulled = self.picked @ covariance
+        values = self.here + self.picked @ step
+        return Measured(
+            self.problem.model.blur.pupil.noll, values, pulled @ self.picked.T, pulled @ self.flats @ pulled.T
+        )
+
+    def at(self, values: Floats) -> tuple[State, float]:
+        """The state, and the f-number, that are likeliest where modes, ln N and ln scale are given, (modes + 2,)."""
+        step, covariance = self.newton(OPEN_STD**-2)
+        pulled = self.picked @ covariance
+        step = step + pulled.T @ np.linalg.solve(pulled @ self.picked.T, values - self.here - self.picked @ step)
+        modes = self.state.waves.size
+        return self.state.moved(np.delete(step, modes)), self.f_number * float(np.exp(step[modes]))
+
+
 def free_cone(problem: Problem, solution: Solution, f_number_std: float) -> Freed:
     """Move an optimum to the cone that its frames call for. f_number_std: relative, of the one that it was found with."""
     given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
-    for _ in range(ROUNDS):
-        state, modes = solution.state, solution.state.waves.size
-        now = problem.model.blur.pupil.f_number
-        gradient, information, flats = _scores(problem, state)
-        known = information.copy()
-        known[modes, modes] += precision
-        pull = gradient.copy()
-        pull[modes] -= np.log(now / given) * precision
-        covariance = inverse(known)
-        step = covariance @ pull
-        if abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes])):
+    modes = solution.state.waves.size
+    for last in (*[False] * ROUNDS, True):
+        expansion = expand(problem, solution.state)
+        step, covariance = expansion.newton(precision, -np.log(expansion.f_number / given) * precision)
+        if last or abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes])):
             break
-        problem = replace(problem, model=at_f_number(problem.model, float(now * np.exp(step[modes])), state.poses[0]))
-        solution = maximize(problem, state.moved(np.delete(step, modes)), max_steps=CLIMB_STEPS)
-    state = solution.state
-    measured = _measured(problem, state, gradient, information, flats)
-    return Freed(problem, solution, problem.model.blur.pupil.f_number, covariance[:modes, :modes], measured)
+        f_number = expansion.f_number * float(np.exp(step[modes]))
+        problem = replace(problem, model=at_f_number(problem.model, f_number, solution.state.poses[0]))
+        solution = maximize(problem, solution.state.moved(np.delete(step, modes)), max_steps=CLIMB_STEPS)
+    return Freed(problem, solution, expansion.f_number, covariance[:modes, :modes], expansion.measured())
+
+
+def expand(problem: Problem, state: State) -> Expansion:
+    """The log-likelihood about a state, the cone free."""
+    drawing, used = problem.draw(state), [f.used for f in problem.frames]
+    evaluations = problem.model.evaluate(state.waves, drawing, used)
+    by_cone = slopes_by_cone(problem.model, state.waves, drawing, used)
+    joined = [
+        Evaluation(e.mean, np.concatenate([e.by_waves, cone[None]]), e.by_pose)
+        for e, cone in zip(evaluations, by_cone, strict=True)
+    ]
+    gradient, information, _ = problem.assembled(state, joined)
+    here, picked = _picked(problem, state, len(gradient))
+    return Expansion(problem, state, gradient, information, _flats_noise(problem, state, joined), here, picked)
 
 
 def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> ForwardModel:
@@ -107,20 +162,6 @@ def slopes_by_cone(model: ForwardModel, waves: Floats, drawing: Drawing, used: S
     return [np.asarray((-3 * here + 4 * one - two) / (2 * STEP)) for here, one, two in zip(*means, strict=True)]
 
 
-def _scores(problem: Problem, state: State) -> tuple[Floats, Floats, Floats]:
-    """Gradient and information over modes, ln N, and the rest as in `Problem.scores`; and the part of the information's
-    noise that is the flats' own."""
-    drawing, used = problem.draw(state), [f.used for f in problem.frames]
-    evaluations = problem.model.evaluate(state.waves, drawing, used)
-    by_cone = slopes_by_cone(problem.model, state.waves, drawing, used)
-    joined = [
-        Evaluation(e.mean, np.concatenate([e.by_waves, cone[None]]), e.by_pose)
-        for e, cone in zip(evaluations, by_cone, strict=True)
-    ]
-    gradient, information, _ = problem.assembled(state, joined)
-    return gradient, information, _flats_noise(problem, state, joined)
-
-
 def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Floats:
     """(p, p) covariance of the gradient, over modes, ln N, and so on, that the flats' relative errors make."""
     modes, even, frames = state.waves.size + 1, state.unevenness.size, len(state.poses)
@@ -135,21 +176,17 @@ def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluatio
     return total
 
 
-def _measured(problem: Problem, state: State, gradient: Floats, information: Floats, flats: Floats) -> Measured:
-    """The Gaussian of modes, ln N and scale about a state near the optimum."""
+def _picked(problem: Problem, state: State, size: int) -> tuple[Floats, Floats]:
+    """Modes, ln N and ln scale, (modes + 2,), the last a mean over the frames; and their slopes (modes + 2, size)."""
     modes, frames = state.waves.size, len(state.poses)
-    known = information.copy()
-    known[modes, modes] += OPEN_STD**-2
-    covariance = inverse(known)
-    wanted = np.zeros((modes + 2, len(gradient)))
-    wanted[: modes + 1, : modes + 1] = np.eye(modes + 1)
+    picked = np.zeros((modes + 2, size))
+    picked[: modes + 1, : modes + 1] = np.eye(modes + 1)
     scales = []
     for k, pose in enumerate(state.poses):
-        at = slice(modes + 1 + k * PER_FRAME, modes + 1 + k * PER_FRAME + POSE_SIZE)
         scale, slope = pose.log_scale()
         scales.append(scale)
-        wanted[-1, at] = slope / frames
-    pupil, pitch_mm = problem.model.blur.pupil, problem.model.scene.torus.pitch_um * 1e-3
-    here = np.concatenate([state.waves, [np.log(pupil.f_number), np.mean(scales) + np.log(pitch_mm)]])
-    pull = wanted @ covariance
-    return Measured(pupil.noll, here + pull @ gradient, pull @ wanted.T, pull @ flats @ pull.T)
+        at = modes + 1 + k * PER_FRAME
+        picked[-1, at : at + POSE_SIZE] = slope / frames
+    pitch_mm = problem.model.scene.torus.pitch_um * 1e-3
+    log_f_number = np.log(problem.model.blur.pupil.f_number)
+    return np.concatenate([state.waves, [log_f_number, np.mean(scales) + np.log(pitch_mm)]]), picked

@@ -24,6 +24,7 @@ SEARCH_STEPS = 25  # of a maximisation while searching: those that end in the be
 SEARCH_TOLERANCE = 0.3  # standard errors; a sketch's optimum is 0.001 to 0.002 waves, about one, from the whole band's
 SWEPT = 3  # best values of the sweep that are started from: the right one was among them on every session tried
 PLAUSIBLE = 0.005  # of a sweep's excess variance is left by right optima of sketches, more by wrong ones
+PREDICTED_WAVES = 0.04  # RMS, of an end's modes from those predicted: wrong optima are farther
 ALIKE = 2  # the same where the other modes are known
 # starts that come back to the best optimum: then it is returned, accepted or not. A better one to which as many starts lead
 # has escaped that many with a chance of 1 in 2^8
@@ -83,10 +84,12 @@ class Search:
         """The record of a search from states that other frames of the lens predict, or else from a sweep over defocus.
 
         alike: states whose defocus is not known: the other modes are tried at each defocus of a sweep. Where none of all
-        these leads to an end that is accepted, the search is as from nothing.
+        these leads to an end that is accepted, or is as predicted, the search is as from nothing.
         """
         swept = [state for one in alike for state in sweep(self.sketches, one)[:ALIKE]]
         record = self._predicted([*given, *swept]) if given or swept else Record(())
+        if record.best is not None and any(_as_predicted(record.best, state) for state in (*given, *swept)):
+            return record
         for step in (self._swept, self._retrieved_near_focus, self._best_of_given, self._from_further_starts):
             if record.accepted or (self.late and record.best is not None):
                 break
@@ -193,6 +196,11 @@ class Search:
             return record
         relative = freed.problem.relative(freed.solution.state)
         return replace(record, best=Outcome(freed, judge(freed.problem, freed.solution.state, relative), relative))
+
+
+def _as_predicted(best: Outcome, state: State) -> bool:
+    """Whether an end has the modes that were predicted, defocus apart: then its residuals tell of the model."""
+    return float(np.linalg.norm((best.freed.solution.state.waves - state.waves)[1:])) < PREDICTED_WAVES
 
 
 def settle(problem: Problem, start: State) -> State:

@@ -36,7 +36,11 @@ class OtherOptimum:
 
 @dataclass(frozen=True, slots=True)
 class OptimumTest:
-    """The test of whether a fit ended at the global optimum. undetermined: what the frames leave open, in words."""
+    """The test of whether a fit ended at the global optimum. undetermined: what the frames leave open, in words.
+
+    name: of what decided, "residuals" or "session". p_value: chance of residuals as large; explains: whether they are noise
+    alone, so that the model explains the data, which is another question than that of the optimum.
+    """
 
     name: str
     accepted: bool
@@ -44,6 +48,7 @@ class OptimumTest:
     starts: int | None = None
     undetermined: tuple[str, ...] = ()
     others: tuple[OtherOptimum, ...] = ()
+    explains: bool = True
 
     @property
     def next_below(self) -> float:

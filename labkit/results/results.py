@@ -23,8 +23,9 @@ class Results:
     """All that was estimated from a session.
 
     plan: what it was estimated with, plan_sha256 its checksum. lens: None where ranges or defocus are missing. budget: of every
-    number that leads the results, its standard error by source, in the number's unit. unanswered: what these frames cannot
-    determine though it was to be estimated; one of the warnings too. folder: where it is kept.
+    number that leads the results, its standard error by source, in the number's unit. joint: by how many standard errors each
+    number moved in a climb over all frames at once, where there was one. unanswered: what these frames cannot determine though
+    it was to be estimated; one of the warnings too. folder: where it is kept.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -37,6 +38,7 @@ class Results:
     focus: Focus | None
     lens: Lens | None = None
     budget: dict[str, dict[str, float]] = field(default_factory=dict)
+    joint: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     unanswered: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))

@@ -44,6 +44,7 @@ FIELDS = (
     "focus",
     "lens",
     "budget",
+    "joint",
     "warnings",
     "unanswered",
     "created",
@@ -112,6 +113,7 @@ def entry(
     focus: Focus | None,
     lens: Lens | None,
     budget: Mapping[str, Mapping[str, float]],
+    joint: Mapping[str, float],
     warnings: Sequence[str],
     unanswered: str | None,
     created: str,
@@ -130,6 +132,7 @@ def entry(
         "focus": None if focus is None else _focus_json(focus),
         "lens": None if lens is None else _lens_json(lens),
         "budget": {name: dict(shares) for name, shares in budget.items()},
+        "joint": dict(joint),
         "warnings": list(warnings),
         "unanswered": unanswered,
     }
@@ -184,7 +187,7 @@ def _wavefront_json(w: Wavefront) -> Json:
         "optimum": None if w.test is None else _optimum_json(w.test),
         "model": None
         if w.test is None
-        else {"accepted": w.test.accepted, "p_value": _number(w.test.p_value), "missing": []},
+        else {"accepted": w.test.explains, "p_value": _number(w.test.p_value), "missing": []},
         "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
         "frames": list(w.frames),
     }
@@ -260,6 +263,7 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
         "focus": None if entry["focus"] is None else _focus(entry["focus"]),
         "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
         "budget": {str(name): dict(shares) for name, shares in entry.get("budget", {}).items()},
+        "joint": {str(name): float(moved) for name, moved in entry.get("joint", {}).items()},
         "warnings": tuple(str(words) for words in entry["warnings"]),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),
@@ -307,7 +311,7 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         gain=_optional(entry.get("gain")),
         read_noise=_optional(entry.get("read_noise")),
         chi2_per_pixel=_optional(entry.get("chi2_per_pixel")),
-        test=_test(entry.get("global_test")),
+        test=_test(entry.get("global_test"), entry.get("model")),
         seconds=_optional(entry.get("seconds")),
         frames=tuple(str(name) for name in entry.get("frames", ())),
         placement=_placement(entry),
@@ -328,7 +332,7 @@ def _placement(entry: Json) -> Placement | None:
     return Placement((int(row), int(column)), (int(rows), int(columns)), _numbers(entry["corners_px"]))
 
 
-def _test(entry: Json | None) -> OptimumTest | None:
+def _test(entry: Json | None, model: Json | None) -> OptimumTest | None:
     if entry is None:
         return None
     others = [
@@ -341,6 +345,7 @@ def _test(entry: Json | None) -> OptimumTest | None:
         starts=entry.get("starts"),
         undetermined=tuple(entry.get("undetermined", ())),
         others=tuple(others),
+        explains=bool((model or entry)["accepted"]),
     )
 
 

@@ -1,0 +1,111 @@
+"""A climb over all frames of a session at once: does the estimate from two levels lose anything?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labkit.analysis.lens_fit import LensFit, fit_lens
+from labkit.analysis.wavefronts import SessionFits, Task
+from labkit.execute import run_all
+from labkit.imaging.model import ForwardModel
+from labkit.inference.cone import Measured, expand
+from labkit.inference.fisher_scoring import Problem, State
+from labkit.types import Floats, Progress
+
+ROUNDS = 6
+SETTLED_STDS = 0.02  # the climb ends with a step shorter than this in every number
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One member's part of a step: where it stands, and the values, (modes + 2,), that the session's step gives it."""
+
+    task: Task
+    state: State
+    f_number: float
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where a leg ended, and what the likelihood is about it."""
+
+    state: State
+    f_number: float
+    measured: Measured
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The end of the climb. lens: the session there; differences: from the two levels, in standard errors, by number;
+    log_likelihoods: of all frames, after each step."""
+
+    lens: LensFit
+    differences: dict[str, float]
+    log_likelihoods: tuple[float, ...]
+
+
+def climb(session: SessionFits, workers: int, progress: Progress) -> Joint:
+    """Gauss-Newton over everything at once, from the two levels' end.
+
+    The numbers of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by member,
+    they leave the session's least squares, with each member's likelihood expanded anew about where the session has it.
+    Raises ValueError for a session without a lens.
+    """
+    if session.lens is None:
+        raise ValueError("the fits have no lens in common: there is nothing to climb together")
+    first = lens = session.lens
+    fits = [session.fits[k] for k in session.members]
+    states, f_numbers, likelihoods = [f.fit.state for f in fits], [f.fit.f_number for f in fits], list[float]()
+    for done in range(ROUNDS):
+        progress(done, ROUNDS, "climbing jointly")
+        values = lens.model.predicted(lens.theta)
+        legs = [
+            Leg(fit.task, state, f_number, value)
+            for fit, state, f_number, value in zip(fits, states, f_numbers, values, strict=True)
+        ]
+        reached = _all_reached(legs, workers)
+        states, f_numbers = [r.state for r in reached], [r.f_number for r in reached]
+        likelihoods.append(sum(r.log_likelihood for r in reached) - 0.5 * _prior_chi2(lens))
+        members = [replace(m, measured=r.measured) for m, r in zip(lens.model.members, reached, strict=True)]
+        before = lens
+        lens = fit_lens(members, first.model.stated, shared=first.model.shared, paraxial=first.model.paraxial)
+        if max(_differences(lens, before).values()) < SETTLED_STDS:
+            break
+    return Joint(lens, _differences(lens, first), tuple(likelihoods))
+
+
+def _all_reached(legs: Sequence[Leg], workers: int) -> list[Reached]:
+    done = dict(run_all(reach, legs, workers))
+    return [done[k] for k in range(len(legs))]
+
+
+def reach(leg: Leg) -> Reached:
+    """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
+    state, f_number = expand(_problem(leg.task, leg.f_number, leg.state), leg.state).at(leg.values)
+    problem = _problem(leg.task, f_number, state)
+    objective = problem.objective(state, problem.relative(state))
+    return Reached(state, f_number, expand(problem, state).measured(), objective)
+
+
+def _problem(task: Task, f_number: float, state: State) -> Problem:
+    observation = task.observation
+    optics = replace(task.optics, f_number=f_number)
+    model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0])
+    return Problem(model, observation.frames, observation.noise)
+
+
+def _prior_chi2(lens: LensFit) -> float:
+    rest = lens.residuals[-len(lens.model.columns) :]
+    return float(rest @ rest)
+
+
+def _differences(one: LensFit, other: LensFit) -> dict[str, float]:
+    """Of every number, in standard errors."""
+    names = [" ".join(map(str, (c.kind, *c.of))) for c in one.model.columns]
+    std = np.sqrt(np.diag(other.covariance))
+    return dict(zip(names, np.abs((one.theta - other.theta) / std).tolist(), strict=True))
