@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from labkit.analysis.joint import climb
+from labkit.analysis.lens_model import Stated
 from labkit.analysis.observe import observe
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
-from labkit.analysis.wavefronts import PATIENCE_S, fit_session
+from labkit.analysis.split import find_change
+from labkit.analysis.wavefronts import PATIENCE_S, SessionFits, fit_session
 from labkit.errors import DataError, SessionError
 from labkit.execute import default_workers
 from labkit.plan import Plan
@@ -40,14 +42,15 @@ def fit(
     name: str | None = None,
     patience_s: float = PATIENCE_S,
     joint: bool = False,
+    split: bool = False,
     progress: Progress = no_progress,
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
     only these. patience_s: after so long the search for a wavefront makes no further start.
-    joint: climb over all frames at once in the end. name: "latest" by default; of a fit of only some ranges or channels,
-    their names.
+    joint: climb over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and
+    NAME-after besides. name: "latest" by default; of a fit of only some ranges or channels, their names.
     Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
     more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -60,26 +63,38 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     fits = fit_session(observations, plan, target, workers or default_workers(), progress, patience_s)
+    change = find_change(fits, Stated.of(plan))
+    parts = {"": fits} if change is None or not split else {"": fits, "-before": change.before, "-after": change.after}
+    noted = [*session.warnings, *assumed, *([] if change is None else [str(change)])]
     together = climb(fits, workers or default_workers(), progress) if joint and fits.lens is not None else None
     if together is not None:
-        fits = replace(fits, lens=together.lens)
+        parts[""] = replace(fits, lens=together.lens)
+    made = [_results(part, plan, _checksum(session, plan), noted, ranges_mm) for part in parts.values()]
+    made[0] = replace(made[0], joint={} if together is None else together.differences)
+    placed = [
+        replace(results, folder=folder.with_name(folder.name + end)) for end, results in zip(parts, made, strict=True)
+    ]
+    for results in placed:
+        assert results.folder is not None
+        results.write(results.folder)
+    return placed[0]
+
+
+def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], ranges_mm: Ranges) -> Results:
+    """Of fits, all or a part of a session's."""
     wavefronts, lens, warnings = as_wavefronts(fits), fits.lens, warnings_of(fits)
     focus = None if lens is None else as_focus(lens)
     wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
-    results = Results(
+    return Results(
         plan=plan,
-        plan_sha256=_checksum(session, plan),
+        plan_sha256=checksum,
         wavefronts=wavefronts,
         focus=focus,
         lens=None if lens is None else as_lens(lens),
         budget={} if lens is None else budget(lens),
-        joint={} if together is None else together.differences,
-        warnings=(*session.warnings, *assumed, *warnings, *_doubts(wavefronts)),
+        warnings=(*noted, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join(warnings) if wanted and focus is None else None,
-        folder=folder,
     )
-    results.write(folder)
-    return results
 
 
 def _plan(session: Session, plan: Plan | Path | str | None, noll: tuple[int, int] | None) -> Plan:

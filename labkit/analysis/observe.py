@@ -41,7 +41,8 @@ class Observation:
     range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it has one; else the same.
     names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
     each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw. homings:
-    of each frame, how often the rail had been homed; empty where that was not recorded.
+    of each frame, how often the rail had been homed; empty where that was not recorded. order: of the first photograph in the
+    session.
     """
 
     range_mm: float | None
@@ -55,6 +56,7 @@ class Observation:
     period: int
     origin_px: tuple[int, int] = (0, 0)
     homings: tuple[int, ...] = ()
+    order: int = 0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -104,7 +106,7 @@ def observe(
         shots = [_locate(frame, plan, target) for frame in group]
         for name in channels:
             observation, assumed = _observation(calibration, target, shots, name)
-            observations.append(observation)
+            observations.append(replace(observation, order=min(map(frames.index, group))))
             warnings += assumed
     sights = [
         Sight(o.measured_range_mm, at) for o in observations if o.measured_range_mm is not None for at in o.corners_px

@@ -80,6 +80,7 @@ Patience = Annotated[
     float, typer.Option(min=0.0, metavar="S", help="Seconds, after which a wavefront is searched no more.")
 ]
 Joint = Annotated[bool, typer.Option("--joint", help="Climb over all frames at once in the end.")]
+Split = Annotated[bool, typer.Option("--split", help="Fit apart what came before and after a change of the lens.")]
 Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")]
 
 
@@ -95,6 +96,7 @@ def fit(
     workers: Workers = None,
     patience: Patience = 120.0,
     joint: Joint = False,
+    split: Split = False,
 ) -> None:
     """Flat field, wavefronts, the lens that they have in common."""
     from labkit.analysis.fit import fit as fit_session
@@ -115,6 +117,7 @@ def fit(
             name=name,
             patience_s=patience,
             joint=joint,
+            split=split,
             progress=report,
         )
     for warning in results.warnings:
