@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Complexes = NDArray[np.complex128]
+Complexes64 = NDArray[np.complex64]
 Integers = NDArray[np.signedinteger]
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.uint16]

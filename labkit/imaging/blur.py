@@ -1,13 +1,13 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from labkit.imaging.grid import Torus
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.types import Complexes, Floats
+from labkit.types import Complexes, Complexes64, Floats, Floats32
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,30 @@ class Blur:
         departure *= self._centred_pixel
         return departure
 
-    def transfer_jacobian(self, waves: Floats, only: slice = slice(None)) -> Iterator[Complexes]:
-        """Half planes of the transfer function's derivatives by each mode, or only some, one at a time to spare memory."""
-        for slope in self.pupil.psf_jacobian(waves, only)[1]:
-            yield self.departure(slope)
+    def responses(self, psfs: Iterable[Floats32]) -> Iterator[Complexes64]:
+        """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
 
-    def spread(self, transfer: Complexes) -> tuple[Complexes, Complexes]:
+        psfs: (size, size) each, on the pupil's window, such as derivatives. One at a time, to spare memory.
+        """
+        for psf in psfs:
+            yield self.torus.half_spectrum_of_window(psf, self._finer)
+
+    def behind_pixel(self, spectrum: Complexes) -> Complexes64:
+        """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
+        return (spectrum * self._centred_pixel).astype(np.complex64)
+
+    def spread(self, transfer: Complexes64) -> tuple[Complexes64, Complexes64]:
         """Transforms of t h(t), row and column component (um), of a transfer function's own kernel h.
 
         By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.
         """
-        (rows, columns), spacing = self.torus.fine, self.torus.spacing_um
-        before = np.conj(np.roll(transfer[1:2, ::-1], 1, axis=1))  # the row at frequency -1
-        tall = np.concatenate([before, transfer, np.zeros_like(before)])
-        by_row = (tall[2:] - tall[:-2]) * (1j * rows * spacing / (4 * np.pi))
-        by_column = (np.roll(transfer, -1, 1) - np.roll(transfer, 1, 1)) * (1j * columns * spacing / (4 * np.pi))
+        by_row, by_column = np.empty_like(transfer), np.empty_like(transfer)
+        np.subtract(transfer[2:], transfer[:-2], out=by_row[1:-1])
+        by_row[0] = transfer[1] - np.conj(np.roll(transfer[1, ::-1], 1))  # the row at frequency -1
+        by_row[-1] = -transfer[-2]
+        np.subtract(transfer[:, 2:], transfer[:, :-2], out=by_column[:, 1:-1])
+        by_column[:, 0] = transfer[:, 1] - transfer[:, -1]
+        by_column[:, -1] = transfer[:, 0] - transfer[:, -2]
+        for kernel, side in zip((by_row, by_column), self.torus.fine, strict=True):
+            kernel *= 1j * side * self.torus.spacing_um / (4 * np.pi)
         return by_row, by_column

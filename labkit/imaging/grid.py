@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import overload
 
 import numpy as np
 import scipy.fft
 
-from labkit.types import Complexes, Floats
+from labkit.types import Complexes, Complexes64, Floats, Floats32
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,12 @@ class Torus:
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
-    def half_spectrum_of_window(self, window: Floats, finer: int = 1) -> Complexes:
-        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's.
+    @overload
+    def half_spectrum_of_window(self, window: Floats, finer: int = 1) -> Complexes: ...
+    @overload
+    def half_spectrum_of_window(self, window: Floats32, finer: int = 1) -> Complexes64: ...
+    def half_spectrum_of_window(self, window: Floats | Floats32, finer: int = 1) -> Complexes | Complexes64:
+        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
 
         window: (m, m), sampled `finer` times as finely as the torus; what it holds beyond the torus's band is left out.
         Raises ValueError where the window is larger than the torus.
@@ -91,17 +96,18 @@ class Torus:
         turn = 2j * np.pi * distance_um
         return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
 
-    def sample(self, spectrum: Complexes) -> Floats:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum.
+    def sample(self, spectrum: Complexes | Complexes64) -> Floats | Floats32:
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum, in its precision.
 
         Sampling a periodic band-limited image folds its DFT, thesis (2.61). Half a plane is enough: the other half adds
         the complex conjugate, so that twice the real part of the small transform is the image.
         """
         (rows, columns), many = self.pixels, self.oversampling
-        folded = np.zeros(self.pixels, complex)
+        folded = np.zeros(self.pixels, spectrum.dtype)
         for first in range(0, spectrum.shape[0], rows):
             block = spectrum[first : first + rows]
             folded[: len(block)] += block.reshape(len(block), many, columns).sum(axis=1)
         folded[0] -= 0.5 * spectrum[0].reshape(many, columns).sum(axis=0)  # frequency 0 has no partner
-        image = (2.0 / many**2) * scipy.fft.ifft2(folded).real
-        return np.asarray(image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))])
+        image = scipy.fft.ifft2(folded, overwrite_x=True).real
+        seen = image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))]
+        return np.asarray(seen * (2.0 / many**2))

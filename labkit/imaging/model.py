@@ -1,7 +1,7 @@
 """Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.psf import Pupil
 from labkit.target import Target
-from labkit.types import Bools, Complexes, Floats
+from labkit.types import Bools, Complexes, Complexes64, Floats, Floats32
 
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
@@ -131,27 +131,36 @@ class ForwardModel:
         """
         self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
-        spread = self.blur.spread(transfer)
-        product = np.empty_like(transfer)  # fresh memory for each costs as much as the multiplication
-        slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
-        for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
-            for spectrum, u, out in zip(drawing.spectra, used, slopes, strict=True):
-                out[mode] = self._sample(np.multiply(spectrum, slope, out=product), u)
-        results = []
-        for spectrum, pose, u, by_mode in zip(drawing.spectra, drawing.poses, used, slopes, strict=True):
-            mean = self._sample(spectrum * transfer, u, self.scene.surround)
-            results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
-        return results
+        slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
+        responses = self._responses(slopes, drawing, used)
+        kernels = self._kernels(transfer)
+        return [
+            Evaluation(
+                self._sample(spectrum * transfer, u, self.scene.surround),
+                by_mode,
+                self._by_pose(spectrum, kernels, pose, u),
+            )
+            for spectrum, pose, u, by_mode in zip(drawing.spectra, drawing.poses, used, responses, strict=True)
+        ]
 
-    def departures(self, psfs: Floats, drawing: Drawing, used: Bools) -> Floats:
+    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
-        (spectrum,) = drawing.spectra
-        return np.array([self._sample(spectrum * self.blur.departure(psf), used) for psf in psfs])
+        return self._responses(psfs, drawing, [used])[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        (spectrum,) = drawing.spectra
-        return np.array([self._sample(spectrum * s, used) for s in self.blur.transfer_jacobian(waves, only)])
+        return self._responses(self.blur.pupil.psf_slopes(waves, only), drawing, [used])[0]
+
+    def _responses(self, psfs: Iterable[Floats32], drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
+        """(n, pixels) of each frame: what n changes of the PSF change in its mean. In single precision, which is enough for
+        slopes: see docs/decisions.md."""
+        behind = [self.blur.behind_pixel(spectrum) for spectrum in drawing.spectra]
+        product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
+        changes = [
+            [self._sample(np.multiply(b, response, out=product), u) for b, u in zip(behind, used, strict=True)]
+            for response in self.blur.responses(psfs)
+        ]
+        return [np.array([of_all[k] for of_all in changes]).reshape(-1, int(u.sum())) for k, u in enumerate(used)]
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
         if len(drawing.poses) != len(used):
@@ -161,11 +170,17 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _sample(self, spectrum: Complexes, used: Bools, offset: float = 0.0) -> Floats:
-        return self.blur.torus.sample(spectrum)[used] + offset
+    def _sample(self, spectrum: Complexes | Complexes64, used: Bools, offset: float = 0.0) -> Floats:
+        return self.blur.torus.sample(spectrum)[used].astype(np.float64) + offset
+
+    def _kernels(self, transfer: Complexes) -> tuple[Complexes64, Complexes64, Complexes64]:
+        """Transforms of the blur h and of t h, t the place in it along rows and along columns, in pixels."""
+        single, pitch = transfer.astype(np.complex64), self.blur.torus.pitch_um
+        by_row, by_column = self.blur.spread(single)
+        return single, by_row / np.float32(pitch), by_column / np.float32(pitch)
 
     def _by_pose(
-        self, spectrum: Complexes, transfer: Complexes, spread: tuple[Complexes, Complexes], pose: Pose, used: Bools
+        self, spectrum: Complexes, kernels: tuple[Complexes64, Complexes64, Complexes64], pose: Pose, used: Bools
     ) -> Floats:
         """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
@@ -173,15 +188,20 @@ class ForwardModel:
         -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
         square of blur over distance.
         """
-        torus = self.blur.torus
+        torus, lit = self.blur.torus, spectrum.astype(np.complex64)
         rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
         motions = pose.jacobian(rows, columns)
         one_down = pose.jacobian(rows + 0.5, columns), pose.jacobian(rows - 0.5, columns)
         one_right = pose.jacobian(rows, columns + 0.5), pose.jacobian(rows, columns - 0.5)
-        result = np.zeros((POSE_SIZE, rows.size))
-        for axis, frequency in enumerate((torus.row_frequency, torus.column_frequency)):
-            gradient = spectrum * (2j * np.pi * torus.pitch_um * frequency)
-            result -= motions[axis] * self._sample(gradient * transfer, used)
-            for (high, low), kernel in zip((one_down, one_right), spread, strict=True):
-                result += (high[axis] - low[axis]) * self._sample(gradient * kernel, used) / torus.pitch_um
+        stretches = [[high - low for high, low in zip(*one, strict=True)] for one in (one_down, one_right)]
+        weights = [[-motion for motion in motions], *stretches]
+        result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(lit)
+        slopes = [
+            (2j * np.pi * torus.pitch_um * f).astype(np.complex64)
+            for f in (torus.row_frequency, torus.column_frequency)
+        ]
+        for kernel, weight in zip(kernels, weights, strict=True):
+            blurred = lit * kernel
+            for slope, by_v in zip(slopes, weight, strict=True):
+                result += by_v * self._sample(np.multiply(blurred, slope, out=product), used)
         return result

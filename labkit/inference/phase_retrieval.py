@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 from scipy.optimize import least_squares
 
@@ -18,7 +17,7 @@ from labkit.inference.fisher_scoring import NoisePrior, State
 from labkit.inference.likelihood import FrameData, predict
 from labkit.optics.psf import Pupil
 from labkit.target import Target
-from labkit.types import Floats
+from labkit.types import Floats, Floats32
 
 TILTS = (2, 3)
 WINDOW_AIRY = 32.0  # of the PSF, in lambda N: what reaches farther hardly depends on the wavefront
@@ -35,8 +34,6 @@ CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four ti
 # eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
 ENOUGH, MOST = 8, 100
 EVALUATIONS = 30  # of one start, at most
-
-Singles = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +114,7 @@ class PhaseRetrieval:
         waves = np.append(np.zeros(len(TILTS)), state.waves)
         (perfect,), (relative,) = model.means(0 * waves, drawing, used), model.means(waves, drawing, used)
         size = model.blur.pupil.size
-        components = _components(model.blur.pupil)[0].astype(np.float64).reshape(-1, size, size)
+        components = _components(model.blur.pupil)[0].reshape(-1, size, size)
         pictures = model.departures(components, drawing, frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
@@ -186,7 +183,7 @@ class PhaseRetrieval:
 
 
 @lru_cache(maxsize=8)
-def _components(pupil: Pupil) -> tuple[Singles, Floats]:
+def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
     """(components, size^2) orthonormal, of the departures of random wavefronts' PSFs from the perfect one; and that one."""
     rng, perfect = np.random.default_rng(0), pupil.psf(np.zeros(len(pupil.noll)))
     scale = pupil.wavelength_um / pupil.reference_um
