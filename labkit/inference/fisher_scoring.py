@@ -11,7 +11,7 @@ from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.identifiability import inverse
-from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
+from labkit.inference.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
 from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
@@ -120,6 +120,11 @@ class Problem:
         total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
         return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
 
+    def chi2_per_pixel(self, state: State, relative: Sequence[Floats]) -> float:
+        """Of residuals over the variance that the state gives them."""
+        total = [chi2(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)]
+        return sum(total) / sum(u.size for u in relative)
+
     def scores(
         self, state: State, drawing: Drawing | None = None, *, by_waves: bool
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
@@ -147,7 +152,10 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a maximisation ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
+    """Where a maximisation ended.
+
+    information: Fisher, over all parameters, of where the last step began; steps: evaluations of the Jacobian.
+    """
 
     state: State
     objective: float
@@ -166,27 +174,33 @@ def maximize(
 ) -> Solution:
     """The maximum of the likelihood near a start.
 
-    tolerance: stop when the next step is shorter than this many standard errors, all parameters together.
+    tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
+    at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
-    state = start
-    gradient, information, scores, evaluations = problem.scores(state, by_waves=free_waves)
-    best = problem.objective(state, [e.mean for e in evaluations])
-    damping, steps, converged = 1e-3, 1, False
+    state, drawing = start, problem.draw(start)
+    gradient, information, _, evaluations = problem.scores(state, drawing, by_waves=free_waves)
+    relative = [e.mean for e in evaluations]
+    best = problem.objective(state, relative)
+    damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
+        length = _length(step, information)
         trial = state.moved(step)
         drawing = problem.draw(trial) if _sane(trial, start) else None
-        value = -np.inf if drawing is None else problem.objective(trial, problem.relative(trial, drawing))
+        there = problem.relative(trial, drawing) if drawing else []
+        value = problem.objective(trial, there) if drawing else -np.inf
         if not value > best:
-            converged = _length(step, information) < tolerance
+            converged = length < tolerance
             damping = max(damping, 1e-4) * 8
+            before = 0.0
             continue
-        converged = _length(step, information) < tolerance and damping <= 1e-2
-        state, best, damping = trial, value, damping / 8
-        gradient, information, scores, _ = problem.scores(state, drawing, by_waves=free_waves)
-        steps += 1
-    chi2 = sum(s.chi2 for s in scores) / sum(s.pixels for s in scores)
-    return Solution(state, best, information, chi2, steps, converged)
+        left = length * min(1.0, length / before) if before else length
+        converged = left < tolerance and damping <= 1e-2
+        state, best, relative, damping, before = trial, value, there, damping / 8, length
+        if not converged:
+            gradient, information, *_ = problem.scores(state, drawing, by_waves=free_waves)
+            steps += 1
+    return Solution(state, best, information, problem.chi2_per_pixel(state, relative), steps, converged)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
