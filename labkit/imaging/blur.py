@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labkit.imaging.grid import Torus
-from labkit.optics.psf import Pupil, diffraction_mtf
+from labkit.imaging.halo import perfect_transfer
+from labkit.optics.psf import Pupil
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
 
@@ -39,13 +40,11 @@ class Blur:
                 f"the torus's spacing, {torus.spacing_um:g} um, is no multiple of the PSF's, {pupil.spacing_um:g} um"
             )
         pixel = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
-        to_cutoff = pupil.wavelength_um * pupil.f_number
-        perfect = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * to_cutoff) * pixel
         for name, value in (
             ("pixel", pixel),
             ("_finer", round(ratio)),
             ("_centred_pixel", pixel * torus.shift(pupil.size // 2 * pupil.spacing_um)),
-            ("_perfect", perfect),
+            ("_perfect", perfect_transfer(torus, pupil.wavelength_um * pupil.f_number, self.active_um)),
             ("_perfect_psf", pupil.psf(np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)

@@ -49,10 +49,14 @@ class Torus:
         object.__setattr__(self, "column_frequency", np.asarray(columns[None, :]))
 
     @classmethod
-    def around(cls, frame: tuple[int, int], guard_px: int, pitch_um: float, band_limit_per_um: float) -> "Torus":
-        """A torus with at least guard_px pixels of guard band beside the frame, its sides good for the FFT."""
+    def around(
+        cls, frame: tuple[int, int], guard_px: tuple[int, int], pitch_um: float, band_limit_per_um: float
+    ) -> "Torus":
+        """A torus with at least guard_px pixels of guard band below and beside the frame, its sides good for the FFT."""
         oversampling = math.ceil(2 * pitch_um * band_limit_per_um * (1 + 1e-9))
-        rows, columns = (scipy.fft.next_fast_len(side + guard_px, real=True) for side in frame)
+        rows, columns = (
+            scipy.fft.next_fast_len(side + guard, real=True) for side, guard in zip(frame, guard_px, strict=True)
+        )
         margin = ((rows - frame[0]) // 2, (columns - frame[1]) // 2)
         return cls((rows, columns), margin, frame, oversampling, pitch_um, band_limit_per_um)
 

@@ -10,6 +10,7 @@ import scipy.fft
 from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
+from labkit.imaging.halo import guards, wrapped_light
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.psf import Pupil
@@ -62,10 +63,14 @@ class Optics:
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70)."""
+    """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
+
+    wrapped: (rows, columns) of the frame, light that comes around the torus and is taken off.
+    """
 
     scene: Scene
     blur: Blur
+    wrapped: Floats
 
     @classmethod
     def build(
@@ -86,15 +91,16 @@ class ForwardModel:
         the wavefront.
         """
         window_um = window_airy * optics.airy_um
-        guard_px = math.ceil(window_um / optics.pitch_um)
         cutoff = 1 / optics.airy_um
+        guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
         spacing_um = torus.spacing_um / finer
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
         size = min(size, min(torus.fine) * finer)
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
-        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um))
+        wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
+        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um), wrapped)
 
     @property
     def optics(self) -> Optics:
@@ -117,10 +123,7 @@ class ForwardModel:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
         self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
-        return [
-            self._sample(spectrum * transfer, u, self.scene.surround)
-            for spectrum, u in zip(drawing.spectra, used, strict=True)
-        ]
+        return [self._mean(spectrum, transfer, u) for spectrum, u in zip(drawing.spectra, used, strict=True)]
 
     def evaluate(
         self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, by_waves: bool = True
@@ -136,7 +139,7 @@ class ForwardModel:
         kernels = self._kernels(transfer)
         return [
             Evaluation(
-                self._sample(spectrum * transfer, u, self.scene.surround),
+                self._mean(spectrum, transfer, u),
                 by_mode,
                 self._by_pose(spectrum, kernels, pose, u),
             )
@@ -170,8 +173,11 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _sample(self, spectrum: Complexes | Complexes64, used: Bools, offset: float = 0.0) -> Floats:
-        return self.blur.torus.sample(spectrum)[used].astype(np.float64) + offset
+    def _mean(self, spectrum: Complexes, transfer: Complexes, used: Bools) -> Floats:
+        return self._sample(spectrum * transfer, used) - self.wrapped[used] + self.scene.surround
+
+    def _sample(self, spectrum: Complexes | Complexes64, used: Bools) -> Floats:
+        return self.blur.torus.sample(spectrum)[used].astype(np.float64)
 
     def _kernels(self, transfer: Complexes) -> tuple[Complexes64, Complexes64, Complexes64]:
         """Transforms of the blur h and of t h, t the place in it along rows and along columns, in pixels."""
