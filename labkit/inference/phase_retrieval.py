@@ -123,10 +123,11 @@ class PhaseRetrieval:
         if free:  # whatever their coefficients: the rows that they can meet are left out
             orders = frame.departures[:, frame.used]
             columns = np.concatenate([orders * (mean / (1 + detector.unevenness @ orders)), columns])
-        weight = 1 / np.sqrt(variance)
-        rotation, factor = scipy.linalg.qr((columns * weight).T, mode="economic", check_finite=False)
-        data = rotation.T @ (frame.counts[frame.used] * weight)
-        return cls(optics, model.blur.pupil, factor[free:, free:], data[free:], state)
+        # with the data as the last column, what the rotation makes of them comes without the rotation
+        with_data = np.concatenate([columns, frame.counts[frame.used][None]]) / np.sqrt(variance)
+        (rotated,) = scipy.linalg.qr(with_data.T, mode="r", overwrite_a=True, check_finite=False)
+        count = min(len(columns), variance.size)
+        return cls(optics, model.blur.pupil, rotated[free:count, free:-1], rotated[free:count, -1], state)
 
     def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
         """Starts made until there is a state to maximise the likelihood from, the best first, or until the search has ended.
@@ -160,8 +161,8 @@ class PhaseRetrieval:
             return np.asarray(self.factor @ np.concatenate([point[size] * departure, point[size:]]) - self.data)
 
         def slopes(point: Floats) -> Floats:
-            psf, by_mode = self.pupil.psf_jacobian(point[:size])
-            stack = np.concatenate([by_mode, (psf - perfect)[None]]).reshape(size + 1, -1).astype(np.float32)
+            departure = (self.pupil.psf(point[:size]) - perfect).astype(np.float32)
+            stack = np.array([*self.pupil.psf_slopes(point[:size]), departure]).reshape(size + 1, -1)
             by_light = components @ stack.T
             columns = np.zeros((len(components) + 2, size + 2))
             columns[:-2, : size + 1] = by_light * np.append(np.full(size, point[size]), 1.0)
