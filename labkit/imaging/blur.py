@@ -8,7 +8,7 @@ import numpy as np
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import perfect_transfer
 from labkit.optics.psf import Pupil
-from labkit.types import Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,12 @@ class Blur:
 
     def transfer(self, waves: Floats) -> Complexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        return self._perfect + self.departure(self.pupil.psf(waves) - self._perfect_psf)
-
-    def departure(self, psf: Floats) -> Complexes:
-        """Half plane of the transfer function's departure for one of the PSF, (size, size) on the pupil's window."""
-        departure = self.torus.half_spectrum_of_window(psf, self._finer)
+        departure = self.torus.half_spectrum_of_window(self.pupil.psf(waves) - self._perfect_psf, self._finer)
         departure *= self._centred_pixel
-        return departure
+        departure += self._perfect
+        return np.asarray(departure, complex)
 
-    def responses(self, psfs: Iterable[Floats32]) -> Iterator[Complexes64]:
+    def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
         """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
 
         psfs: (size, size) each, on the pupil's window, such as derivatives. One at a time, to spare memory.
@@ -69,10 +66,10 @@ class Blur:
 
     def behind_pixel(self, spectrum: Complexes) -> Complexes64:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
-        return (spectrum * self._centred_pixel).astype(np.complex64)
+        return np.multiply(spectrum, self._centred_pixel, dtype=np.complex64, casting="same_kind")
 
     def spread(self, transfer: Complexes64) -> tuple[Complexes64, Complexes64]:
-        """Transforms of t h(t), row and column component (um), of a transfer function's own kernel h.
+        """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.
 
         By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.
         """
@@ -83,6 +80,6 @@ class Blur:
         np.subtract(transfer[:, 2:], transfer[:, :-2], out=by_column[:, 1:-1])
         by_column[:, 0] = transfer[:, 1] - transfer[:, -1]
         by_column[:, -1] = transfer[:, 0] - transfer[:, -2]
-        for kernel, side in zip((by_row, by_column), self.torus.fine, strict=True):
-            kernel *= 1j * side * self.torus.spacing_um / (4 * np.pi)
+        for kernel, side in zip((by_row, by_column), self.torus.pixels, strict=True):
+            kernel *= 1j * side / (4 * np.pi)
         return by_row, by_column

@@ -2,12 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import overload
 
 import numpy as np
 import scipy.fft
 
-from labkit.types import Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats
 
 
 @dataclass(frozen=True)
@@ -75,11 +74,7 @@ class Torus:
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
-    @overload
-    def half_spectrum_of_window(self, window: Floats, finer: int = 1) -> Complexes: ...
-    @overload
-    def half_spectrum_of_window(self, window: Floats32, finer: int = 1) -> Complexes64: ...
-    def half_spectrum_of_window(self, window: Floats | Floats32, finer: int = 1) -> Complexes | Complexes64:
+    def half_spectrum_of_window(self, window: AnyFloats, finer: int = 1) -> AnyComplexes:
         """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
 
         window: (m, m), sampled `finer` times as finely as the torus; what it holds beyond the torus's band is left out.
@@ -100,18 +95,31 @@ class Torus:
         turn = 2j * np.pi * distance_um
         return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
 
-    def sample(self, spectrum: Complexes | Complexes64) -> Floats | Floats32:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum, in its precision.
+    def sample(self, spectrum: AnyComplexes) -> Floats:
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61). Half a plane is enough: the other half adds
-        the complex conjugate, so that twice the real part of the small transform is the image.
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61).
         """
-        (rows, columns), many = self.pixels, self.oversampling
-        folded = np.zeros(self.pixels, spectrum.dtype)
-        for first in range(0, spectrum.shape[0], rows):
-            block = spectrum[first : first + rows]
-            folded[: len(block)] += block.reshape(len(block), many, columns).sum(axis=1)
-        folded[0] -= 0.5 * spectrum[0].reshape(many, columns).sum(axis=0)  # frequency 0 has no partner
-        image = scipy.fft.ifft2(folded, overwrite_x=True).real
+        return self.unfolded(self.folded_rows(self.folded_columns(spectrum)))
+
+    def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
+        """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""
+        return np.asarray(spectrum.reshape(len(spectrum), self.oversampling, self.pixels[1]).sum(axis=1))
+
+    def folded_rows(self, spectrum: AnyComplexes) -> AnyComplexes:
+        """Half planes' rows folded by sampling: (half rows, any) -> (rows, any).
+
+        Half a plane is enough: the other half adds the complex conjugate, which `unfolded` sees to.
+        """
+        folded = np.zeros((self.pixels[0], spectrum.shape[1]), spectrum.dtype)
+        for first in range(0, len(spectrum), self.pixels[0]):
+            block = spectrum[first : first + self.pixels[0]]
+            folded[: len(block)] += block
+        folded[0] -= 0.5 * spectrum[0]  # frequency 0 has no partner
+        return folded
+
+    def unfolded(self, folded: AnyComplexes) -> Floats:
+        """The frame's pixels of a half plane that was folded both ways: twice the real part of its transform."""
+        image = scipy.fft.ifft2(folded).real
         seen = image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))]
-        return np.asarray(seen * (2.0 / many**2))
+        return seen * (2.0 / self.oversampling**2)

@@ -126,25 +126,29 @@ class ForwardModel:
         return [self._mean(spectrum, transfer, u) for spectrum, u in zip(drawing.spectra, used, strict=True)]
 
     def evaluate(
-        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, by_waves: bool = True
+        self,
+        waves: Floats,
+        drawing: Drawing,
+        used: Sequence[Bools],
+        *,
+        by_waves: bool = True,
+        means: Sequence[Floats] | None = None,
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
-        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.
+        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time. means: those of `means` at
+        the same place, if they are at hand.
         """
         self._checked(drawing, used)
-        transfer = self.blur.transfer(waves)
         slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
-        responses = self._responses(slopes, drawing, used)
-        kernels = self._kernels(transfer)
-        return [
-            Evaluation(
-                self._mean(spectrum, transfer, u),
-                by_mode,
-                self._by_pose(spectrum, kernels, pose, u),
-            )
-            for spectrum, pose, u, by_mode in zip(drawing.spectra, drawing.poses, used, responses, strict=True)
+        by_mode = self._responses(slopes, drawing, used)
+        single = self.blur.transfer(waves).astype(np.complex64)
+        kernels = (single, *self.blur.spread(single))
+        by_pose = [
+            self._by_pose(spectrum.astype(np.complex64), kernels, pose, u)
+            for spectrum, pose, u in zip(drawing.spectra, drawing.poses, used, strict=True)
         ]
+        return [Evaluation(*of) for of in zip(means or self.means(waves, drawing, used), by_mode, by_pose, strict=True)]
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
@@ -157,13 +161,15 @@ class ForwardModel:
     def _responses(self, psfs: Iterable[Floats32], drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
         """(n, pixels) of each frame: what n changes of the PSF change in its mean. In single precision, which is enough for
         slopes: see docs/decisions.md."""
-        behind = [self.blur.behind_pixel(spectrum) for spectrum in drawing.spectra]
+        torus, behind = self.blur.torus, [self.blur.behind_pixel(spectrum) for spectrum in drawing.spectra]
         product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
         changes = [
-            [self._sample(np.multiply(b, response, out=product), u) for b, u in zip(behind, used, strict=True)]
+            [torus.sample(np.multiply(b, response, out=product))[u] for b, u in zip(behind, used, strict=True)]
             for response in self.blur.responses(psfs)
         ]
-        return [np.array([of_all[k] for of_all in changes]).reshape(-1, int(u.sum())) for k, u in enumerate(used)]
+        return [
+            np.array([of_all[k] for of_all in changes], float).reshape(-1, int(u.sum())) for k, u in enumerate(used)
+        ]
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
         if len(drawing.poses) != len(used):
@@ -174,40 +180,29 @@ class ForwardModel:
             mask_array("used", mask, self.scene.torus.frame)
 
     def _mean(self, spectrum: Complexes, transfer: Complexes, used: Bools) -> Floats:
-        return self._sample(spectrum * transfer, used) - self.wrapped[used] + self.scene.surround
+        return self.blur.torus.sample(spectrum * transfer)[used] - self.wrapped[used] + self.scene.surround
 
-    def _sample(self, spectrum: Complexes | Complexes64, used: Bools) -> Floats:
-        return self.blur.torus.sample(spectrum)[used].astype(np.float64)
-
-    def _kernels(self, transfer: Complexes) -> tuple[Complexes64, Complexes64, Complexes64]:
-        """Transforms of the blur h and of t h, t the place in it along rows and along columns, in pixels."""
-        single, pitch = transfer.astype(np.complex64), self.blur.torus.pitch_um
-        by_row, by_column = self.blur.spread(single)
-        return single, by_row / np.float32(pitch), by_column / np.float32(pitch)
-
-    def _by_pose(
-        self, spectrum: Complexes, kernels: tuple[Complexes64, Complexes64, Complexes64], pose: Pose, used: Bools
-    ) -> Floats:
+    def _by_pose(self, spectrum: Complexes64, kernels: Sequence[Complexes64], pose: Pose, used: Bools) -> Floats:
         """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
-        w is linear over the width of the PSF, so with t the place in the PSF this is
+        kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
+        w is linear over the width of the PSF, so this is
         -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
         square of blur over distance.
         """
-        torus, lit = self.blur.torus, spectrum.astype(np.complex64)
+        torus = self.blur.torus
         rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
         motions = pose.jacobian(rows, columns)
         one_down = pose.jacobian(rows + 0.5, columns), pose.jacobian(rows - 0.5, columns)
         one_right = pose.jacobian(rows, columns + 0.5), pose.jacobian(rows, columns - 0.5)
         stretches = [[high - low for high, low in zip(*one, strict=True)] for one in (one_down, one_right)]
-        weights = [[-motion for motion in motions], *stretches]
-        result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(lit)
-        slopes = [
+        down, right = (
             (2j * np.pi * torus.pitch_um * f).astype(np.complex64)
             for f in (torus.row_frequency, torus.column_frequency)
-        ]
-        for kernel, weight in zip(kernels, weights, strict=True):
-            blurred = lit * kernel
-            for slope, by_v in zip(slopes, weight, strict=True):
-                result += by_v * self._sample(np.multiply(blurred, slope, out=product), used)
+        )
+        result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
+        for kernel, (by_row, by_column) in zip(kernels, ([-m for m in motions], *stretches), strict=True):
+            np.multiply(spectrum, kernel, out=product)
+            result += by_row * torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used]
+            result += by_column * torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used]
         return result

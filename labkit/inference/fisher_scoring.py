@@ -126,11 +126,19 @@ class Problem:
         return sum(total) / sum(u.size for u in relative)
 
     def scores(
-        self, state: State, drawing: Drawing | None = None, *, by_waves: bool
+        self,
+        state: State,
+        drawing: Drawing | None = None,
+        relative: Sequence[Floats] | None = None,
+        *,
+        by_waves: bool,
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
-        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's."""
-        used = [f.used for f in self.frames]
-        evaluations = self.model.evaluate(state.waves, drawing or self.draw(state), used, by_waves=by_waves)
+        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's.
+
+        drawing, relative: at the state, if they are at hand.
+        """
+        used, drawing = [f.used for f in self.frames], drawing or self.draw(state)
+        evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, means=relative)
         return *self.assembled(state, evaluations), evaluations
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
@@ -177,28 +185,26 @@ def maximize(
     tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
     at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
-    state, drawing = start, problem.draw(start)
-    gradient, information, _, evaluations = problem.scores(state, drawing, by_waves=free_waves)
+    state = start
+    gradient, information, _, evaluations = problem.scores(state, by_waves=free_waves)
     relative = [e.mean for e in evaluations]
     best = problem.objective(state, relative)
     damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
-        length = _length(step, information)
-        trial = state.moved(step)
+        length, trial = _length(step, information), state.moved(step)
         drawing = problem.draw(trial) if _sane(trial, start) else None
         there = problem.relative(trial, drawing) if drawing else []
         value = problem.objective(trial, there) if drawing else -np.inf
         if not value > best:
             converged = length < tolerance
-            damping = max(damping, 1e-4) * 8
-            before = 0.0
+            damping, before = max(damping, 1e-4) * 8, 0.0
             continue
         left = length * min(1.0, length / before) if before else length
         converged = left < tolerance and damping <= 1e-2
-        state, best, relative, damping, before = trial, value, there, damping / 8, length
+        state, relative, best, damping, before = trial, there, value, damping / 8, length
         if not converged:
-            gradient, information, *_ = problem.scores(state, drawing, by_waves=free_waves)
+            gradient, information, *_ = problem.scores(state, drawing, relative, by_waves=free_waves)
             steps += 1
     return Solution(state, best, information, problem.chi2_per_pixel(state, relative), steps, converged)
 

@@ -127,7 +127,8 @@ class PhaseRetrieval:
         with_data = np.concatenate([columns, frame.counts[frame.used][None]]) / np.sqrt(variance)
         (rotated,) = scipy.linalg.qr(with_data.T, mode="r", overwrite_a=True, check_finite=False)
         count = min(len(columns), variance.size)
-        return cls(optics, model.blur.pupil, rotated[free:count, free:-1], rotated[free:count, -1], state)
+        factor, data = np.hsplit(rotated[free:count, free:].astype(float), [-1])
+        return cls(optics, model.blur.pupil, factor, data[:, 0], state)
 
     def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
         """Starts made until there is a state to maximise the likelihood from, the best first, or until the search has ended.
