@@ -49,12 +49,13 @@ class Blur:
         ):
             object.__setattr__(self, name, value)
 
-    def transfer(self, waves: Floats) -> Complexes:
+    def transfer(self, waves: Floats, precision: type[np.floating] = np.float64) -> AnyComplexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        departure = self.torus.half_spectrum_of_window(self.pupil.psf(waves) - self._perfect_psf, self._finer)
-        departure *= self._centred_pixel
-        departure += self._perfect
-        return np.asarray(departure, complex)
+        departure = (self.pupil.psf(waves) - self._perfect_psf).astype(precision)
+        transfer = self.torus.half_spectrum_of_window(departure, self._finer)
+        np.multiply(transfer, self._centred_pixel, out=transfer, casting="same_kind")
+        transfer += self._perfect
+        return transfer
 
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
         """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
@@ -68,7 +69,7 @@ class Blur:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
         return np.multiply(spectrum, self._centred_pixel, dtype=np.complex64, casting="same_kind")
 
-    def spread(self, transfer: Complexes64) -> tuple[Complexes64, Complexes64]:
+    def spread(self, transfer: AnyComplexes) -> tuple[AnyComplexes, AnyComplexes]:
         """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.
 
         By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.

@@ -48,9 +48,12 @@ def wrapped_light(torus: Torus, target: Target, reference: Pose, airy_um: float,
         pixels=(2 * torus.pixels[0], 2 * torus.pixels[1]),
         margin=(torus.margin[0] + torus.pixels[0] // 2, torus.margin[1] + torus.pixels[1] // 2),
     )
-    pictures = []
+    scene, pictures = Scene(twice, target, rough.band_limit_per_um, reference), []
+    image = scene.image(reference)
     for each in (rough, twice):
-        (spectrum,) = Scene(each, target, rough.band_limit_per_um, reference).draw([reference]).spectra
+        low = [wide - own for wide, own in zip(twice.margin, each.margin, strict=True)]
+        shown = image[low[0] : low[0] + each.pixels[0], low[1] : low[1] + each.pixels[1]]
         smooth = np.exp(-(np.hypot(each.row_frequency, each.column_frequency) ** 2) * (torus.pitch_um / SMOOTH) ** 2)
-        pictures.append(each.sample(spectrum * perfect_transfer(each, airy_um, active_um) * smooth))
+        transfer = perfect_transfer(each, airy_um, active_um) * smooth
+        pictures.append(each.sample(each.half_spectrum(shown) * transfer))
     return np.asarray(pictures[0] - pictures[1])

@@ -15,7 +15,7 @@ from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.psf import Pupil
 from labkit.target import Target
-from labkit.types import Bools, Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
@@ -142,7 +142,7 @@ class ForwardModel:
         self._checked(drawing, used)
         slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
         by_mode = self._responses(slopes, drawing, used)
-        single = self.blur.transfer(waves).astype(np.complex64)
+        single = self.blur.transfer(waves, np.float32)
         kernels = (single, *self.blur.spread(single))
         by_pose = [
             self._by_pose(spectrum.astype(np.complex64), kernels, pose, u)
@@ -179,10 +179,10 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _mean(self, spectrum: Complexes, transfer: Complexes, used: Bools) -> Floats:
+    def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
         return self.blur.torus.sample(spectrum * transfer)[used] - self.wrapped[used] + self.scene.surround
 
-    def _by_pose(self, spectrum: Complexes64, kernels: Sequence[Complexes64], pose: Pose, used: Bools) -> Floats:
+    def _by_pose(self, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:
         """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
         kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.

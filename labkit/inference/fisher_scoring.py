@@ -16,6 +16,7 @@ from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
+ON_SLOPES = 1.0  # standard errors: a last step shorter than that is not drawn, its picture lies on the slopes
 STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
 
 
@@ -120,6 +121,13 @@ class Problem:
         total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
         return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
 
+    def foreseen(self, state: State, step: Floats, evaluations: Sequence[Evaluation]) -> list[Floats]:
+        """Relative images (pixels,) of the frames after a short step, by their slopes where it begins."""
+        modes = state.waves.size
+        poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[:, :POSE_SIZE]
+        moved = [e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)]
+        return [mean + step[: len(e.by_waves)] @ e.by_waves for mean, e in zip(moved, evaluations, strict=True)]
+
     def chi2_per_pixel(self, state: State, relative: Sequence[Floats]) -> float:
         """Of residuals over the variance that the state gives them."""
         total = [chi2(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)]
@@ -162,12 +170,14 @@ class Problem:
 class Solution:
     """Where a maximisation ended.
 
-    information: Fisher, over all parameters, of where the last step began; steps: evaluations of the Jacobian.
+    information: Fisher, over all parameters, of where the last step began; relative: images (pixels,) of the used pixels of
+    each frame; steps: evaluations of the Jacobian.
     """
 
     state: State
     objective: float
     information: Floats
+    relative: list[Floats]
     chi2_per_pixel: float
     steps: int
     converged: bool
@@ -193,20 +203,25 @@ def maximize(
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
         length, trial = _length(step, information), state.moved(step)
-        drawing = problem.draw(trial) if _sane(trial, start) else None
-        there = problem.relative(trial, drawing) if drawing else []
-        value = problem.objective(trial, there) if drawing else -np.inf
+        left = length * min(1.0, length / before) if before else length
+        last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
+        drawing, there = None, list[Floats]()
+        if last:
+            there = problem.foreseen(state, step, evaluations)
+        elif _sane(trial, start):
+            drawing = problem.draw(trial)
+            there = problem.relative(trial, drawing)
+        value = problem.objective(trial, there) if there else -np.inf
         if not value > best:
             converged = length < tolerance
             damping, before = max(damping, 1e-4) * 8, 0.0
             continue
-        left = length * min(1.0, length / before) if before else length
-        converged = left < tolerance and damping <= 1e-2
+        converged = last
         state, relative, best, damping, before = trial, there, value, damping / 8, length
         if not converged:
-            gradient, information, *_ = problem.scores(state, drawing, relative, by_waves=free_waves)
+            gradient, information, _, evaluations = problem.scores(state, drawing, relative, by_waves=free_waves)
             steps += 1
-    return Solution(state, best, information, problem.chi2_per_pixel(state, relative), steps, converged)
+    return Solution(state, best, information, relative, problem.chi2_per_pixel(state, relative), steps, converged)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
