@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Complexes = NDArray[np.complex128]
+Complexes64 = NDArray[np.complex64]
+AnyFloats = NDArray[np.floating]
+AnyComplexes = NDArray[np.complexfloating]
+"""In whatever precision they are."""
+
 Integers = NDArray[np.signedinteger]
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.uint16]

@@ -1,13 +1,14 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from labkit.imaging.grid import Torus
-from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.types import Complexes, Floats
+from labkit.imaging.halo import perfect_transfer
+from labkit.optics.psf import Pupil
+from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 
 
 @dataclass(frozen=True)
@@ -39,40 +40,47 @@ class Blur:
                 f"the torus's spacing, {torus.spacing_um:g} um, is no multiple of the PSF's, {pupil.spacing_um:g} um"
             )
         pixel = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
-        to_cutoff = pupil.wavelength_um * pupil.f_number
-        perfect = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * to_cutoff) * pixel
         for name, value in (
             ("pixel", pixel),
             ("_finer", round(ratio)),
             ("_centred_pixel", pixel * torus.shift(pupil.size // 2 * pupil.spacing_um)),
-            ("_perfect", perfect),
+            ("_perfect", perfect_transfer(torus, pupil.wavelength_um * pupil.f_number, self.active_um)),
             ("_perfect_psf", pupil.psf(np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)
 
-    def transfer(self, waves: Floats) -> Complexes:
+    def transfer(self, waves: Floats, precision: type[np.floating] = np.float64) -> AnyComplexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        return self._perfect + self.departure(self.pupil.psf(waves) - self._perfect_psf)
+        departure = (self.pupil.psf(waves) - self._perfect_psf).astype(precision)
+        transfer = self.torus.half_spectrum_of_window(departure, self._finer)
+        np.multiply(transfer, self._centred_pixel, out=transfer, casting="same_kind")
+        transfer += self._perfect
+        return transfer
 
-    def departure(self, psf: Floats) -> Complexes:
-        """Half plane of the transfer function's departure for one of the PSF, (size, size) on the pupil's window."""
-        departure = self.torus.half_spectrum_of_window(psf, self._finer)
-        departure *= self._centred_pixel
-        return departure
+    def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
+        """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
 
-    def transfer_jacobian(self, waves: Floats, only: slice = slice(None)) -> Iterator[Complexes]:
-        """Half planes of the transfer function's derivatives by each mode, or only some, one at a time to spare memory."""
-        for slope in self.pupil.psf_jacobian(waves, only)[1]:
-            yield self.departure(slope)
+        psfs: (size, size) each, on the pupil's window, such as derivatives. One at a time, to spare memory.
+        """
+        for psf in psfs:
+            yield self.torus.half_spectrum_of_window(psf, self._finer)
 
-    def spread(self, transfer: Complexes) -> tuple[Complexes, Complexes]:
-        """Transforms of t h(t), row and column component (um), of a transfer function's own kernel h.
+    def behind_pixel(self, spectrum: Complexes) -> Complexes64:
+        """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
+        return np.multiply(spectrum, self._centred_pixel, dtype=np.complex64, casting="same_kind")
+
+    def spread(self, transfer: AnyComplexes) -> tuple[AnyComplexes, AnyComplexes]:
+        """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.
 
         By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.
         """
-        (rows, columns), spacing = self.torus.fine, self.torus.spacing_um
-        before = np.conj(np.roll(transfer[1:2, ::-1], 1, axis=1))  # the row at frequency -1
-        tall = np.concatenate([before, transfer, np.zeros_like(before)])
-        by_row = (tall[2:] - tall[:-2]) * (1j * rows * spacing / (4 * np.pi))
-        by_column = (np.roll(transfer, -1, 1) - np.roll(transfer, 1, 1)) * (1j * columns * spacing / (4 * np.pi))
+        by_row, by_column = np.empty_like(transfer), np.empty_like(transfer)
+        np.subtract(transfer[2:], transfer[:-2], out=by_row[1:-1])
+        by_row[0] = transfer[1] - np.conj(np.roll(transfer[1, ::-1], 1))  # the row at frequency -1
+        by_row[-1] = -transfer[-2]
+        np.subtract(transfer[:, 2:], transfer[:, :-2], out=by_column[:, 1:-1])
+        by_column[:, 0] = transfer[:, 1] - transfer[:, -1]
+        by_column[:, -1] = transfer[:, 0] - transfer[:, -2]
+        for kernel, side in zip((by_row, by_column), self.torus.pixels, strict=True):
+            kernel *= 1j * side / (4 * np.pi)
         return by_row, by_column

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.fft
 
-from labkit.types import Complexes, Floats
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,14 @@ class Torus:
         object.__setattr__(self, "column_frequency", np.asarray(columns[None, :]))
 
     @classmethod
-    def around(cls, frame: tuple[int, int], guard_px: int, pitch_um: float, band_limit_per_um: float) -> "Torus":
-        """A torus with at least guard_px pixels of guard band beside the frame, its sides good for the FFT."""
+    def around(
+        cls, frame: tuple[int, int], guard_px: tuple[int, int], pitch_um: float, band_limit_per_um: float
+    ) -> "Torus":
+        """A torus with at least guard_px pixels of guard band below and beside the frame, its sides good for the FFT."""
         oversampling = math.ceil(2 * pitch_um * band_limit_per_um * (1 + 1e-9))
-        rows, columns = (scipy.fft.next_fast_len(side + guard_px, real=True) for side in frame)
+        rows, columns = (
+            scipy.fft.next_fast_len(side + guard, real=True) for side, guard in zip(frame, guard_px, strict=True)
+        )
         margin = ((rows - frame[0]) // 2, (columns - frame[1]) // 2)
         return cls((rows, columns), margin, frame, oversampling, pitch_um, band_limit_per_um)
 
@@ -70,8 +74,8 @@ class Torus:
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
-    def half_spectrum_of_window(self, window: Floats, finer: int = 1) -> Complexes:
-        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's.
+    def half_spectrum_of_window(self, window: AnyFloats, finer: int = 1) -> AnyComplexes:
+        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
 
         window: (m, m), sampled `finer` times as finely as the torus; what it holds beyond the torus's band is left out.
         Raises ValueError where the window is larger than the torus.
@@ -91,17 +95,31 @@ class Torus:
         turn = 2j * np.pi * distance_um
         return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
 
-    def sample(self, spectrum: Complexes) -> Floats:
+    def sample(self, spectrum: AnyComplexes) -> Floats:
         """The frame's pixels, (rows, columns), of an image given by its half spectrum.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61). Half a plane is enough: the other half adds
-        the complex conjugate, so that twice the real part of the small transform is the image.
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61).
         """
-        (rows, columns), many = self.pixels, self.oversampling
-        folded = np.zeros(self.pixels, complex)
-        for first in range(0, spectrum.shape[0], rows):
-            block = spectrum[first : first + rows]
-            folded[: len(block)] += block.reshape(len(block), many, columns).sum(axis=1)
-        folded[0] -= 0.5 * spectrum[0].reshape(many, columns).sum(axis=0)  # frequency 0 has no partner
-        image = (2.0 / many**2) * scipy.fft.ifft2(folded).real
-        return np.asarray(image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))])
+        return self.unfolded(self.folded_rows(self.folded_columns(spectrum)))
+
+    def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
+        """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""
+        return np.asarray(spectrum.reshape(len(spectrum), self.oversampling, self.pixels[1]).sum(axis=1))
+
+    def folded_rows(self, spectrum: AnyComplexes) -> AnyComplexes:
+        """Half planes' rows folded by sampling: (half rows, any) -> (rows, any).
+
+        Half a plane is enough: the other half adds the complex conjugate, which `unfolded` sees to.
+        """
+        folded = np.zeros((self.pixels[0], spectrum.shape[1]), spectrum.dtype)
+        for first in range(0, len(spectrum), self.pixels[0]):
+            block = spectrum[first : first + self.pixels[0]]
+            folded[: len(block)] += block
+        folded[0] -= 0.5 * spectrum[0]  # frequency 0 has no partner
+        return folded
+
+    def unfolded(self, folded: AnyComplexes) -> Floats:
+        """The frame's pixels of a half plane that was folded both ways: twice the real part of its transform."""
+        image = scipy.fft.ifft2(folded).real
+        seen = image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))]
+        return seen * (2.0 / self.oversampling**2)

@@ -1,7 +1,7 @@
 """Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,12 @@ import scipy.fft
 from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
+from labkit.imaging.halo import guards, wrapped_light
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.psf import Pupil
 from labkit.target import Target
-from labkit.types import Bools, Complexes, Floats
+from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
@@ -62,10 +63,14 @@ class Optics:
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70)."""
+    """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
+
+    wrapped: (rows, columns) of the frame, light that comes around the torus and is taken off.
+    """
 
     scene: Scene
     blur: Blur
+    wrapped: Floats
 
     @classmethod
     def build(
@@ -86,15 +91,16 @@ class ForwardModel:
         the wavefront.
         """
         window_um = window_airy * optics.airy_um
-        guard_px = math.ceil(window_um / optics.pitch_um)
         cutoff = 1 / optics.airy_um
+        guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
         spacing_um = torus.spacing_um / finer
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
         size = min(size, min(torus.fine) * finer)
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
-        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um))
+        wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
+        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um), wrapped)
 
     @property
     def optics(self) -> Optics:
@@ -117,41 +123,53 @@ class ForwardModel:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
         self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
-        return [
-            self._sample(spectrum * transfer, u, self.scene.surround)
-            for spectrum, u in zip(drawing.spectra, used, strict=True)
-        ]
+        return [self._mean(spectrum, transfer, u) for spectrum, u in zip(drawing.spectra, used, strict=True)]
 
     def evaluate(
-        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, by_waves: bool = True
+        self,
+        waves: Floats,
+        drawing: Drawing,
+        used: Sequence[Bools],
+        *,
+        by_waves: bool = True,
+        means: Sequence[Floats] | None = None,
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
-        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time.
+        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time. means: those of `means` at
+        the same place, if they are at hand.
         """
         self._checked(drawing, used)
-        transfer = self.blur.transfer(waves)
-        spread = self.blur.spread(transfer)
-        product = np.empty_like(transfer)  # fresh memory for each costs as much as the multiplication
-        slopes = [np.empty((len(waves) if by_waves else 0, int(u.sum()))) for u in used]
-        for mode, slope in enumerate(self.blur.transfer_jacobian(waves) if by_waves else ()):
-            for spectrum, u, out in zip(drawing.spectra, used, slopes, strict=True):
-                out[mode] = self._sample(np.multiply(spectrum, slope, out=product), u)
-        results = []
-        for spectrum, pose, u, by_mode in zip(drawing.spectra, drawing.poses, used, slopes, strict=True):
-            mean = self._sample(spectrum * transfer, u, self.scene.surround)
-            results.append(Evaluation(mean, by_mode, self._by_pose(spectrum, transfer, spread, pose, u)))
-        return results
+        slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
+        by_mode = self._responses(slopes, drawing, used)
+        single = self.blur.transfer(waves, np.float32)
+        kernels = (single, *self.blur.spread(single))
+        by_pose = [
+            self._by_pose(spectrum.astype(np.complex64), kernels, pose, u)
+            for spectrum, pose, u in zip(drawing.spectra, drawing.poses, used, strict=True)
+        ]
+        return [Evaluation(*of) for of in zip(means or self.means(waves, drawing, used), by_mode, by_pose, strict=True)]
 
-    def departures(self, psfs: Floats, drawing: Drawing, used: Bools) -> Floats:
+    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
-        (spectrum,) = drawing.spectra
-        return np.array([self._sample(spectrum * self.blur.departure(psf), used) for psf in psfs])
+        return self._responses(psfs, drawing, [used])[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        (spectrum,) = drawing.spectra
-        return np.array([self._sample(spectrum * s, used) for s in self.blur.transfer_jacobian(waves, only)])
+        return self._responses(self.blur.pupil.psf_slopes(waves, only), drawing, [used])[0]
+
+    def _responses(self, psfs: Iterable[Floats32], drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
+        """(n, pixels) of each frame: what n changes of the PSF change in its mean. In single precision, which is enough for
+        slopes: see docs/decisions.md."""
+        torus, behind = self.blur.torus, [self.blur.behind_pixel(spectrum) for spectrum in drawing.spectra]
+        product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
+        changes = [
+            [torus.sample(np.multiply(b, response, out=product))[u] for b, u in zip(behind, used, strict=True)]
+            for response in self.blur.responses(psfs)
+        ]
+        return [
+            np.array([of_all[k] for of_all in changes], float).reshape(-1, int(u.sum())) for k, u in enumerate(used)
+        ]
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
         if len(drawing.poses) != len(used):
@@ -161,15 +179,14 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _sample(self, spectrum: Complexes, used: Bools, offset: float = 0.0) -> Floats:
-        return self.blur.torus.sample(spectrum)[used] + offset
+    def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
+        return self.blur.torus.sample(spectrum * transfer)[used] - self.wrapped[used] + self.scene.surround
 
-    def _by_pose(
-        self, spectrum: Complexes, transfer: Complexes, spread: tuple[Complexes, Complexes], pose: Pose, used: Bools
-    ) -> Floats:
+    def _by_pose(self, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:
         """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
-        w is linear over the width of the PSF, so with t the place in the PSF this is
+        kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
+        w is linear over the width of the PSF, so this is
         -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
         square of blur over distance.
         """
@@ -178,10 +195,14 @@ class ForwardModel:
         motions = pose.jacobian(rows, columns)
         one_down = pose.jacobian(rows + 0.5, columns), pose.jacobian(rows - 0.5, columns)
         one_right = pose.jacobian(rows, columns + 0.5), pose.jacobian(rows, columns - 0.5)
-        result = np.zeros((POSE_SIZE, rows.size))
-        for axis, frequency in enumerate((torus.row_frequency, torus.column_frequency)):
-            gradient = spectrum * (2j * np.pi * torus.pitch_um * frequency)
-            result -= motions[axis] * self._sample(gradient * transfer, used)
-            for (high, low), kernel in zip((one_down, one_right), spread, strict=True):
-                result += (high[axis] - low[axis]) * self._sample(gradient * kernel, used) / torus.pitch_um
+        stretches = [[high - low for high, low in zip(*one, strict=True)] for one in (one_down, one_right)]
+        down, right = (
+            (2j * np.pi * torus.pitch_um * f).astype(np.complex64)
+            for f in (torus.row_frequency, torus.column_frequency)
+        )
+        result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
+        for kernel, (by_row, by_column) in zip(kernels, ([-m for m in motions], *stretches), strict=True):
+            np.multiply(spectrum, kernel, out=product)
+            result += by_row * torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used]
+            result += by_column * torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used]
         return result

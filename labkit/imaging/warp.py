@@ -102,9 +102,8 @@ class Pose:
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
-        y, x = self.to_target(row, col)
-        w = 1 + self.v[6] * y + self.v[7] * x
-        zero, basis = np.zeros_like(y), np.stack([np.ones_like(y), y, x]) / w
+        y, x, one = (a * row + b * col + c for a, b, c in np.linalg.inv(self.matrix))  # (y, x, 1) / (1 + v6 y + v7 x)
+        zero, basis = np.zeros_like(y), np.stack([one, y, x])
         rows = np.concatenate([basis, [zero, zero, zero], -row * basis[1:]])
         cols = np.concatenate([[zero, zero, zero], basis, -col * basis[1:]])
         return rows, cols

@@ -11,11 +11,12 @@ from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.identifiability import inverse
-from labkit.inference.likelihood import Detector, FrameData, Score, log_likelihood, score
+from labkit.inference.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
 from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
+ON_SLOPES = 1.0  # standard errors: a last step shorter than that is not drawn, its picture lies on the slopes
 STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
 
 
@@ -120,12 +121,32 @@ class Problem:
         total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
         return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
 
+    def foreseen(self, state: State, step: Floats, evaluations: Sequence[Evaluation]) -> list[Floats]:
+        """Relative images (pixels,) of the frames after a short step, by their slopes where it begins."""
+        modes = state.waves.size
+        poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[:, :POSE_SIZE]
+        moved = [e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)]
+        return [mean + step[: len(e.by_waves)] @ e.by_waves for mean, e in zip(moved, evaluations, strict=True)]
+
+    def chi2_per_pixel(self, state: State, relative: Sequence[Floats]) -> float:
+        """Of residuals over the variance that the state gives them."""
+        total = [chi2(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)]
+        return sum(total) / sum(u.size for u in relative)
+
     def scores(
-        self, state: State, drawing: Drawing | None = None, *, by_waves: bool
+        self,
+        state: State,
+        drawing: Drawing | None = None,
+        relative: Sequence[Floats] | None = None,
+        *,
+        by_waves: bool,
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
-        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's."""
-        used = [f.used for f in self.frames]
-        evaluations = self.model.evaluate(state.waves, drawing or self.draw(state), used, by_waves=by_waves)
+        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's.
+
+        drawing, relative: at the state, if they are at hand.
+        """
+        used, drawing = [f.used for f in self.frames], drawing or self.draw(state)
+        evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, means=relative)
         return *self.assembled(state, evaluations), evaluations
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
@@ -147,11 +168,16 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a maximisation ended. information: Fisher, over all parameters; steps: evaluations of the Jacobian."""
+    """Where a maximisation ended.
+
+    information: Fisher, over all parameters, of where the last step began; relative: images (pixels,) of the used pixels of
+    each frame; steps: evaluations of the Jacobian.
+    """
 
     state: State
     objective: float
     information: Floats
+    relative: list[Floats]
     chi2_per_pixel: float
     steps: int
     converged: bool
@@ -166,27 +192,36 @@ def maximize(
 ) -> Solution:
     """The maximum of the likelihood near a start.
 
-    tolerance: stop when the next step is shorter than this many standard errors, all parameters together.
+    tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
+    at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
     state = start
-    gradient, information, scores, evaluations = problem.scores(state, by_waves=free_waves)
-    best = problem.objective(state, [e.mean for e in evaluations])
-    damping, steps, converged = 1e-3, 1, False
+    gradient, information, _, evaluations = problem.scores(state, by_waves=free_waves)
+    relative = [e.mean for e in evaluations]
+    best = problem.objective(state, relative)
+    damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
-        trial = state.moved(step)
-        drawing = problem.draw(trial) if _sane(trial, start) else None
-        value = -np.inf if drawing is None else problem.objective(trial, problem.relative(trial, drawing))
+        length, trial = _length(step, information), state.moved(step)
+        left = length * min(1.0, length / before) if before else length
+        last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
+        drawing, there = None, list[Floats]()
+        if last:
+            there = problem.foreseen(state, step, evaluations)
+        elif _sane(trial, start):
+            drawing = problem.draw(trial)
+            there = problem.relative(trial, drawing)
+        value = problem.objective(trial, there) if there else -np.inf
         if not value > best:
-            converged = _length(step, information) < tolerance
-            damping = max(damping, 1e-4) * 8
+            converged = length < tolerance
+            damping, before = max(damping, 1e-4) * 8, 0.0
             continue
-        converged = _length(step, information) < tolerance and damping <= 1e-2
-        state, best, damping = trial, value, damping / 8
-        gradient, information, scores, _ = problem.scores(state, drawing, by_waves=free_waves)
-        steps += 1
-    chi2 = sum(s.chi2 for s in scores) / sum(s.pixels for s in scores)
-    return Solution(state, best, information, chi2, steps, converged)
+        converged = last
+        state, relative, best, damping, before = trial, there, value, damping / 8, length
+        if not converged:
+            gradient, information, _, evaluations = problem.scores(state, drawing, relative, by_waves=free_waves)
+            steps += 1
+    return Solution(state, best, information, relative, problem.chi2_per_pixel(state, relative), steps, converged)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:

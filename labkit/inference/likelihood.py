@@ -104,6 +104,12 @@ def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> flo
     return float(-0.5 * np.sum((data.counts[data.used] - mean) ** 2 / variance + np.log(variance)))
 
 
+def chi2(relative: Floats, data: FrameData, detector: Detector) -> float:
+    """Sum of squared residuals over their variance."""
+    mean, variance = predict(relative, data, detector)
+    return float(np.sum((data.counts[data.used] - mean) ** 2 / variance))
+
+
 @dataclass(frozen=True, slots=True)
 class Slopes:
     """Of one frame's counts, by its parameters in the order of `Score`.

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 from scipy.optimize import least_squares
 
@@ -18,7 +17,7 @@ from labkit.inference.fisher_scoring import NoisePrior, State
 from labkit.inference.likelihood import FrameData, predict
 from labkit.optics.psf import Pupil
 from labkit.target import Target
-from labkit.types import Floats
+from labkit.types import Floats, Floats32
 
 TILTS = (2, 3)
 WINDOW_AIRY = 32.0  # of the PSF, in lambda N: what reaches farther hardly depends on the wavefront
@@ -35,8 +34,6 @@ CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four ti
 # eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
 ENOUGH, MOST = 8, 100
 EVALUATIONS = 30  # of one start, at most
-
-Singles = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +114,7 @@ class PhaseRetrieval:
         waves = np.append(np.zeros(len(TILTS)), state.waves)
         (perfect,), (relative,) = model.means(0 * waves, drawing, used), model.means(waves, drawing, used)
         size = model.blur.pupil.size
-        components = _components(model.blur.pupil)[0].astype(np.float64).reshape(-1, size, size)
+        components = _components(model.blur.pupil)[0].reshape(-1, size, size)
         pictures = model.departures(components, drawing, frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
@@ -126,10 +123,12 @@ class PhaseRetrieval:
         if free:  # whatever their coefficients: the rows that they can meet are left out
             orders = frame.departures[:, frame.used]
             columns = np.concatenate([orders * (mean / (1 + detector.unevenness @ orders)), columns])
-        weight = 1 / np.sqrt(variance)
-        rotation, factor = scipy.linalg.qr((columns * weight).T, mode="economic", check_finite=False)
-        data = rotation.T @ (frame.counts[frame.used] * weight)
-        return cls(optics, model.blur.pupil, factor[free:, free:], data[free:], state)
+        # with the data as the last column, what the rotation makes of them comes without the rotation
+        with_data = np.concatenate([columns, frame.counts[frame.used][None]]) / np.sqrt(variance)
+        (rotated,) = scipy.linalg.qr(with_data.T, mode="r", overwrite_a=True, check_finite=False)
+        count = min(len(columns), variance.size)
+        factor, data = np.hsplit(rotated[free:count, free:].astype(float), [-1])
+        return cls(optics, model.blur.pupil, factor, data[:, 0], state)
 
     def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
         """Starts made until there is a state to maximise the likelihood from, the best first, or until the search has ended.
@@ -163,8 +162,8 @@ class PhaseRetrieval:
             return np.asarray(self.factor @ np.concatenate([point[size] * departure, point[size:]]) - self.data)
 
         def slopes(point: Floats) -> Floats:
-            psf, by_mode = self.pupil.psf_jacobian(point[:size])
-            stack = np.concatenate([by_mode, (psf - perfect)[None]]).reshape(size + 1, -1).astype(np.float32)
+            departure = (self.pupil.psf(point[:size]) - perfect).astype(np.float32)
+            stack = np.array([*self.pupil.psf_slopes(point[:size]), departure]).reshape(size + 1, -1)
             by_light = components @ stack.T
             columns = np.zeros((len(components) + 2, size + 2))
             columns[:-2, : size + 1] = by_light * np.append(np.full(size, point[size]), 1.0)
@@ -186,7 +185,7 @@ class PhaseRetrieval:
 
 
 @lru_cache(maxsize=8)
-def _components(pupil: Pupil) -> tuple[Singles, Floats]:
+def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
     """(components, size^2) orthonormal, of the departures of random wavefronts' PSFs from the perfect one; and that one."""
     rng, perfect = np.random.default_rng(0), pupil.psf(np.zeros(len(pupil.noll)))
     scale = pupil.wavelength_um / pupil.reference_um

@@ -34,12 +34,15 @@ SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less, which is one standard
 
 @dataclass(frozen=True)
 class Outcome:
-    """A maximum of the whole likelihood with its cone freed, judged. relative: images (pixels,) of the used pixels of each
-    frame."""
+    """A maximum of the whole likelihood with its cone freed, judged."""
 
     freed: Freed
     verdict: Verdict
-    relative: list[Floats]
+
+    @property
+    def relative(self) -> list[Floats]:
+        """Images (pixels,) of the used pixels of each frame."""
+        return self.freed.solution.relative
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +197,8 @@ class Search:
         freed = free_cone(self.whole, maximize(self.whole, state), self.f_number_std)
         if record.best is not None and freed.solution.objective <= record.best.freed.solution.objective:
             return record
-        relative = freed.problem.relative(freed.solution.state)
-        return replace(record, best=Outcome(freed, judge(freed.problem, freed.solution.state, relative), relative))
+        verdict = judge(freed.problem, freed.solution.state, freed.solution.relative)
+        return replace(record, best=Outcome(freed, verdict))
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:

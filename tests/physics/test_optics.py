@@ -126,6 +126,14 @@ def test_psf_derivatives_are_finite_differences() -> None:
         assert np.abs(slopes[k] - difference).max() < 1e-6 * np.abs(slopes).max()
 
 
+def test_slopes_in_single_precision_are_the_jacobian() -> None:
+    pupil = Pupil(0.55, 0.45, 4.0, 1.0, 96, EVERY_MODE)
+    waves = np.random.default_rng(1).normal(0, 0.1, 12)
+    for slope, exact in zip(pupil.psf_slopes(waves), pupil.psf_jacobian(waves)[1], strict=True):
+        assert slope.dtype == np.float32
+        assert np.abs(slope - exact).max() < 1e-6 * np.abs(exact).max()
+
+
 def test_a_psf_leaves_a_remainder_of_third_order_after_its_first_two_derivatives() -> None:
     pupil, rng = Pupil(0.55, 0.45, 4.0, 1.0, 96, (2, *EVERY_MODE)), np.random.default_rng(2)
     waves, way = rng.normal(0, 0.1, 13), rng.normal(size=13)

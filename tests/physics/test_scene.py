@@ -44,7 +44,7 @@ def spectrum_of_cells(torus: Torus, target: CellTarget, centre: float, half: flo
 def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(
     reference: float, half: float, centre: float, pitch_um: float
 ) -> None:
-    torus = Torus.around(FRAME, 40, pitch_um, 1 / AIRY_UM)
+    torus = Torus.around(FRAME, (40, 40), pitch_um, 1 / AIRY_UM)
     target = carpet(5)
     (drawn,) = Scene(torus, target, 1 / AIRY_UM, upright(half * reference)).draw([upright(half, centre)]).spectra
     blur = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * AIRY_UM)
@@ -57,7 +57,7 @@ def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(
 
 
 def test_a_drawing_does_not_know_what_was_drawn_before() -> None:
-    torus, target = Torus.around(FRAME, 40, PITCH_UM, 1 / AIRY_UM), carpet(3)
+    torus, target = Torus.around(FRAME, (40, 40), PITCH_UM, 1 / AIRY_UM), carpet(3)
     here, elsewhere = upright(30.0), upright(32.1)
     scene, fresh = (Scene(torus, target, 1 / AIRY_UM, here) for _ in range(2))
     first, _, again = (scene.draw([pose]).spectra[0] for pose in (here, elsewhere, here))

@@ -70,6 +70,21 @@ def test_a_climb_ends_where_the_gradient_is_small_in_standard_errors(problem: Pr
     assert standard_errors(step, solution) < 0.05  # its tolerance
 
 
+def test_what_is_foreseen_of_its_end_is_what_is_seen_there(problem: Problem, solution: Solution) -> None:
+    (seen,) = problem.relative(solution.state)
+    # a step of a standard error at most, whose square it leaves out: measured are 3.3e-7
+    assert np.abs(seen - solution.relative[0]).max() < 6.6e-7
+    assert problem.objective(solution.state, [seen]) == pytest.approx(solution.objective, abs=1e-3)
+    again = problem.chi2_per_pixel(solution.state, [seen])
+    assert again == pytest.approx(solution.chi2_per_pixel, rel=1e-5)
+
+
+def test_the_information_is_that_of_the_end(problem: Problem, solution: Solution) -> None:
+    there = replace(solution, information=problem.scores(solution.state, by_waves=True)[1])
+    ratio = np.diag(there.covariance()) / np.diag(solution.covariance())
+    np.testing.assert_allclose(np.sqrt(ratio), 1, atol=1.7e-3)  # measured: 9e-4
+
+
 def test_a_likelihood_does_not_depend_on_what_was_evaluated_before(problem: Problem, model: ForwardModel) -> None:
     here = truth()
     pose = Pose.from_corners((CORNERS - 19) * 1.07 + 19, CARPET.size_mm)

@@ -1,0 +1,59 @@
+"""The halo on a torus: the guard band that a PSF's window needs, and what light from beyond it adds to a picture."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from labkit.imaging.grid import Torus
+from labkit.imaging.scene import Scene
+from labkit.imaging.warp import Pose
+from labkit.optics.psf import diffraction_mtf
+from labkit.target import Target
+from labkit.types import Floats
+
+STRAY = 0.05  # of the target's size, by which it may stand or end elsewhere than the reference
+SMOOTH = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
+ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
+
+
+def perfect_transfer(torus: Torus, airy_um: float, active_um: float) -> Floats:
+    """Half plane of the transfer function of a perfect lens and a square pixel. airy_um: lambda N."""
+    lens = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um)
+    return lens * np.sinc(torus.row_frequency * active_um) * np.sinc(torus.column_frequency * active_um)
+
+
+def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:
+    """Guard band along rows and columns, pixels, that keeps light within a reach from coming around the torus to the frame.
+
+    frame: (rows, columns). reference: about where the target stands; what stands around it is dark and may come around.
+    """
+    corners = reference.corners_px()
+    stray = STRAY * np.ptp(corners, axis=0)
+    low = np.maximum(corners.min(axis=0) - stray, -reach_px)
+    high = np.minimum(corners.max(axis=0) + stray, np.array(frame) + reach_px)
+    rows, columns = np.maximum(np.maximum(-low, high - frame) + reach_px, 0.0)
+    return math.ceil(rows), math.ceil(columns)
+
+
+def wrapped_light(torus: Torus, target: Target, reference: Pose, airy_um: float, active_um: float) -> Floats:
+    """(rows, columns) of the frame: what comes around a torus of a perfect lens's light, in units of the target's radiance.
+
+    It is smooth and hardly depends on pose and wavefront, so two rough pictures differ by it: one on the torus, one on a
+    torus twice as large.
+    """
+    rough = replace(torus, oversampling=1, band_limit_per_um=ROUGH_BAND / torus.pitch_um)
+    twice = replace(
+        rough,
+        pixels=(2 * torus.pixels[0], 2 * torus.pixels[1]),
+        margin=(torus.margin[0] + torus.pixels[0] // 2, torus.margin[1] + torus.pixels[1] // 2),
+    )
+    scene, pictures = Scene(twice, target, rough.band_limit_per_um, reference), []
+    image = scene.image(reference)
+    for each in (rough, twice):
+        low = [wide - own for wide, own in zip(twice.margin, each.margin, strict=True)]
+        shown = image[low[0] : low[0] + each.pixels[0], low[1] : low[1] + each.pixels[1]]
+        smooth = np.exp(-(np.hypot(each.row_frequency, each.column_frequency) ** 2) * (torus.pitch_um / SMOOTH) ** 2)
+        transfer = perfect_transfer(each, airy_um, active_um) * smooth
+        pictures.append(each.sample(each.half_spectrum(shown) * transfer))
+    return np.asarray(pictures[0] - pictures[1])
