@@ -19,7 +19,16 @@ from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.optics import defocus_waves, entrance_pupil_to_target_mm, image_per_tangent_mm
-from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TruePose, TrueRail, TrueSensor, Truth
+from labkit.drivers.simulated.world import (
+    REFERENCE_NM,
+    BenchSettings,
+    TrueLens,
+    TruePanel,
+    TruePose,
+    TrueRail,
+    TrueSensor,
+    Truth,
+)
 from labkit.plan import Plan
 from labkit.session.session import Session
 
@@ -166,7 +175,11 @@ def _plan(
         "sensor": {"pixel_pitch_um": sensor.pitch_um, **(levels if sensor.pattern == "mono" else {})},
         "channel": [{"name": colour, "wavelength_nm": nm} for colour, nm in stated_nm.items()],
         "target": {"kind": "sierpinski", "order": order, "size_mm": size_mm},
-        "fit": {"zernike_noll": [4, 15], "range_std_mm": ENCODER_STD_MM},
+        "fit": {
+            "zernike_noll": [4, 15],
+            "range_std_mm": ENCODER_STD_MM,
+            "reference_wavelength_nm": REFERENCE_NM,  # the truth counts in waves of it
+        },
         "camera": {
             "address": ADDRESS,
             "exposure_s": EXPOSURE_S,
