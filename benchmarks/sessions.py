@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -22,7 +23,6 @@ from scipy import stats
 import labkit
 from benchmarks.random_sessions import Drawn, draw, make
 from labkit.drivers.simulated.world import Truth
-from labkit.errors import LabkitError
 from labkit.execute import run_all
 
 Line = dict[str, Any]
@@ -60,6 +60,7 @@ def run(job: Job) -> Line:
     drawn = draw(job.seed, job.index)
     with TemporaryDirectory(prefix="labkit-sessions-") as base:
         folder = (job.keep or Path(base)) / f"{job.seed}-{job.index}"
+        shutil.rmtree(folder, ignore_errors=True)  # what a run that was killed had kept
         started = time.perf_counter()
         truth = make(drawn, folder)
         made = time.perf_counter()
@@ -68,8 +69,8 @@ def run(job: Job) -> Line:
             labkit.fit(folder, workers=1)
             results = json.loads((folder / "results/latest/results.json").read_text())
             line |= compared(results, truth)
-        except LabkitError as error:
-            line["failed"] = str(error)
+        except Exception as error:  # whatever it is, it is a finding of the study and not its end
+            line["failed"] = f"{type(error).__name__}: {error}"
     return line | {"making_s": round(made - started, 1), "fitting_s": round(time.perf_counter() - made, 1)}
 
 
