@@ -179,13 +179,18 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
 
 
 def compare(results: Results, truth: Any) -> Iterator[Compared]:
-    """Each estimate beside its truth: best focus, pupil magnification, defocus."""
+    """Each estimate beside its truth: best focus, pupil magnification, the lens, defocus."""
     focus = results.focus
     for channel, best in (focus.best_focus_mm if focus else {}).items():
         yield Compared(f"best focus {channel}", "mm", truth.best_focus_mm[channel], best.value, best.std)
     if focus:
         mp = focus.pupil_magnification
         yield Compared("pupil magnification", "", truth.pupil_magnification, mp.value, mp.std)
+    if lens := results.lens:
+        f, n, zero = lens.focal_length, lens.f_number, lens.range_zero
+        yield Compared("focal length", "mm", truth.focal_length_mm, f.value, f.std)
+        yield Compared("f-number at infinity", "", truth.f_number, n.value, n.std)
+        yield Compared("true ranges less stated", "mm", truth.range_zero_mm, zero.value, zero.std)
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results:
         if w.defocus and w.range_mm in visits:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from labkit.demo import Comparison, compare, compare_wavefronts, new_folder
+from labkit.results import Lens
+from labkit.uncertain import Uncertain
 from tests.results_samples import a_wavefront, some_results
 
 
@@ -18,6 +20,13 @@ def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> No
     assert (blue.truth, blue.estimate) == (2987.0, 2987.31)
     assert (magnification.truth, magnification.estimate) == (0.985, 0.981)
     assert (defocus.truth, defocus.estimate, defocus.std) == (-0.302, -0.3, 0.0011)
+
+
+def test_the_lens_stands_beside_the_true_one() -> None:
+    truth = SimpleNamespace(focal_length_mm=70.0, f_number=2.8, range_zero_mm=3.0, visits=[])
+    lens = Lens(*(Uncertain(value, 0.1) for value in (70.2, 2.79, 1.0, 2.5)))
+    compared = list(compare(some_results(focus=None, wavefronts=(), lens=lens), truth))
+    assert [(c.truth, c.estimate, c.std) for c in compared] == [(70.0, 70.2, 0.1), (2.8, 2.79, 0.1), (3.0, 2.5, 0.1)]
 
 
 def test_a_wavefronts_error_is_over_all_modes_and_its_worst_mode_is_named() -> None:

@@ -1,0 +1,197 @@
+"""Sessions of many kinds on the simulated bench, their lenses, tapes and targets off from what the plan states by its errors.
+
+A small sensor makes one in seconds: up to 160 pixels a side, and diffraction followed out to 350 um, beyond which it changes a
+pixel by 0.05 of its noise at most once light and ambient are fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from labkit.acquisition.capture import run_plan
+from labkit.devices.context import DeviceContext
+from labkit.devices.registry import open_devices
+from labkit.devices.shared import SharedParts
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.optics import defocus_waves, entrance_pupil_to_target_mm, image_per_tangent_mm
+from labkit.drivers.simulated.world import (
+    REFERENCE_NM,
+    BenchSettings,
+    TrueLens,
+    TruePanel,
+    TruePose,
+    TrueRail,
+    TrueSensor,
+    Truth,
+)
+from labkit.plan import Plan
+from labkit.session.session import Session
+
+FOCAL_STD, F_NUMBER_STD, SIZE_STD, WAVELENGTH_STD = 0.02, 0.03, 1e-4, 0.005
+"""Relative errors of engravings, target and filters: those that a plan has by default, as the tape's here."""
+
+TAPE_STD_MM, HOMING_STD_MM = 10.0, 0.02
+
+HALO_UM = 350.0
+PANEL_PIXELS = 320
+"""Of a side; a cell of the carpet is one of them, and a flat fills all that the camera sees, its halo included."""
+
+WAVELENGTHS_NM = {"R": (600, 650), "G": (525, 555), "B": (450, 475)}
+ENCODER_STD_MM = 0.005 / 12**0.5
+"""Of a range: the encoder counts in steps of 0.005 mm."""
+
+EXPOSURE_S, WHITE_COUNTS = 0.02, 10_350.0
+ADDRESS = "simulated:"
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A session to be made: what is known, what is true, and of which kind it is."""
+
+    plan: Plan
+    settings: BenchSettings
+    kind: dict[str, Any]
+
+
+def draw(seed: int, index: int) -> Drawn:
+    """The session of that number of a study, with a lens that blurs enough between ranges within a rail's reach."""
+    rng = np.random.default_rng([seed, index])
+    while True:
+        mono = bool(rng.random() < 0.3)
+        lens = _lens(["G"] if mono else ["R", "G", "B"], rng)
+        sides = str(rng.choice(["around", "around", "short", "beyond"]))
+        ranges_mm = _true_ranges_mm(lens, sides, rng)
+        if ranges_mm:
+            return _session(lens, ranges_mm, sides, rng)
+
+
+def make(drawn: Drawn, folder: Path) -> Truth:
+    """Capture it into a new folder; the truth of it."""
+    bench = Bench(drawn.settings)
+    context = DeviceContext(shared=SharedParts({ADDRESS: bench}))
+    with (
+        open_devices(drawn.plan, context=context) as devices,
+        Session.create(folder, drawn.plan.to_toml(), Path()) as session,
+    ):
+        run_plan(session, devices, check=False)
+    return bench.truth
+
+
+def _lens(colours: list[str], rng: np.random.Generator) -> TrueLens:
+    """Each colour's best focus lies up to a fifth of a wave from the first one's."""
+    best_mm = _even_in_log(rng, 400, 5000)
+    lens = TrueLens(
+        focal_length_mm=_even_in_log(rng, 30, min(135, best_mm / 5)),
+        f_number=_even_in_log(rng, 1.8, 8),
+        pupil_magnification=float(rng.uniform(0.6, 1.6)),
+        wavelength_nm={colour: float(rng.uniform(*WAVELENGTHS_NM[colour])) for colour in colours},
+        aberration_waves=float(rng.uniform(0.05, 0.3)),
+        lateral_colour={"R": float(rng.normal(0, 1e-4)), "B": float(rng.normal(0, 1e-4))} if rng.random() < 0.3 else {},
+    )
+    wave_mm = 1 / (_defocus(lens, best_mm + 0.5, best_mm) - _defocus(lens, best_mm - 0.5, best_mm))
+    apart = [0.0, *rng.uniform(-0.2, 0.2, len(colours) - 1)]
+    focus_mm = {colour: best_mm + waves * wave_mm for colour, waves in zip(colours, apart, strict=True)}
+    return replace(lens, best_focus_mm=focus_mm)
+
+
+def _even_in_log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _defocus(lens: TrueLens, range_mm: float, best_mm: float) -> float:
+    return defocus_waves(range_mm, best_mm, lens.focal_length_mm, lens.f_number, lens.pupil_magnification)
+
+
+def _true_ranges_mm(lens: TrueLens, sides: str, rng: np.random.Generator) -> list[float]:
+    """Two to six, around best focus or on one side of it, up to 1.5 waves away; none where a rail does not get so far."""
+    best_mm, reach = float(np.mean(list(lens.best_focus_mm.values()))), rng.uniform(0.5, 1.5)
+    low, high = {"around": (-reach, reach), "short": (-reach, -0.1), "beyond": (0.1, reach)}[sides]
+    stops = np.linspace(low, high, rng.integers(2, 7)) + rng.uniform(-0.05, 0.05)
+    near_mm, far_mm = best_mm / 1.3, best_mm * 1.3
+    if not _defocus(lens, near_mm, best_mm) < stops[0] < stops[-1] < _defocus(lens, far_mm, best_mm):
+        return []
+    return [brentq(lambda mm, waves=waves: _defocus(lens, mm, best_mm) - waves, near_mm, far_mm) for waves in stops]
+
+
+def _session(lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.Generator) -> Drawn:
+    """Plan and world; what the plan states is off by its standard errors."""
+    tape_mm = float(rng.normal(0, TAPE_STD_MM))
+    stated_mm = [round(mm - tape_mm, 1) for mm in ranges_mm]
+    rail = TrueRail(
+        high_mm=stated_mm[-1] - stated_mm[0] + 50,
+        range_at_zero_mm=stated_mm[0] - 20,
+        tape_error_mm=tape_mm,
+        homing_scatter_mm=HOMING_STD_MM,
+    )
+    electrons = _even_in_log(rng, 3000, 40_000)
+    sensor = TrueSensor(
+        rows=(rows := int(rng.integers(14, 21)) * 8),
+        cols=rows,
+        pitch_um=round(float(rng.uniform(3.5, 6.0)), 2),
+        pattern="mono" if len(lens.wavelength_nm) == 1 else "RGGB",
+        counts_per_electron=WHITE_COUNTS / electrons,
+        white_electrons_per_s=electrons / EXPOSURE_S,
+        hot_pixels=3,
+        dead_pixels=3,
+    )
+    order = int(rng.choice([3, 4]))
+    size_mm = round(0.76 * rows * sensor.pitch_um * 1e-3 / _scale(lens, ranges_mm[0]), 3)
+    pitch_mm = size_mm * (1 + rng.normal(0, SIZE_STD)) / 3**order
+    panel = TruePanel(pixels=(PANEL_PIXELS,) * 2, pitch_mm=pitch_mm)
+    settings = BenchSettings(int(rng.integers(2**31)), lens, sensor, panel, rail, TruePose(2.0, 3.0, 3.0), HALO_UM)
+    chosen = sorted(rng.permutation(list(lens.wavelength_nm))[: rng.integers(1, 4)], key="RGB".index)
+    plan = _plan(settings, chosen, stated_mm, order, size_mm, rng)
+    kind = {"ranges": sides, "electrons": electrons, "colours": len(chosen), "mono": sensor.pattern == "mono"}
+    return Drawn(plan, settings, kind)
+
+
+def _scale(lens: TrueLens, range_mm: float) -> float:
+    """Size of the picture over that of a target at a range."""
+    focal_mm, mp = lens.focal_length_mm, lens.pupil_magnification
+    tangent_mm = image_per_tangent_mm(float(np.mean(list(lens.best_focus_mm.values()))), focal_mm, mp)
+    return tangent_mm / entrance_pupil_to_target_mm(range_mm, focal_mm, mp)
+
+
+def _plan(
+    settings: BenchSettings,
+    colours: list[str],
+    stated_mm: list[float],
+    order: int,
+    size_mm: float,
+    rng: np.random.Generator,
+) -> Plan:
+    lens, sensor, rail = settings.lens, settings.sensor, settings.rail
+    engraved_mm = lens.focal_length_mm * (1 + rng.normal(0, FOCAL_STD))
+    engraved = lens.f_number * (1 + rng.normal(0, F_NUMBER_STD))
+    levels = {"black_level": sensor.black_level, "white_level": sensor.white_level, "cfa_pattern": "mono"}
+    stated_nm = {colour: lens.wavelength_nm[colour] * (1 + rng.normal(0, WAVELENGTH_STD)) for colour in colours}
+    tables = {
+        "lens": {"focal_length_mm": engraved_mm, "f_number": engraved},
+        "sensor": {"pixel_pitch_um": sensor.pitch_um, **(levels if sensor.pattern == "mono" else {})},
+        "channel": [{"name": colour, "wavelength_nm": nm} for colour, nm in stated_nm.items()],
+        "target": {"kind": "sierpinski", "order": order, "size_mm": size_mm},
+        "fit": {
+            "zernike_noll": [4, 15],
+            "range_std_mm": ENCODER_STD_MM,
+            "reference_wavelength_nm": REFERENCE_NM,  # the truth counts in waves of it
+        },
+        "camera": {
+            "address": ADDRESS,
+            "exposure_s": EXPOSURE_S,
+            "frames_per_range": 2,
+            "flats_per_range": 3,
+            "darks": 3,
+        },
+        "rail": {"address": ADDRESS, "ranges_mm": stated_mm, "range_at_zero_mm": rail.range_at_zero_mm, "settle_s": 0},
+        "display": {
+            "address": ADDRESS,
+            "pixel_pitch_mm": size_mm / 3**order,
+            "pixels": list(settings.panel.pixels),
+        },
+    }
+    return Plan.from_tables(tables)

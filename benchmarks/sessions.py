@@ -1,0 +1,193 @@
+"""Errors over stated errors of many sessions, each fitted as it came: `python -m benchmarks.sessions OUT.jsonl --sessions 200`.
+
+Lens, tape, target and home switch of each are off from what its plan states, by the errors that the plan has for them
+(benchmarks/random_sessions.py). Each session is a line in the file as soon as it is done; run again, the same command goes on,
+and with nothing left to do prints the table only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+import labkit
+from benchmarks.random_sessions import Drawn, draw, make
+from labkit.drivers.simulated.world import Truth
+from labkit.execute import run_all
+
+Line = dict[str, Any]
+
+COUNTS = ("fits", "wrong_accepted", "wrong_rejected", "right_rejected", "mended")
+
+WRONG_WAVES = 0.03
+"""RMS over the modes above defocus beyond which, and beyond six standard errors, an optimum is another one than the right."""
+
+FAR_Z = 4.0
+"""One error in 16,000 of a unit normal is beyond."""
+
+ROWS = {
+    "f-number": ("f_number",),
+    "focal length": ("focal_length",),
+    "pupil magnification": ("pupil_magnification",),
+    "range zero": ("range_zero",),
+    "best focus": ("best_focus",),
+    "defocus": ("noll.4",),
+    "other modes": tuple(f"noll.{j}" for j in range(5, 16)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A session of a study, to be made and fitted. keep: the folder for sessions that are not thrown away."""
+
+    seed: int
+    index: int
+    keep: Path | None
+
+
+def run(job: Job) -> Line:
+    """Make a session, fit it without its truth, and compare."""
+    drawn = draw(job.seed, job.index)
+    with TemporaryDirectory(prefix="labkit-sessions-") as base:
+        folder = (job.keep or Path(base)) / f"{job.seed}-{job.index}"
+        shutil.rmtree(folder, ignore_errors=True)  # what a run that was killed had kept
+        started = time.perf_counter()
+        truth = make(drawn, folder)
+        made = time.perf_counter()
+        line = _described(job, drawn) | {"failed": None}
+        try:
+            labkit.fit(folder, workers=1)
+            results = json.loads((folder / "results/latest/results.json").read_text())
+            line |= compared(results, truth)
+        except Exception as error:  # whatever it is, it is a finding of the study and not its end
+            line["failed"] = f"{type(error).__name__}: {error}"
+    return line | {"making_s": round(made - started, 1), "fitting_s": round(time.perf_counter() - made, 1)}
+
+
+def _described(job: Job, drawn: Drawn) -> Line:
+    lens, plan = drawn.settings.lens, drawn.plan
+    assert plan.rail is not None
+    return {
+        "seed": job.seed,
+        "index": job.index,
+        **drawn.kind,
+        "focal_length_mm": lens.focal_length_mm,
+        "f_number": lens.f_number,
+        "pupil_magnification": lens.pupil_magnification,
+        "best_focus_mm": dict(lens.best_focus_mm),
+        "aberration_waves": lens.aberration_waves,
+        "lateral_colour": bool(lens.lateral_colour),
+        "ranges_mm": list(plan.rail.ranges_mm),
+        "pixels": drawn.settings.sensor.rows,
+    }
+
+
+def compared(results: Line, truth: Truth) -> Line:
+    """Errors over standard errors of all that results.json tells, and how many fits ended in a wrong optimum.
+
+    Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch.
+    """
+    zero_mm = truth.visits[0].range_zero_mm
+    best_mm = {colour: mm + truth.range_zero_mm - zero_mm for colour, mm in truth.best_focus_mm.items()}
+    z: dict[str, list[float]] = {}
+    lens, focus = results.get("lens") or {}, results.get("focus") or {}
+    pupils = lens.get("pupil_magnification") or focus.get("pupil_magnification")
+    _add(z, "focal_length", lens.get("focal_length_mm"), truth.focal_length_mm)
+    _add(z, "f_number", lens.get("f_number"), truth.f_number)
+    _add(z, "pupil_magnification", pupils, truth.pupil_magnification)
+    _add(z, "range_zero", lens.get("range_zero_mm"), zero_mm)
+    for colour, best in focus.get("best_focus_mm", {}).items():
+        _add(z, "best_focus", best, best_mm[colour])
+    counts = dict.fromkeys(COUNTS, 0)
+    counts["mended"] = sum(warning.endswith("and mended") for warning in results["warnings"])
+    visits = {visit.range_mm: visit for visit in truth.visits}
+    for w in results["wavefronts"]:
+        true = {**truth.modes_waves[w["channel"]], 4: visits[w["range_mm"]].defocus_waves[w["channel"]]}
+        errors = np.array(w["waves_rms"]) - [true[j] for j in w["noll"]]
+        accepted, wrong = w["global_test"]["accepted"], _is_wrong(errors[1:], np.array(w["std"][1:]))
+        counts["fits"] += 1
+        if wrong or not accepted:
+            counts[f"{'wrong' if wrong else 'right'}_{'accepted' if accepted else 'rejected'}"] += 1
+        for j, value in zip(w["noll"], errors / w["std"], strict=True):
+            z.setdefault(f"noll.{j}", []).append(float(value))
+    return {"z": z, **counts}
+
+
+def _add(z: dict[str, list[float]], name: str, estimate: Line | None, true: float) -> None:
+    if estimate and estimate["std"] > 0:
+        z.setdefault(name, []).append((estimate["value"] - true) / estimate["std"])
+
+
+def _is_wrong(errors: np.ndarray[Any, Any], std: np.ndarray[Any, Any]) -> bool:
+    return bool(np.linalg.norm(errors) > max(WRONG_WAVES, 6 * float(np.linalg.norm(std))))
+
+
+def read(path: Path) -> list[Line]:
+    """The whole lines of a file, which is cut after the last of them: a run may have been killed as it wrote."""
+    if not path.exists():
+        return []
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    return [json.loads(line) for line in whole.splitlines()]
+
+
+def table(lines: Iterable[Line]) -> Iterator[str]:
+    """What is printed of a study.
+
+    Errors of one session go together: modes are the same at all its ranges, and all defocus hangs on its f-number. So each
+    gives one error of a kind, each mode a kind of its own, of channels and ranges taken in turn.
+    """
+    every = list(lines)
+    done = [line for line in every if line["failed"] is None]
+    far_of_all = f"of all, beyond {FAR_Z:g}"
+    yield f"{'error / stated error':<22}{'n':>6}{'mean':>8}{'std':>7}{'median |z|':>12}{'KS p':>9}{far_of_all:>20}"
+    for name, keys in ROWS.items():
+        known = [(line["index"], line["z"][key]) for line in done for key in keys if key in line["z"]]
+        if known:
+            z = np.array([values[index % len(values)] for index, values in known])
+            far = np.abs(np.concatenate([values for _, values in known])) > FAR_Z
+            p, middle = stats.kstest(z, "norm").pvalue, np.median(np.abs(z))
+            beyond = f"{far.sum()} of {far.size}"
+            yield f"{name:<22}{z.size:>6}{z.mean():>8.2f}{z.std():>7.2f}{middle:>12.2f}{p:>9.2g}{beyond:>20}"
+    yield "a unit normal has mean 0, std 1 and median |z| 0.67"
+    counts = (f"{key.replace('_', ' ')} {sum(line[key] for line in done)}" for key in COUNTS)
+    yield f"{len(done)} sessions: {', '.join(counts)}"
+    seconds = [sum(line[key] for line in every) for key in ("making_s", "fitting_s")]
+    yield f"{seconds[0]:.0f} s of making, {seconds[1]:.0f} s of fitting"
+    for line in every:
+        if line["failed"] is not None:
+            yield f"session {line['index']} failed: {line['failed']}"
+
+
+def main() -> None:
+    """Run what is left of a study, and print its table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path, help="a JSON line for each session")
+    parser.add_argument("--sessions", type=int, default=200)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="keep the sessions in this folder")
+    asked = parser.parse_args()
+    done = {line["index"] for line in read(asked.out) if line["seed"] == asked.seed}
+    jobs = [Job(asked.seed, index, asked.keep) for index in range(asked.sessions) if index not in done]
+    with asked.out.open("a", encoding="utf-8") as file:
+        for _, line in run_all(run, jobs, asked.workers):
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+    print(*table(line for line in read(asked.out) if line["seed"] == asked.seed), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

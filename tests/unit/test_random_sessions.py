@@ -1,0 +1,167 @@
+"""The study of many sessions: what is drawn, what is compared, what is kept."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from benchmarks.random_sessions import Drawn, draw
+from benchmarks.sessions import compared, read, table
+from labkit.analysis.plausibility import Sight, refuse_contradictions
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.scene import carry
+from labkit.drivers.simulated.world import Truth, Visit
+from labkit.types import Floats
+
+SESSIONS = 60
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Drawn]:
+    return [draw(1, index) for index in range(SESSIONS)]
+
+
+def test_a_session_is_drawn_by_its_number_alone(drawn: list[Drawn]) -> None:
+    assert draw(1, 7) == drawn[7]
+    assert draw(2, 7) != drawn[7]
+
+
+def test_plans_are_off_by_the_errors_that_they_state(drawn: list[Drawn]) -> None:
+    z = []
+    for one in drawn:
+        plan, lens = one.plan, one.settings.lens
+        focal, f_number, size = plan.lens.stated_focal_length, plan.lens.stated_f_number, plan.target.stated_size
+        true_mm = one.settings.panel.pitch_mm * 3 ** (plan.target.order or 0)
+        z.append(
+            [
+                # the engraving is off by a share of the true number: a second-order difference
+                (focal.value / lens.focal_length_mm - 1) * focal.value / focal.std,
+                (f_number.value / lens.f_number - 1) * f_number.value / f_number.std,
+                (true_mm - size.value) / size.std,
+                one.settings.rail.tape_error_mm / plan.fit.range_zero_std_mm,
+            ]
+        )
+    assert stats.kstest(np.ravel(z), "norm").pvalue > 0.01
+    assert np.all(np.abs(stats.ttest_1samp(z, 0).pvalue) > 0.001)
+
+
+def corners_px(bench: Bench, size_mm: float) -> Floats:
+    """Of a target in the middle of the panel, (4, 2) row and column."""
+    half = size_mm / 2
+    columns, rows = carry(
+        bench._to_pixels(), np.array([-half, half, half, -half]), np.array([-half, -half, half, half])
+    )
+    return np.column_stack((rows, columns))
+
+
+def test_targets_are_in_the_frame_and_agree_with_their_plans(drawn: list[Drawn]) -> None:
+    for one in drawn:
+        bench, rail, sights = Bench(one.settings), one.plan.rail, []
+        assert rail is not None
+        for range_mm in rail.ranges_mm:
+            bench.turn_screw(rail.position_mm(range_mm))
+            bench.stand(rail.position_mm(range_mm))
+            corners = corners_px(bench, one.plan.target.size_mm)
+            assert corners.min() > 2
+            assert corners.max() < one.settings.sensor.rows - 3
+            sights.append(Sight(range_mm, corners))
+        refuse_contradictions(sights, one.plan, (one.plan.target.size_mm,) * 2)
+
+
+TRUTH = Truth(
+    seed=1,
+    best_focus_mm={"G": 2000.0},
+    range_zero_mm=5.0,
+    focal_length_mm=70.0,
+    f_number=2.8,
+    pupil_magnification=1.0,
+    lateral_colour={},
+    modes_waves={"G": {5: 0.1}},
+    counts_per_electron=0.4,
+    read_noise_counts=1.0,
+    # the home switch tripped 0.02 mm later
+    visits=(Visit(2010.0, 2015.02, 5.02, {"G": 0.2}, ()),),
+)
+
+
+def number(value: float, std: float) -> dict[str, float]:
+    return {"value": value, "std": std}
+
+
+def results(astigmatism: float, accepted: bool) -> dict[str, Any]:
+    wave = {
+        "range_mm": 2010.0,
+        "channel": "G",
+        "noll": [4, 5],
+        "waves_rms": [0.201, astigmatism],
+        "std": [0.001, 0.002],
+    }
+    return {
+        "lens": {
+            "focal_length_mm": number(70.2, 0.1),
+            "f_number": number(2.79, 0.01),
+            "range_zero_mm": number(6.02, 1),
+        },
+        "focus": {"best_focus_mm": {"G": number(1999.99, 0.01)}, "pupil_magnification": number(1.1, 0.1)},
+        "wavefronts": [wave | {"global_test": {"accepted": accepted}}],
+        "warnings": ["G at 2010 mm: made again from the other fits, and mended"],
+    }
+
+
+def test_errors_are_counted_in_standard_errors() -> None:
+    line = compared(results(0.1, True), TRUTH)
+    expected = {
+        "focal_length": 2.0, "f_number": -1.0, "range_zero": 1.0, "pupil_magnification": 1.0,
+        "best_focus": 1.0,  # 1999.99 - (2000 - 0.02)
+        "noll.4": 1.0, "noll.5": 0.0,
+    }  # fmt: skip
+    assert {name: z[0] for name, z in line["z"].items()} == pytest.approx(expected)
+    assert (line["fits"], line["mended"], line["wrong_accepted"]) == (1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("astigmatism", "accepted", "counted"),
+    [(0.2, True, "wrong_accepted"), (0.2, False, "wrong_rejected"), (0.1, False, "right_rejected")],
+)
+def test_wrong_optima_are_told_from_right_ones(astigmatism: float, accepted: bool, counted: str) -> None:
+    line = compared(results(astigmatism, accepted), TRUTH)
+    assert [name for name in ("wrong_accepted", "wrong_rejected", "right_rejected") if line[name]] == [counted]
+
+
+def test_results_of_the_first_schema_tell_less() -> None:
+    first = results(0.1, True)
+    del first["lens"]
+    assert set(compared(first, TRUTH)["z"]) == {"pupil_magnification", "best_focus", "noll.4", "noll.5"}
+    assert set(compared(first | {"focus": None}, TRUTH)["z"]) == {"noll.4", "noll.5"}
+
+
+def test_a_torn_line_is_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "out.jsonl"
+    assert read(path) == []
+    path.write_text('{"index": 0}\n{"index": 1}\n{"ind')
+    assert [line["index"] for line in read(path)] == [0, 1]
+    assert path.read_text() == '{"index": 0}\n{"index": 1}\n'
+
+
+def test_the_table_sums_up_and_names_what_failed() -> None:
+    rng = np.random.default_rng(1)
+    done = [compared(results(0.1, True), TRUTH) | {"failed": None, "index": index} for index in range(400)]
+    for line in done:
+        line["z"]["noll.5"] = [float(rng.standard_normal())] * 3  # the same at three ranges
+    failed = {"failed": "no target", "index": 3}
+    lines = [json.loads(json.dumps(line | {"making_s": 1.0, "fitting_s": 2.0})) for line in (*done, failed)]
+    text = "\n".join(table(lines))
+    (row,) = (line.split() for line in text.splitlines() if line.startswith("other modes"))
+    assert row[2] == "400"
+    assert row[-1] == "1200"
+    # the mean and the standard deviation of 400 draws, four of their errors wide
+    assert float(row[3]) == pytest.approx(0, abs=4 / 400**0.5)
+    assert float(row[4]) == pytest.approx(1, abs=4 / 800**0.5)
+    assert "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, mended 400" in text
+    assert "401 s of making, 802 s of fitting" in text
+    assert "session 3 failed: no target" in text
