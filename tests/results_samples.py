@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from labkit.plan import Plan
-from labkit.results import Focus, OptimumTest, Placement, Residuals, Results, Wavefront
+from labkit.results import Focus, Lens, OptimumTest, Placement, Residuals, Results, Wavefront
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
 
@@ -25,6 +25,13 @@ FOCUS = Focus(
     residual_waves={"R": (0.0011, -0.0022), "B": (0.0013, -0.0024)},
     covariance=np.eye(3),
 )
+LENS = Lens(
+    Uncertain(69.31, 0.12, "mm"), Uncertain(2.874, 0.011), FOCUS.pupil_magnification, Uncertain(-5.8, 4.0, "mm")
+)
+BUDGET = {
+    "best_focus_mm.R": {"photons": 0.3, "calibration": 0.1, "geometry": 0.2, "model": 0.2},
+    "focal_length_mm": {"photons": 0.0, "calibration": 0.0, "geometry": 0.12, "model": 0.0},
+}
 
 
 def a_wavefront(
@@ -38,6 +45,8 @@ def a_wavefront(
         "wavelength_nm": 650.0 if channel == "R" else 450.0,
         "reference_wavelength_nm": 450.0,
         "f_number": 2.8,
+        "f_number_std": 0.008,
+        "blur": Uncertain(300 * defocus, 0.05, "um"),
         "noll": (4, 5, 8),
         "waves": np.array([defocus, 0.03, -0.04]),
         "covariance": np.diag(STD**2),
@@ -69,6 +78,8 @@ def some_results(**changed: Any) -> Results:
         "plan_sha256": "ab" * 32,
         "wavefronts": tuple(a_wavefront(r, c, d) for r, d in ((3000.0, 0.0751), (3200.0, 1.1432)) for c in ("R", "B")),
         "focus": FOCUS,
+        "lens": LENS,
+        "budget": BUDGET,
         "warnings": ("no dark frames: the black level of the raw files was used",),
     }
     return Results(**fields | changed)

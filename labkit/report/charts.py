@@ -23,10 +23,7 @@ def focus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_mm
     """
     inks = channel_inks(results.channels)
     figure = Figure(figsize=(WIDTH_IN, 5.0 if focus else 3.4), layout="constrained")
-    if focus is None:
-        above, below = figure.subplots(), None
-    else:
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1)) if focus else (figure.subplots(), None)
     bounds = _range_bounds(results, focus, shortest_mm)
     above.axhline(0, color=SOFT, lw=0.7)
     for k, channel in enumerate(results.channels):
@@ -46,16 +43,25 @@ def focus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_mm
         rest = np.array(focus.residual_waves.get(channel, ()) if focus else ())
         if below is not None and rest.size == x.size:
             dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
-            _points(below, x + dodge, 1e3 * rest, 1e3 * error, ink, None)
+            # errors of a session's estimate are those of the points above, not of what one fit measured alone
+            _points(below, x + dodge, 1e3 * rest, 0 * error if results.lens else 1e3 * error, ink, None)
     above.set(xlim=bounds, ylabel=f"defocus, waves RMS at {results.reference_wavelength_nm:g} nm")
     above.legend(loc="lower right")
-    lowest = above if below is None else below
-    lowest.set_xlabel("range of the target, mm")
+    _blur_axis(above, results)
+    (above if below is None else below).set_xlabel("range of the target, mm")
     if below is not None:
         below.axhline(0, color=SOFT, lw=0.7)
         below.set_ylabel("residual, milliwaves")
         below.margins(y=0.25)
     return figure
+
+
+def _blur_axis(axes: Axes, results: Results) -> None:
+    """Defocus as blur on the right; the channels' cones differ by less than a line is wide."""
+    ratios = [w.blur.value / w.defocus.value for w in results if w.blur and w.defocus and w.defocus.value]
+    if ratios:
+        blur = axes.secondary_yaxis("right", functions=scaling(float(np.median(ratios))))
+        blur.set_ylabel("blur on the sensor, µm")
 
 
 def _range_bounds(results: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:

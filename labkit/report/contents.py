@@ -11,6 +11,7 @@ from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.best_focus import BestFocus
 from labkit.report.focus_table import focus_table
+from labkit.report.lens_table import SOURCES, budget_rows, lens_rows
 from labkit.report.quantities import MINUS, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, plus_minus
 from labkit.report.style import channel_inks
 from labkit.results import Focus, OptimumTest, Results, Wavefront
@@ -18,11 +19,13 @@ from labkit.uncertain import Uncertain, decimals
 
 SECTIONS = {
     "focus": "Focus",
+    "lens": "The lens",
+    "budget": "Errors",
     "best-focus": "At best focus",
     "wavefronts": "Wavefronts",
     "psf": "PSF",
     "mtf": "MTF",
-    "fits": "Data and model",
+    "fits": "Data",
     "residuals": "Residuals",
     "tables": "Tables",
     "provenance": "Provenance",
@@ -33,7 +36,9 @@ ALWAYS = {"wavefronts", "tables", "provenance"}
 def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) -> dict[str, Any]:
     """What the template asks for; focused: each channel at best focus; drawn: the sections that have figures."""
     m, plan, focus = results, results.plan, results.focus
-    sections = [(name, label) for name, label in SECTIONS.items() if name in drawn | ALWAYS]
+    lens = lens_rows(m)
+    shown = drawn | ALWAYS | ({"lens"} if lens else set())
+    sections = [(name, label) for name, label in SECTIONS.items() if name in shown]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
     rms = _wavefront_rms(focused, m.reference_wavelength_nm)
@@ -47,6 +52,9 @@ def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) ->
         "reference": f"{m.reference_wavelength_nm:g} nm",
         "best_focus": _best_focus(m, focus) if focus else [],
         "magnification": _split(focus.pupil_magnification) if focus else None,
+        "lens_rows": lens,
+        "sources": SOURCES,
+        "budget_rows": budget_rows(m),
         "wavefront_rms": rms,
         "nanometres": f"; beyond defocus {nanometres} nm" if rms else "",
         "focus_table": focus_table(focused, m.reference_wavelength_nm),
@@ -148,6 +156,7 @@ def _fit_row(fit: Wavefront) -> dict[str, Any]:
         "channel": fit.channel,
         "total": _waves(fit.rms()),
         "defocus": _waves(fit.defocus),
+        "blur": estimated(fit.blur, least=2),
         "beyond": _waves(fit.rms(without=(4,))),
         "mtf50_x": estimated(along_x),
         "mtf50_y": estimated(along_y),
@@ -247,6 +256,13 @@ def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
             "turned by half a turn and negated, give the same image: the common sign of all modes of even order is "
             "chosen, so that defocus grows with range where there are several",
         ),
-        ("Standard errors", "from the inverse Fisher information of the identifiable parameters"),
+        ("Standard errors", _origin_of_errors(m)),
         ("Frames", f"{len(frames)}, listed above under “How they were fitted”" if frames else UNKNOWN),
     ]
+
+
+def _origin_of_errors(m: Results) -> str:
+    fits = "from the inverse Fisher information of the identifiable parameters"
+    if m.lens is None:
+        return fits
+    return f"{fits} of each fit, and all that the plan states with an error, through one estimate of the whole session"

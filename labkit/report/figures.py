@@ -7,10 +7,12 @@ from re import sub
 import numpy as np
 from matplotlib.figure import Figure
 
-from labkit.optics.lens import ThinLens, defocus_waves
+from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.best_focus import SHARE, BestFocus, nyquist_per_mm
+from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.focus_charts import energy_chart, opd_picture
+from labkit.report.lens_table import SOURCES, budget_name, lens_of
 from labkit.report.mtf_charts import focus_mtf_chart, mtf_chart
 from labkit.report.quantities import estimated, millimetres, plus_minus
 from labkit.report.style import in_groups, png, styled, svg
@@ -40,6 +42,7 @@ def draw_figures(results: Results, focused: Sequence[BestFocus]) -> dict[str, li
     with styled():
         sections = {
             "focus": list(_focus(results)),
+            "budget": list(_budget(results)),
             "best-focus": list(_at_best_focus(results, focused)),
             "fits": list(_fits(results)),
             "psf": list(_psfs(results)),
@@ -68,27 +71,46 @@ def _focus(results: Results) -> Iterator[Drawn]:
     if len({w.range_mm for w in results.wavefronts if w.range_mm is not None and w.defocus}) < 2:
         return
     focus, plan = results.focus, results.plan
+    lens, zero_mm = lens_of(results)
 
     def curve(channel: str, ranges_mm: Floats) -> Floats:
         assert focus is not None
-        magnification = focus.pupil_magnification.value
-        lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number, magnification if magnification > 0 else 1.0)
-        best = focus.best_focus_mm[channel].value
-        return defocus_waves(
-            lens, np.asarray(ranges_mm, float), best, results.reference_wavelength_nm, plan.fit.convention
-        )
+        best_mm = focus.best_focus_mm[channel].value + zero_mm
+        true_mm = np.asarray(ranges_mm, float) + zero_mm
+        return defocus_waves(lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention)
 
-    figure = charts.focus_chart(results, focus, curve, 1.02 * plan.lens.focal_length_mm)
+    figure = charts.focus_chart(results, focus, curve, 1.02 * lens.focal_length_mm)
     if focus is None:
         yield _chart("focus", figure, "Defocus against range.", "Defocus of each fit. No focus fit was made.")
         return
     best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_focus_mm.items())
     caption = (
-        "Measured defocus (points), the fitted law of a lens with this focal length, f-number and pupil magnification "
-        "(curves), and best focus (dashed, with one standard error shaded). Positive: the target lies beyond best "
-        "focus. Below: what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
+        "Defocus (points), the law of the lens as it was estimated (curves), and best focus (dashed, with one standard "
+        "error shaded). Positive: the target lies beyond best focus. "
+    )
+    caption += (
+        "Below: what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
+        if results.lens is None
+        else "The points are as the whole session has them. Below: what each fit alone measured, less that; alone, it "
+        "knows its defocus only as well as the f-number of its cone. Points stand side by side to be seen."
     )
     yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
+
+
+def _budget(results: Results) -> Iterator[Drawn]:
+    if not results.budget:
+        return
+    each = "; ".join(
+        f"{budget_name(key)[0]} "
+        + ", ".join(f"{share:.0f} % {source}" for source, share in zip(SOURCES, shares, strict=True))
+        for key, budget in results.budget.items()
+        for shares in [variance_shares(budget)]
+    )
+    caption = (
+        "Of each number the share of its variance by source. Squares of standard errors add up: a source of half the whole "
+        "error makes a quarter of the variance."
+    )
+    yield _chart("budget", budget_chart(results), f"Shares of the variance: {each}.", caption)
 
 
 def _at_best_focus(results: Results, focused: Sequence[BestFocus]) -> Iterator[Drawn]:

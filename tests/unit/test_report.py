@@ -70,8 +70,8 @@ def test_links_in_the_page_lead_somewhere(report: Path) -> None:
 
 def test_every_image_says_in_words_what_it_shows(report: Path) -> None:
     images = [attrs for tag, attrs in Page(report.read_text()).tags if tag == "img"]
-    # focus; at best focus maps, MTFs, energy; two ranges of modes, PSFs, MTFs, four fits, Q-Q
-    assert len(images) == 13
+    # focus; budget; at best focus maps, MTFs, energy; two ranges of modes, PSFs, MTFs, four fits, Q-Q
+    assert len(images) == 14
     assert all(len(attrs["alt"] or "") > 20 for attrs in images)
 
 
@@ -122,6 +122,13 @@ def test_tables_and_provenance_hold(report: Path, shown: str) -> None:
     assert shown in Page(report.read_text()).words()
 
 
+def test_the_lens_and_its_errors_have_sections(report: Path) -> None:
+    words = Page(report.read_text()).words()
+    assert "Focal length mm 69.31 ± 0.12 70.0 ± 1.4" in words
+    assert "best focus, R mm 0.300 0.100 0.200 0.200 0.424" in words
+    assert "22.530 ± 0.050" in words  # blur of 0.0751 waves, µm
+
+
 def test_warnings_stand_before_the_figures(report: Path) -> None:
     html = report.read_text()
     assert html.index("no dark frames: the black level") < html.index("<figure>")
@@ -132,6 +139,7 @@ def test_figures_are_files_too(report: Path) -> None:
     assert {
         "focus.png",
         "focus.svg",
+        "budget.svg",
         "psf.png",
         "mtf.svg",
         "opd.png",
@@ -172,6 +180,13 @@ def test_without_a_focus_fit_it_says_so(tmp_path: Path) -> None:
     words = Page(write_report(written(tmp_path, focus=None)).read_text()).words()
     assert "Best focus not fitted" in words
     assert "2986" not in words
+
+
+def test_results_that_know_no_lens_are_reported(tmp_path: Path) -> None:
+    html = write_report(written(tmp_path, lens=None, budget={})).read_text()
+    assert "Where the errors come from" not in html
+    assert 'href="#lens"' not in html
+    assert "2986.84" in html
 
 
 def test_one_fit_without_range_residuals_or_noise_figures_is_reported(tmp_path: Path) -> None:

@@ -121,9 +121,10 @@ def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
 
 
 def test_a_magnification_that_is_not_determined_is_marked() -> None:
-    _, focus, _, magnification = some_results().focus_rows()
+    _, focus, _, magnification, *lens = some_results().focus_rows()
     assert focus == ["best focus R", "2986.84 ± 0.42 mm"]
     assert "do not determine" in magnification[1]
+    assert ["focal length", "69.31 ± 0.12 mm"] in lens
     assert "not fitted" in some_results(focus=None).focus_rows()[0][0]
 
 

@@ -1,0 +1,100 @@
+"""The lens beside what the plan states of it, and where the errors of both come from: rows of text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite, sqrt
+
+from labkit.optics.lens import ThinLens
+from labkit.report.quantities import UNKNOWN, estimated, fixed
+from labkit.results import Results
+from labkit.uncertain import Uncertain, decimals
+
+SOURCES = {
+    "photons": "light and read noise of the photographs",
+    "calibration": "light and read noise of the flats",
+    "geometry": "engravings, tape, rail, and sizes of target and picture",
+    "model": "wavelengths, and how far a real lens departs from the laws",
+}
+"""Of errors, in the order they are drawn, and what each holds."""
+
+NAMES = {
+    "best_focus_mm": ("best focus", "mm"),
+    "focal_length_mm": ("focal length", "mm"),
+    "f_number": ("f-number at infinity", ""),
+    "pupil_magnification": ("pupil magnification", ""),
+    "range_zero_mm": ("true ranges less stated", "mm"),
+}
+"""Keys of a budget, what they are called, and their units."""
+
+Row = dict[str, str]
+
+
+def lens_rows(results: Results) -> list[Row]:
+    """What was measured beside what the plan stated, channels in groups; empty where the lens was not estimated."""
+    lens, focus, plan = results.lens, results.focus, results.plan
+    if lens is None:
+        return []
+    stated, zero = plan.lens, Uncertain(0.0, plan.fit.range_zero_std_mm)
+    cones = {channel: working_f_number(results, channel) for channel in results.channels}
+    return [
+        _row("Focal length", lens.focal_length, stated.stated_focal_length),
+        _row("f-number at infinity", lens.f_number, stated.stated_f_number),
+        _row("Pupil magnification", lens.pupil_magnification),
+        _row("True ranges less stated", lens.range_zero, zero),
+        *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
+        *_rows_by_channel("f-number at the sensor", cones),
+    ]
+
+
+def lens_of(results: Results) -> tuple[ThinLens, float]:
+    """The lens that the results were made with, and what its true ranges are beyond the stated ones, mm."""
+    if results.lens is not None:
+        lens = results.lens
+        numbers = (lens.focal_length, lens.f_number, lens.pupil_magnification)
+        return ThinLens(*(number.value for number in numbers)), lens.range_zero.value
+    stated, focus = results.plan.lens, results.focus
+    magnification = focus.pupil_magnification.value if focus else 1.0
+    return ThinLens(stated.focal_length_mm, stated.f_number, magnification if magnification > 0 else 1.0), 0.0
+
+
+def working_f_number(results: Results, channel: str) -> Uncertain:
+    """Of the cone that reaches the sensor: one for all ranges of a channel, from the wavefront that knows it best."""
+    cones = [w.working_f_number for w in results.of_channel(channel)]
+    return min(cones, key=lambda cone: cone.std if isfinite(cone.std) else float("inf"))
+
+
+def budget_rows(results: Results) -> list[dict[str, object]]:
+    """Name, unit, standard error by source in the order of `SOURCES`, and the whole; one row for each number."""
+    rows = list[dict[str, object]]()
+    for key, shares in results.budget.items():
+        name, unit = budget_name(key)
+        whole = whole_std(shares)
+        # one digit more than the whole has: what is a tenth of it is seen to be
+        digits = decimals(whole) + 1
+        cells = [fixed(shares.get(source, 0.0), digits) for source in SOURCES]
+        rows.append({"name": name, "unit": unit, "cells": cells, "whole": fixed(whole, digits)})
+    return rows
+
+
+def budget_name(key: str) -> tuple[str, str]:
+    """What a budget's number is called, its channel named, and its unit."""
+    quantity, _, channel = key.partition(".")
+    name, unit = NAMES.get(quantity, (quantity.replace("_", " "), ""))
+    return (f"{name}, {channel}" if channel else name), unit
+
+
+def whole_std(shares: dict[str, float]) -> float:
+    """The standard error that the sources make together."""
+    return sqrt(sum(share**2 for share in shares.values()))
+
+
+def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
+    """One row for each channel; only the first has the name."""
+    rows = [_row("" if k else name, number) for k, number in enumerate(measured.values())]
+    return [row | {"channel": channel, "first": row["name"]} for row, channel in zip(rows, measured, strict=True)]
+
+
+def _row(name: str, measured: Uncertain, stated: Uncertain | None = None) -> Row:
+    shown = {"measured": estimated(measured), "stated": UNKNOWN if stated is None else estimated(stated)}
+    return {"name": name, "channel": "", "unit": measured.unit, "first": "", **shown}

@@ -1,0 +1,90 @@
+"""The lens beside what the plan states, and its errors by source, as the report sets them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labkit.report.budget_chart import budget_chart, variance_shares
+from labkit.report.charts import focus_chart
+from labkit.report.lens_table import budget_rows, lens_of, lens_rows, working_f_number
+from labkit.results import Wavefront
+from labkit.uncertain import Uncertain
+from tests.results_samples import BUDGET, LENS, a_wavefront, some_results
+
+
+def row(name: str) -> tuple[str, str]:
+    """Measured and stated, of a row of the table."""
+    (one,) = (row for row in lens_rows(some_results()) if row["name"].startswith(name))
+    return one["measured"].replace("\N{NO-BREAK SPACE}", " "), one["stated"].replace("\N{NO-BREAK SPACE}", " ")
+
+
+@pytest.mark.parametrize(
+    ("name", "measured", "stated"),
+    [
+        ("Focal length", "69.31 ± 0.12", "70.0 ± 1.4"),  # 2 % of 70 mm
+        ("f-number at infinity", "2.874 ± 0.011", "2.800 ± 0.084"),  # 3 % of 2.8
+        ("Pupil magnification", "0.981 ± 0.038", "—"),
+        ("True ranges", "−5.8 ± 4.0", "0 ± 10"),  # 10 mm of tape
+        ("Best focus", "2986.84 ± 0.42", "—"),
+        ("f-number at the sensor", "2.8000 ± 0.0080", "—"),
+    ],
+)
+def test_what_is_measured_stands_beside_what_the_plan_states(name: str, measured: str, stated: str) -> None:
+    assert row(name) == (measured, stated)
+
+
+def test_results_without_a_lens_have_no_rows() -> None:
+    assert lens_rows(some_results(lens=None)) == []
+    assert budget_rows(some_results(budget={})) == []
+
+
+def test_the_cone_is_that_of_the_wavefront_that_knows_it_best() -> None:
+    def cone(f_number: float, std: float) -> Wavefront:
+        return a_wavefront(f_number=f_number, f_number_std=std)
+
+    results = some_results(wavefronts=(cone(2.7, float("nan")), cone(2.9, 0.01), cone(2.8, 0.1)))
+    assert working_f_number(results, "R") == Uncertain(2.9, 0.01)
+
+
+def test_curves_are_those_of_the_lens_that_was_estimated() -> None:
+    lens, zero_mm = lens_of(some_results())
+    assert (lens.focal_length_mm, lens.f_number, lens.pupil_magnification, zero_mm) == (69.31, 2.874, 0.981, -5.8)
+    lens, zero_mm = lens_of(some_results(lens=None))
+    assert (lens.focal_length_mm, lens.f_number, lens.pupil_magnification, zero_mm) == (70.0, 2.8, 0.981, 0.0)
+
+
+def test_defocus_is_shown_as_blur_too() -> None:
+    results = some_results()
+    figure = focus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+    figure.draw_without_rendering()
+    waves, blur = (axes.get_ylim() for axes in (figure.axes[0], figure.axes[0].child_axes[0]))
+    np.testing.assert_allclose(blur, 300 * np.array(waves))
+    schema_1 = some_results(wavefronts=tuple(a_wavefront(r, blur=None) for r in (3000.0, 3200.0)), focus=None)
+    assert not focus_chart(schema_1, None, lambda channel, ranges_mm: 0 * ranges_mm, 71.0).axes[0].child_axes
+
+
+def test_shares_are_of_the_variance_and_make_the_whole() -> None:
+    shares = variance_shares(BUDGET["best_focus_mm.R"])
+    # 0.09, 0.01, 0.04 and 0.04 of 0.18
+    np.testing.assert_allclose(shares, [50.0, 100 / 18, 400 / 18, 400 / 18])
+    assert sum(variance_shares(dict.fromkeys(BUDGET["best_focus_mm.R"], 0.0))) == 0
+
+
+def test_the_whole_of_a_row_is_its_sources_added_in_squares() -> None:
+    first, _ = budget_rows(some_results())
+    assert first["name"] == "best focus, R"
+    assert first["cells"] == ["0.300", "0.100", "0.200", "0.200"]
+    assert first["whole"] == "0.424"  # sqrt(0.18)
+
+
+def test_bars_reach_a_hundred_per_cent_and_only_wide_pieces_are_labelled() -> None:
+    axes = budget_chart(some_results()).axes[0]
+    ends = [patch.get_x() + patch.get_width() for patch in axes.patches]  # type: ignore[attr-defined]
+    assert max(ends) == pytest.approx(100.0)
+    assert [text.get_text() for text in axes.texts] == ["50", "22", "100", "22"]
+
+
+def test_a_lens_without_focus_of_some_channel_is_still_drawn() -> None:
+    rows = lens_rows(some_results(focus=None, lens=LENS))
+    assert not any(row["name"].startswith("Best focus") for row in rows)
