@@ -6,8 +6,8 @@ session, some of which a plan states with an error: a measurement like any other
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -143,11 +143,10 @@ class LensModel:
     def jacobian(self, theta: Floats) -> list[Floats]:
         """Of each member's prediction, (modes + 2, columns)."""
         arguments = self._arguments(theta)
-        slopes = np.empty((len(arguments), 3, len(self.members)))
-        for k, argument in enumerate(arguments):
-            step = STEP * np.maximum(np.abs(argument), 0.1)
-            moved = [[*arguments[:k], argument + sign * step, *arguments[k + 1 :]] for sign in (1, -1)]
-            slopes[k] = (self._laws(moved[0]) - self._laws(moved[1])) / (2 * step)
+        steps = STEP * np.maximum(np.abs(arguments), 0.1)
+        moved = arguments[:, None] + steps[:, None] * np.eye(len(steps))[:, :, None]
+        back = arguments[:, None] - steps[:, None] * np.eye(len(steps))[:, :, None]
+        slopes = np.moveaxis((self._laws(moved) - self._laws(back)) / (2 * steps), 0, 1)
         rows = [self._rows(k, slopes[:, :, k]) for k in range(len(self.members))]
         for row, (value, at) in zip(rows, self._with_wavelengths(theta), strict=True):
             row[:-2] *= 1 - theta[at]
@@ -192,14 +191,14 @@ class LensModel:
         member = self.members[k]
         return (member.channel,) if self.shared else (member.channel, member.range_mm, k)
 
-    def _arguments(self, theta: Floats) -> list[Floats]:
-        """Of the laws: f, N, ln mp; and (members,) true range, true best focus of the channel, and of the reference."""
-        common = [np.asarray(theta[self.index(kind)]) for kind in GEOMETRY[:3]]
-        zero = theta[self.index("tape")]
-        ranges = np.array([m.range_mm + zero + self._offset(m, theta) for m in self.members])
-        focus = np.array([theta[self.index("best focus", m.channel)] + zero for m in self.members])
-        reference = np.full(len(focus), theta[self.index("best focus", self.reference)] + zero)
-        return [*common, ranges, focus, reference]
+    def _arguments(self, theta: Floats) -> Floats:
+        """Of the laws, (6, members): f, N, ln mp, true range, true best focus of the channel, and of the reference."""
+        zero, count = theta[self.index("tape")], len(self.members)
+        common = [np.full(count, theta[self.index(kind)]) for kind in GEOMETRY[:3]]
+        ranges = [m.range_mm + zero + self._offset(m, theta) for m in self.members]
+        focus = [theta[self.index("best focus", m.channel)] + zero for m in self.members]
+        reference = np.full(count, theta[self.index("best focus", self.reference)] + zero)
+        return np.array([*common, ranges, focus, reference])
 
     def _offset(self, member: Member, theta: Floats) -> float:
         """Of a member's range, beside the tape's zero, mm."""
@@ -211,11 +210,11 @@ class LensModel:
         known = [(self._index.get((GEOMETRY[4], (h,))), h) for h in dict.fromkeys(member.homings)]
         return [(k, member.homings.count(h) / len(member.homings)) for k, h in known if k is not None]
 
-    def _laws(self, arguments: Sequence[Floats]) -> Floats:
-        """(3, members): defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale."""
-        f, n, pupils = (float(argument) for argument in arguments[:3])
-        lens = ThinLens(f, n, float(np.exp(pupils)))
-        ranges, focus, reference = (np.maximum(mm, 1.01 * f) for mm in arguments[3:])
+    def _laws(self, arguments: Floats) -> Floats:
+        """(3, ...): defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale. arguments: (6, ...)."""
+        f, n, pupils = arguments[:3]
+        lens = ThinLens(*cast(tuple[float, float, float], (f, n, np.exp(pupils))))  # arrays of lenses
+        ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
         return np.stack(
             [
                 defocus_waves(lens, ranges, focus, self.stated.reference_nm, self.stated.convention),

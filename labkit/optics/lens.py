@@ -15,14 +15,15 @@ PV_PER_RMS = np.sqrt(12.0)  # a defocus of unit peak-to-valley over a disc has a
 
 @dataclass(frozen=True, slots=True)
 class ThinLens:
-    """A lens by its focal length (mm), f-number at infinity, and pupil magnification Dout/Din."""
+    """A lens by its focal length (mm), f-number at infinity, and pupil magnification Dout/Din. Arrays in their
+    place stand for many lenses, and broadcast with ranges."""
 
     focal_length_mm: float
     f_number: float
     pupil_magnification: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (self.focal_length_mm > 0 and self.f_number > 0 and self.pupil_magnification > 0):
+        if not all(np.all(np.asarray(x) > 0) for x in (self.focal_length_mm, self.f_number, self.pupil_magnification)):
             raise ValueError(f"focal length, f-number and pupil magnification must be positive: {self}")
 
     @property
