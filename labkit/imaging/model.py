@@ -19,6 +19,9 @@ from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Fl
 
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
+# -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
+GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))
+
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
@@ -142,13 +145,14 @@ class ForwardModel:
         self._checked(drawing, used)
         slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
         by_mode = self._responses(slopes, drawing, used)
+        means = means or self.means(waves, drawing, used)
         single = self.blur.transfer(waves, np.float32)
         kernels = (single, *self.blur.spread(single))
         by_pose = [
             self._by_pose(spectrum.astype(np.complex64), kernels, pose, u)
             for spectrum, pose, u in zip(drawing.spectra, drawing.poses, used, strict=True)
         ]
-        return [Evaluation(*of) for of in zip(means or self.means(waves, drawing, used), by_mode, by_pose, strict=True)]
+        return [Evaluation(*of) for of in zip(means, by_mode, by_pose, strict=True)]
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
@@ -192,17 +196,19 @@ class ForwardModel:
         """
         torus = self.blur.torus
         rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
-        motions = pose.jacobian(rows, columns)
-        one_down = pose.jacobian(rows + 0.5, columns), pose.jacobian(rows - 0.5, columns)
-        one_right = pose.jacobian(rows, columns + 0.5), pose.jacobian(rows, columns - 0.5)
-        stretches = [[high - low for high, low in zip(*one, strict=True)] for one in (one_down, one_right)]
         down, right = (
             (2j * np.pi * torus.pitch_um * f).astype(np.complex64)
             for f in (torus.row_frequency, torus.column_frequency)
         )
         result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
-        for kernel, (by_row, by_column) in zip(kernels, ([-m for m in motions], *stretches), strict=True):
+        for kernel, growth in zip(kernels, GROWTH, strict=True):
             np.multiply(spectrum, kernel, out=product)
-            result += by_row * torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used]
-            result += by_column * torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used]
+            pictures = (
+                torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used],
+                torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used],
+            )
+            for sign, row, column in growth:
+                for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
+                    motion *= sign * picture
+                    result += motion
         return result

@@ -108,19 +108,22 @@ class Pupil:
         pupil = self._pupil_function(waves)
         field = self._to_image(pupil)
         slopes = np.empty((len(self.modes[only]), self.size, self.size))
-        for slope, product in zip(slopes, self._products(pupil, field, self.modes[only]), strict=True):
+        for slope, product in zip(slopes, self._products(pupil, np.conj(field), self.modes[only]), strict=True):
             slope[:] = product.imag
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
         """The derivatives of `psf_jacobian`, (size, size) each, in single precision: within 1e-6 of the largest."""
         pupil = self._pupil_function(waves).astype(np.complex64)
-        for product in self._products(pupil, self._to_image(pupil), self.modes[only]):
+        turned = np.conj(self._to_image(pupil)).astype(np.complex64, copy=False)
+        for product in self._products(pupil, turned, self.modes[only]):
             yield product.imag
 
-    def _products(self, pupil: Field, field: Field, modes: Floats) -> Iterator[Field]:
-        """Their imaginary parts are the PSF's derivatives by some modes; in the precision of what is given."""
-        turned = np.conj(field)
+    def _products(self, pupil: Field, turned: Field, modes: Floats) -> Iterator[Field]:
+        """Their imaginary parts are the PSF's derivatives by some modes; in the precision of what is given.
+
+        turned: the pupil's field, conjugate; it is scaled here.
+        """
         turned *= -4 * np.pi * self.reference_um / self.wavelength_um / self._light
         for mode in modes:
             product = self._to_image(pupil * mode.astype(pupil.real.dtype))
