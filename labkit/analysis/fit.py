@@ -14,7 +14,7 @@ from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, bu
 from labkit.analysis.split import find_change
 from labkit.analysis.wavefronts import PATIENCE_S, SessionFits, fit_session
 from labkit.errors import DataError, SessionError
-from labkit.execute import default_workers
+from labkit.execute import Workers, default_workers
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
@@ -62,11 +62,12 @@ def fit(
         raise SessionError("; ".join(damage))
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    fits = fit_session(observations, plan, target, workers or default_workers(), progress, patience_s)
+    with Workers(workers or default_workers()) as run:
+        fits = fit_session(observations, plan, target, run, progress, patience_s)
+        together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
     parts = {"": fits} if change is None or not split else {"": fits, "-before": change.before, "-after": change.after}
     noted = [*session.warnings, *assumed, *([] if change is None else [str(change)])]
-    together = climb(fits, workers or default_workers(), progress) if joint and fits.lens is not None else None
     if together is not None:
         parts[""] = replace(fits, lens=together.lens)
     made = [_results(part, plan, _checksum(session, plan), noted, ranges_mm) for part in parts.values()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.wavefronts import SessionFits, Task
-from labkit.execute import run_all
+from labkit.execute import Workers
 from labkit.imaging.model import ForwardModel
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import Problem, State
@@ -49,7 +49,7 @@ class Joint:
     log_likelihoods: tuple[float, ...]
 
 
-def climb(session: SessionFits, workers: int, progress: Progress) -> Joint:
+def climb(session: SessionFits, run: Workers, progress: Progress) -> Joint:
     """Gauss-Newton over everything at once, from the two levels' end.
 
     The numbers of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by member,
@@ -68,7 +68,7 @@ def climb(session: SessionFits, workers: int, progress: Progress) -> Joint:
             Leg(fit.task, state, f_number, value)
             for fit, state, f_number, value in zip(fits, states, f_numbers, values, strict=True)
         ]
-        reached = _all_reached(legs, workers)
+        reached = _all_reached(legs, run)
         states, f_numbers = [r.state for r in reached], [r.f_number for r in reached]
         likelihoods.append(sum(r.log_likelihood for r in reached) - 0.5 * _prior_chi2(lens))
         members = [replace(m, measured=r.measured) for m, r in zip(lens.model.members, reached, strict=True)]
@@ -79,8 +79,8 @@ def climb(session: SessionFits, workers: int, progress: Progress) -> Joint:
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def _all_reached(legs: Sequence[Leg], workers: int) -> list[Reached]:
-    done = dict(run_all(reach, legs, workers))
+def _all_reached(legs: Sequence[Leg], run: Workers) -> list[Reached]:
+    done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 
 

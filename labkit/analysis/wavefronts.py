@@ -11,7 +11,7 @@ from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, outlier
 from labkit.analysis.lens_model import Member, Stated
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
-from labkit.execute import run_all
+from labkit.execute import Workers
 from labkit.imaging.model import Optics
 from labkit.inference.cone import Measured
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront
@@ -102,7 +102,7 @@ def fit_session(
     observations: Sequence[Observation],
     plan: Plan,
     target: Target,
-    workers: int,
+    run: Workers,
     progress: Progress,
     patience_s: float = PATIENCE_S,
 ) -> SessionFits:
@@ -111,7 +111,7 @@ def fit_session(
     Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. The rest begin at
     what these predict. Those that the session finds not to belong are made again from what the others predict.
     """
-    chain = _Chain(tuple(observations), plan, target, workers, progress, patience_s)
+    chain = _Chain(tuple(observations), plan, target, run, progress, patience_s)
     chain.fit(chain.anchors())
     chain.fit([k for k in range(len(observations)) if k not in chain.fits])
     return chain.settled()
@@ -124,7 +124,7 @@ class _Chain:
     observations: tuple[Observation, ...]
     plan: Plan
     target: Target
-    workers: int
+    run: Workers
     progress: Progress
     patience_s: float
     fits: dict[int, LocalFit] = field(default_factory=dict)
@@ -142,7 +142,7 @@ class _Chain:
         known = self._joined()
         tasks = [self._task(k, known) for k in places]
         self.progress(len(self.fits), len(self.observations), "fitting")
-        for index, fit in run_all(fit_task, tasks, self.workers):
+        for index, fit in self.run(fit_task, tasks):
             self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
             self.progress(len(self.fits), len(self.observations), tasks[index].label)
 
@@ -150,7 +150,7 @@ class _Chain:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
         before = self._joined()
         again = {} if before.lens is None else self._tasks_again(before, before.lens)
-        for index, fit in run_all(fit_task, list(again.values()), self.workers):
+        for index, fit in self.run(fit_task, list(again.values())):
             place = list(again)[index]
             self.progress(len(self.fits), len(self.observations), f"{again[place].label} again")
             made, old = LocalFit(again[place], canonical(fit)), self.fits[place].fit

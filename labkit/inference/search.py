@@ -3,7 +3,7 @@
 No start is ever at zero: there the likelihood has a saddle, every even mode's derivative vanishes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -89,10 +89,11 @@ class Search:
         alike: states whose defocus is not known: the other modes are tried at each defocus of a sweep. Where none of all
         these leads to an end that is accepted, or is as predicted, the search is as from nothing.
         """
-        swept = [state for one in alike for state in sweep(self.sketches, one)[:ALIKE]]
-        record = self._predicted([*given, *swept]) if given or swept else Record(())
-        if record.best is not None and any(_as_predicted(record.best, state) for state in (*given, *swept)):
-            return record
+        record = Record(())
+        for predicted, state in self._predicted(given, alike):
+            record = self._tried(replace(record, starts=record.starts + 1), state)
+            if record.accepted or (record.best is not None and _as_predicted(record.best, predicted)):
+                return record
         for step in (self._swept, self._retrieved_near_focus, self._best_of_given, self._from_further_starts):
             if record.accepted or (self.late and record.best is not None):
                 break
@@ -104,11 +105,15 @@ class Search:
         """Whether the search has had its time."""
         return perf_counter() > self.ends_at
 
-    def _predicted(self, given: Sequence[State]) -> Record:
-        """Maximisations from what is predicted; only the best end is left in the record."""
+    def _predicted(self, given: Sequence[State], alike: Sequence[State]) -> Iterator[tuple[State, State]]:
+        """What is predicted, and where to begin: there with its pose settled, or, where a defocus is not known, at the ends in
+        sketches of the best of a sweep."""
         sketches = self.sketches
-        ends = [_searched_from(sketches.problem(state, sketches.band), state) for state in given]
-        return self._tried(Record((), starts=len(ends)), _likeliest(ends))
+        for state in given:
+            yield state, settle(sketches.problem(state, sketches.band), state)
+        for one in alike:
+            for state in sweep(sketches, one)[:ALIKE]:
+                yield one, _searched_from(sketches.problem(state, sketches.band), state).state
 
     def _swept(self, record: Record) -> Record:
         """Where no state is given: the sweep's best, the first of them carried on if its sketch is plausible."""
