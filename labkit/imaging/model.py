@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -85,16 +85,17 @@ class ForwardModel:
         *,
         band: float = 1.0,
         window_airy: float = WINDOW_AIRY,
+        spare: float = 0.0,
     ) -> "ForwardModel":
         """A model of frames of a size, (rows, columns).
 
         reference: the target's pose in such frames, its scale right to 5 %; see `Scene`.
         band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
         window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
-        the wavefront.
+        the wavefront. spare: relative, by which `at_f_number` may make the cone wider.
         """
         window_um = window_airy * optics.airy_um
-        cutoff = 1 / optics.airy_um
+        cutoff = 1 / (optics.airy_um * (1 - spare))
         guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
@@ -104,6 +105,11 @@ class ForwardModel:
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
         wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
         return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um), wrapped)
+
+    def at_f_number(self, f_number: float) -> "ForwardModel":
+        """The same with another cone, whose drawings serve both. Raises ValueError for a cone wider than was to spare."""
+        pupil = replace(self.blur.pupil, f_number=f_number)
+        return replace(self, blur=Blur(self.blur.torus, pupil, self.blur.active_um))
 
     @property
     def optics(self) -> Optics:

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.imaging.blur import Blur
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, State, maximize
+from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, State
 from labkit.inference.identifiability import inverse
 from labkit.inference.likelihood import slopes
 from labkit.types import Bools, Floats
@@ -26,7 +25,8 @@ ROUNDS = 4  # the second lands within SETTLED where the engraving is 6 % off
 # of ln N: a step so small, or so small a part of its error, moves the optimum by less than 1e-5 waves beyond second order
 SETTLED, SETTLED_STDS = 2e-3, 0.3
 OPEN_STD = 1.0  # of ln N, a prior that keeps what a frame in focus leaves open finite
-CLIMB_STEPS = 8
+SETTLED_LENGTH = 0.5  # standard errors, all parameters together: what is left, the expansion covers
+SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 EXACT = 1e-6  # a relative error that moves nothing
 
 
@@ -70,7 +70,8 @@ class Expansion:
     """The log-likelihood about a state to second order, over modes, ln N of the cone, and the rest as in `Problem.scores`.
 
     gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
-    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state.
+    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state. relative: images (pixels,) of
+    the used pixels of each frame there.
     """
 
     problem: Problem
@@ -80,6 +81,7 @@ class Expansion:
     flats: Floats
     here: Floats
     picked: Floats
+    relative: tuple[Floats, ...]
 
     @property
     def f_number(self) -> float:
@@ -116,50 +118,63 @@ class Expansion:
 def free_cone(problem: Problem, solution: Solution, f_number_std: float) -> Freed:
     """Move an optimum to the cone that its frames call for. f_number_std: relative, of the one that it was found with."""
     given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
-    modes = solution.state.waves.size
+    state, modes = solution.state, solution.state.waves.size
     for last in (*[False] * ROUNDS, True):
-        expansion = expand(problem, solution.state)
+        expansion = expand(problem, state)
         step, covariance = expansion.newton(precision, -np.log(expansion.f_number / given) * precision)
-        if last or abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes])):
+        length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
+        settled = abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes]))
+        if last or (settled and length < SETTLED_LENGTH):
             break
         f_number = expansion.f_number * float(np.exp(step[modes]))
-        problem = replace(problem, model=at_f_number(problem.model, f_number, solution.state.poses[0]))
-        solution = maximize(problem, solution.state.moved(np.delete(step, modes)), max_steps=CLIMB_STEPS)
-    return Freed(problem, solution, expansion.f_number, covariance[:modes, :modes], expansion.measured())
+        problem = replace(problem, model=at_f_number(problem.model, f_number, state.poses[0]))
+        state = state.moved(np.delete(step, modes))
+    objective = problem.objective(state, expansion.relative)
+    ended = replace(
+        solution,
+        state=state,
+        objective=objective,
+        information=np.delete(np.delete(expansion.information, modes, 0), modes, 1),
+        relative=list(expansion.relative),
+        chi2_per_pixel=problem.chi2_per_pixel(state, expansion.relative),
+    )
+    return Freed(problem, ended, expansion.f_number, covariance[:modes, :modes], expansion.measured())
+
+
+def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> ForwardModel:
+    """The same model with another cone, built anew where it does not spare enough."""
+    optics, torus = replace(model.optics, f_number=f_number), model.scene.torus
+    try:
+        return model.at_f_number(f_number)
+    except ValueError:
+        return ForwardModel.build(optics, model.scene.target, torus.frame, reference, spare=SPARE)
+
+
+def slopes_by_cone(
+    model: ForwardModel, waves: Floats, drawing: Drawing, used: Sequence[Bools], means: Sequence[Floats]
+) -> list[Floats]:
+    """Derivatives (pixels,) of each frame's mean by ln N of the cone, modes in waves held.
+
+    By differences towards larger N, where the PSF is sampled well enough: right to about STEP^2. means: at the model's own.
+    """
+    here = model.blur.pupil.f_number
+    one, two = (model.at_f_number(here * np.exp(k * STEP)).means(waves, drawing, used) for k in (1, 2))
+    return [np.asarray((-3 * a + 4 * b - c) / (2 * STEP)) for a, b, c in zip(means, one, two, strict=True)]
 
 
 def expand(problem: Problem, state: State) -> Expansion:
     """The log-likelihood about a state, the cone free."""
     drawing, used = problem.draw(state), [f.used for f in problem.frames]
     evaluations = problem.model.evaluate(state.waves, drawing, used)
-    by_cone = slopes_by_cone(problem.model, state.waves, drawing, used)
+    by_cone = slopes_by_cone(problem.model, state.waves, drawing, used, [e.mean for e in evaluations])
     joined = [
         Evaluation(e.mean, np.concatenate([e.by_waves, cone[None]]), e.by_pose)
         for e, cone in zip(evaluations, by_cone, strict=True)
     ]
     gradient, information, _ = problem.assembled(state, joined)
     here, picked = _picked(problem, state, len(gradient))
-    return Expansion(problem, state, gradient, information, _flats_noise(problem, state, joined), here, picked)
-
-
-def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> ForwardModel:
-    """The same model with another cone."""
-    return ForwardModel.build(
-        replace(model.optics, f_number=f_number), model.scene.target, model.scene.torus.frame, reference
-    )
-
-
-def slopes_by_cone(model: ForwardModel, waves: Floats, drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
-    """Derivatives (pixels,) of each frame's mean by ln N of the cone, modes in waves held.
-
-    By differences towards larger N, where the PSF is sampled well enough: right to about STEP^2.
-    """
-    blur = model.blur
-    means = []
-    for k in range(3):
-        pupil = replace(blur.pupil, f_number=blur.pupil.f_number * np.exp(k * STEP))
-        means.append(replace(model, blur=Blur(blur.torus, pupil, blur.active_um)).means(waves, drawing, used))
-    return [np.asarray((-3 * here + 4 * one - two) / (2 * STEP)) for here, one, two in zip(*means, strict=True)]
+    flats, relative = _flats_noise(problem, state, joined), tuple(e.mean for e in evaluations)
+    return Expansion(problem, state, gradient, information, flats, here, picked, relative)
 
 
 def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.cone import Measured
+from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
@@ -101,7 +101,11 @@ def fit_wavefront(
     What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
-    whole = Problem(ForwardModel.build(optics, target, frames[0].counts.shape, poses[0]), tuple(frames), noise)
+    whole = Problem(
+        ForwardModel.build(optics, target, frames[0].counts.shape, poses[0], spare=SPARE if f_number_std else 0.0),
+        tuple(frames),
+        noise,
+    )
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
     sketches = Sketches(optics, target, frames[0], poses[0], noise)
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, progress)
