@@ -11,10 +11,13 @@ def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:
     sign = np.sign(x) * np.sign(y)
     x, y = np.minimum(np.abs(x), radius), np.minimum(np.abs(y), radius)
 
-    def under_arc(t: Floats) -> Floats:
-        return 0.5 * (t * np.sqrt(radius**2 - t**2) + radius**2 * np.arcsin(t / radius))
+    def half_chord(t: Floats) -> Floats:
+        return np.asarray(np.sqrt((radius - t) * (radius + t)))  # as a difference of squares it may round to below 0
 
-    flat = np.minimum(x, np.sqrt(radius**2 - y**2))  # up to here the top of the rectangle is inside the disc
+    def under_arc(t: Floats) -> Floats:
+        return 0.5 * (t * half_chord(t) + radius**2 * np.arcsin(t / radius))
+
+    flat = np.minimum(x, half_chord(y))  # up to here the top of the rectangle is inside the disc
     return sign * (y * flat + under_arc(x) - under_arc(flat))
 
 

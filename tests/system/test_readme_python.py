@@ -41,7 +41,6 @@ def truth(folder: Path) -> Floats:
     return np.array(entry["waves"])
 
 
-@pytest.mark.xfail(reason="the fit takes the f-number at infinity for that of the cone, 3.8 % larger", strict=True)
 def test_photographs_become_a_plot_of_the_mtf(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(golden)
     mpl.use("agg")

@@ -83,7 +83,6 @@ class CameraOnTheBench:
         write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
 
 
-@pytest.mark.xfail(reason="the fit takes the f-number at infinity for that of the cone", strict=True)
 @pytest.mark.timeout(600)
 def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     tmp_path: Path, photograph: Path, monkeypatch: pytest.MonkeyPatch
