@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labkit.analysis.advise import Advice
+from labkit.analysis.outlook import NUMBERS, Errors, Outlook
 
 Rows = list[list[str]]
 
@@ -38,18 +39,30 @@ def range_rows(advice: Advice) -> Rows:
 
 
 def session_rows(advice: Advice) -> Rows:
-    """What to expect of all ranges together."""
-    light = f"channel {advice.channel}, {advice.electrons:g} electrons at white, focus in the middle of the ranges"
-    rows = [["quantity", light]]
-    if advice.best_focus_std_mm is None or advice.magnification_std is None:
+    """What to expect of all ranges together: standard errors, beside those that the plan states."""
+    light = f"{advice.electrons:g} electrons at white, focus in the middle of the ranges"
+    rows = [["whole session", light]]
+    session = advice.session
+    if session is None:
         rows.append(["best focus", "needs defocus, mode 4, from at least two ranges"])
     else:
-        verdict = "determined" if advice.magnification_determined else "not determined at these ranges"
-        rows.append(["best focus", f"± {advice.best_focus_std_mm:.2g} mm"])
-        rows.append(["pupil magnification", f"± {advice.magnification_std:.2g}: {verdict}"])
-    if not advice.magnification_determined and advice.proposed_std is not None:
-        ranges = ", ".join(f"{r:g}" for r in advice.proposed_ranges_mm)
-        rows.append(["", f"± {advice.proposed_std:.2g} from ranges such as {ranges} mm, the lens focused among them"])
+        for key, std in session.std.items():
+            name, unit = NUMBERS.get(key) or (f"best focus {key.partition('.')[2]}", " mm")
+            stated = session.stated.get(key)
+            rows.append([name, f"± {std:.2g}{unit}" + (f", stated ± {stated:.2g}{unit}" if stated is not None else "")])
+        rows += [[f"with {what}", _in_a_line(std)] for what, std in _would_be(advice, session).items()]
     if advice.frames is not None:
         rows.append(["photographs", f"{advice.frames} for each range, so exposed, for the error wanted"])
     return rows
+
+
+def _would_be(advice: Advice, session: Outlook) -> dict[str, Errors]:
+    """Errors with one thing measured better, or at other ranges."""
+    would = {remedy.what: remedy.std for remedy in session.remedies}
+    if advice.proposed_ranges_mm:
+        would[f"ranges {', '.join(f'{r:g}' for r in advice.proposed_ranges_mm)} mm"] = advice.proposed_std
+    return would
+
+
+def _in_a_line(std: Errors) -> str:
+    return ", ".join(f"{name} ± {std[key]:.2g}{unit}" for key, (name, unit) in NUMBERS.items())

@@ -1,14 +1,24 @@
 """Before the first photograph: which target, how much light, which errors (thesis §3.7 with its misprint corrected)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import ceil, floor, isfinite, log, sqrt
 from typing import Any
 
-import numpy as np
-
-from labkit.analysis.expected_bound import expected_bound, planes_of
-from labkit.analysis.focus import TELLING_STD, DefocusPoint, fit_focus
+from labkit.analysis.expected_bound import ExpectedFit, expected_fit, planes_of
+from labkit.analysis.lens_model import Stated
+from labkit.analysis.outlook import (
+    NUMBERS,
+    STEP_WAVES,
+    Errors,
+    Outlook,
+    expected_member,
+    middle_mm,
+    outlook,
+    propose_ranges,
+)
 from labkit.devices.panels import panel_info
 from labkit.errors import DataError, PlanError
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
@@ -21,8 +31,6 @@ WIDEST_PX = 160  # of the target in the frame the bounds are computed for; error
 MOST_PX = 10_000  # across the widest sensors
 NAMED = 4  # of what is not determined
 MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
-STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
-CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
 
 
 @dataclass(frozen=True)
@@ -46,27 +54,42 @@ class RangeAdvice:
 class Advice:
     """What to expect of a plan.
 
-    channel: the one that the errors are of; ranges: one for each of the plan; best_focus_std_mm, magnification_std: None
-    with fewer than two ranges; magnification_determined: whether those ranges determine it; proposed_ranges_mm: ranges
-    that would, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy radius, if there is a
-    display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
+    channel: the one that the errors of wavefronts are of; ranges: one for each of the plan; session: what all of them together
+    will tell of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
+    magnification where the plan's do not, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy
+    radius, if there is a display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
     """
 
     channel: str
     electrons: float
     ranges: tuple[RangeAdvice, ...]
-    best_focus_std_mm: float | None
-    magnification_std: float | None
-    magnification_determined: bool
+    session: Outlook | None
     proposed_ranges_mm: tuple[float, ...]
-    proposed_std: float | None
+    proposed_std: Errors
     nearest_mm: float | None
     frames: int | None
     notes: tuple[str, ...]
 
+    @property
+    def best_focus_std_mm(self) -> float | None:
+        """Of the channel that the errors are of; None with fewer than two ranges."""
+        return None if self.session is None else self.session.std[f"best_focus_mm.{self.channel}"]
+
+    @property
+    def magnification_std(self) -> float | None:
+        """Of the pupil magnification; None with fewer than two ranges."""
+        return None if self.session is None else self.session.std["pupil_magnification"]
+
+    @property
+    def magnification_determined(self) -> bool:
+        """Whether these ranges determine the pupil magnification."""
+        return self.session is not None and self.session.determined
+
     def as_json(self) -> dict[str, Any]:
         """With null for errors that are not finite."""
         data = asdict(self)
+        for name in ("best_focus_std_mm", "magnification_std", "magnification_determined"):
+            data[name] = getattr(self, name)
         for at in data["ranges"]:
             at.update({key: None for key, value in at.items() if isinstance(value, float) and not isfinite(value)})
         return data
@@ -79,10 +102,32 @@ class _Photographs:
     plan: Plan
     lens: ThinLens
     target: Target
-    channel: Channel
     focus_mm: float
     electrons: float
     frames: int
+
+    def side_px(self, range_mm: float) -> float:
+        """Of the target in the frame."""
+        plan = self.plan
+        return plan.target.size_mm / float(ground_sample_mm(self.lens, range_mm, plan.sensor.pixel_pitch_um))
+
+    def defocus(self, range_mm: float) -> float:
+        """Waves RMS."""
+        return float(defocus_waves(self.lens, range_mm, self.focus_mm, self.plan.reference_wavelength_nm))
+
+    def fit(self, channel: Channel, range_mm: float, defocus: float) -> ExpectedFit:
+        """What the photographs of a range will say in one channel; errors of large targets go as 1/size."""
+        side_px = self.side_px(range_mm)
+        one = expected_fit(
+            self.plan,
+            self.target,
+            channel,
+            f_number=float(self.lens.working_f_number(self.focus_mm)),
+            side_px=min(side_px, WIDEST_PX),
+            defocus_waves=defocus,
+            electrons=self.electrons,
+        )
+        return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
 
 
 def advise(
@@ -95,8 +140,9 @@ def advise(
     """What to expect of a plan, from its lens, sensor, target and ranges alone.
 
     ranges_mm: instead of the plan's. electrons: at white, in one photograph. want_waves: a wavefront's standard error.
-    The middle of the ranges is taken for best focus, the channel of the shortest wavelength for all errors. Raises PlanError
-    where there are no ranges, DataError where want_waves or electrons is not positive.
+    The middle of the ranges is taken for best focus; errors of wavefronts are those of the shortest wavelength, with the cone
+    known, those of the lens are what the estimate of the whole session will have. Raises PlanError where there are no
+    ranges, DataError where want_waves or electrons is not positive.
 
     >>> labkit.advise(plan, ranges_mm=[3000, 3200]).best_focus_std_mm
     """
@@ -104,26 +150,63 @@ def advise(
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     ranges = _ranges(plan, ranges_mm)
     frames = plan.camera.frames_per_range if plan.camera else 1
-    focus_mm = _middle(ranges, lens)
-    shots = _Photographs(plan, lens, open_target(plan.target), _shortest(plan), focus_mm, electrons, frames)
-    advised = [_at(shots, range_mm) for range_mm in ranges]
-    best_std, magnification_std = _focus_std(plan, lens, advised)
-    proposed, proposed_std = _proposed_ranges(min(ranges), lens, advised, plan)
+    shots = _Photographs(plan, lens, open_target(plan.target), middle_mm(ranges, lens), electrons, frames)
+    of_light = {range_mm: shots.fit(_shortest(plan), range_mm, shots.defocus(range_mm)) for range_mm in ranges}
+    advised = [_at(shots, range_mm, fit) for range_mm, fit in of_light.items()]
+    session = _session(shots, of_light)
+    proposed, proposed_std = ((), Errors()) if session is None or session.determined else _proposed(shots, min(ranges))
     wanted, light_notes = _wanted_frames(advised, frames, want_waves)
     nearest_mm = _nearest_mm(plan)
     return Advice(
-        channel=shots.channel.name,
+        channel=_shortest(plan).name,
         electrons=electrons,
         ranges=tuple(advised),
-        best_focus_std_mm=best_std,
-        magnification_std=magnification_std,
-        magnification_determined=magnification_std is not None and magnification_std <= TELLING_STD,
+        session=session,
         proposed_ranges_mm=proposed,
         proposed_std=proposed_std,
         nearest_mm=nearest_mm,
         frames=wanted,
-        notes=(*_bench_notes(plan, advised, nearest_mm), *light_notes),
+        notes=(*_lens_notes(session, proposed, proposed_std), *_bench_notes(plan, advised, nearest_mm), *light_notes),
     )
+
+
+def _session(shots: _Photographs, of_light: dict[float, ExpectedFit]) -> Outlook | None:
+    """What all ranges together will tell. of_light: the fits of the shortest wavelength."""
+    plan, first = shots.plan, _shortest(shots.plan)
+    ranges = [range_mm for range_mm, fit in of_light.items() if not fit.bound.undetermined]
+    if len(ranges) < 2 or plan.fit.zernike_noll[0] != 4:
+        return None
+    members = []
+    for channel in plan.channel:
+        for range_mm in ranges:
+            fit = of_light[range_mm] if channel == first else shots.fit(channel, range_mm, shots.defocus(range_mm))
+            if not fit.bound.undetermined:
+                members.append(expected_member(range_mm, channel.name, fit.measured))
+    return outlook(members, Stated.of(plan), shots.focus_mm)
+
+
+def _proposed(shots: _Photographs, nearest_mm: float) -> tuple[tuple[float, ...], Errors]:
+    """Ranges that determine the pupil magnification, by what fits of the shortest wavelength at the nearest would say."""
+    sharp, blurred = (shots.fit(_shortest(shots.plan), nearest_mm, waves) for waves in (0.0, STEP_WAVES))
+    if sharp.bound.undetermined or blurred.bound.undetermined:
+        return (), {}
+    channels = [channel.name for channel in shots.plan.channel]
+    return propose_ranges(nearest_mm, channels, Stated.of(shots.plan), sharp.measured, blurred.measured)
+
+
+def _lens_notes(session: Outlook | None, proposed: tuple[float, ...], proposed_std: Errors) -> list[str]:
+    """What the ranges will hardly tell, and which measurement would, a line each."""
+    notes = []
+    for key in session.open_numbers() if session else ():
+        assert session is not None
+        name, unit = NUMBERS[key]
+        better = {remedy.what: remedy.std[key] for remedy in session.worthwhile(key)}
+        if key == "pupil_magnification" and proposed:
+            better[f"ranges {', '.join(format(r, 'g') for r in proposed)} mm"] = proposed_std[key]
+        would = "; ".join(f"{what} would make it ± {std:.2g}{unit}" for what, std in better.items())
+        would = would or "no measurement beside the photographs would halve that; more light or a larger target may"
+        notes.append(f"these ranges hardly tell the {name}, ± {session.std[key]:.2g}{unit}: {would}")
+    return notes
 
 
 def _bench_notes(plan: Plan, advised: Sequence[RangeAdvice], nearest_mm: float | None) -> list[str]:
@@ -195,25 +278,8 @@ def _shortest(plan: Plan) -> Channel:
     return min(plan.channel, key=lambda channel: channel.wavelength_nm)
 
 
-def _middle(ranges: Sequence[float], lens: ThinLens) -> float:
-    """The range in the middle of those of the lens's image distances: where one would focus."""
-    image = float(np.mean([lens.image_distance_mm(min(ranges)), lens.image_distance_mm(max(ranges))]))
-    return image * lens.focal_length_mm / (image - lens.focal_length_mm)
-
-
-def _at(shots: _Photographs, range_mm: float) -> RangeAdvice:
+def _at(shots: _Photographs, range_mm: float, fit: ExpectedFit) -> RangeAdvice:
     plan = shots.plan
-    side_px = plan.target.size_mm / float(ground_sample_mm(shots.lens, range_mm, plan.sensor.pixel_pitch_um))
-    defocus = float(defocus_waves(shots.lens, range_mm, shots.focus_mm, plan.reference_wavelength_nm))
-    bound = expected_bound(
-        plan,
-        shots.target,
-        shots.channel,
-        side_px=min(side_px, WIDEST_PX),
-        defocus_waves=defocus,
-        electrons=shots.electrons,
-    )
-    smaller = min(1.0, WIDEST_PX / side_px) / sqrt(shots.frames)
     modes = plan.fit.zernike_noll[1] - plan.fit.zernike_noll[0] + 1
     cell_airy = size_mm = None
     if plan.target.kind == "sierpinski" and plan.target.order:
@@ -221,58 +287,15 @@ def _at(shots: _Photographs, range_mm: float) -> RangeAdvice:
         cell_airy = plan.target.size_mm / size_mm
     return RangeAdvice(
         range_mm,
-        side_px,
+        shots.side_px(range_mm),
         cell_airy,
         best_order(plan, range_mm),
         size_mm,
-        defocus,
-        float(bound.std[0]) * smaller,
-        bound.rms(0, modes) * smaller,
-        bound.undetermined,
+        shots.defocus(range_mm),
+        float(fit.bound.std[0]),
+        fit.bound.rms(0, modes),
+        fit.bound.undetermined,
     )
-
-
-def _focus_std(plan: Plan, lens: ThinLens, advised: Sequence[RangeAdvice]) -> tuple[float | None, float | None]:
-    points = [
-        DefocusPoint(a.range_mm, "one", a.defocus_waves, a.std_defocus_waves)
-        for a in advised
-        if np.isfinite(a.std_defocus_waves)
-    ]
-    if len({p.range_mm for p in points}) < 2 or plan.fit.zernike_noll[0] != 4:
-        return None, None
-    # colours share the magnification, so more of them help; the errors are of one alone
-    focus = fit_focus(
-        points,
-        lens.focal_length_mm,
-        lens.f_number,
-        plan.reference_wavelength_nm,
-        plan.fit.convention,
-        plan.fit.range_std_mm,
-    )
-    return float(focus.std[0]), float(focus.std[-1])
-
-
-def _proposed_ranges(
-    nearest: float, lens: ThinLens, advised: Sequence[RangeAdvice], plan: Plan
-) -> tuple[tuple[float, ...], float | None]:
-    """The farthest three ranges, a wave of defocus apart, that determine the pupil magnification; none where none do."""
-    std = max((a.std_defocus_waves for a in advised if np.isfinite(a.std_defocus_waves)), default=np.inf)
-    focal, reference_mm = lens.focal_length_mm, plan.reference_wavelength_nm * 1e-6
-    step_mm = STEP_WAVES * np.sqrt(12) * reference_mm * 8 * lens.f_number**2  # of the image, for so much defocus
-    for near in np.geomspace(nearest, CLOSEST * focal, 25) if nearest > CLOSEST * focal and np.isfinite(std) else ():
-        images = float(lens.image_distance_mm(near)) - step_mm * np.arange(3)
-        if images[-1] <= focal:
-            continue  # there is no range so far
-        ranges = tuple(float(f"{r:.3g}") for r in images * focal / (images - focal))
-        focus = _middle(ranges, lens)
-        waves = defocus_waves(lens, np.array(ranges), focus, plan.reference_wavelength_nm)
-        points = [DefocusPoint(r, "one", float(w), std) for r, w in zip(ranges, waves, strict=True)]
-        fitted = fit_focus(
-            points, focal, lens.f_number, plan.reference_wavelength_nm, plan.fit.convention, plan.fit.range_std_mm
-        )
-        if fitted.std[-1] <= TELLING_STD / 2:
-            return ranges, float(fitted.std[-1])
-    return (), None
 
 
 def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:

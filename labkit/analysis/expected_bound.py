@@ -1,13 +1,16 @@
-"""Errors to be expected of photographs that are not taken yet: Cramér-Rao bounds from a channel's pixels alone."""
+"""Errors to be expected of photographs that are not taken yet: what a channel's pixels will say of its wavefront and cone."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 from math import ceil, sqrt
 
 import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import fisher_information, parameter_names
+from labkit.inference.bounds import parameter_names
+from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.identifiability import Bound, bound_of
 from labkit.inference.likelihood import FrameData
@@ -61,19 +64,40 @@ def planes_of(sensor: Sensor, name: str) -> Planes:
     return Planes(tuple(divmod(place, 2) for place, colour in enumerate(pattern) if colour == name), 2, assumed)
 
 
-def expected_bound(
-    plan: Plan, target: Target, channel: Channel, *, side_px: float, defocus_waves: float, electrons: float
-) -> Bound:
-    """The bound of all parameters, modes first, from one photograph of the target.
+@dataclass(frozen=True)
+class ExpectedFit:
+    """What photographs will say. bound: of all parameters, modes first, the cone known; measured: as a session takes it."""
 
-    side_px: of the target; defocus_waves: RMS, at the reference wavelength; electrons: at white.
+    bound: Bound
+    measured: Measured
+
+    def scaled(self, factor: float) -> ExpectedFit:
+        """With standard errors times a factor."""
+        bound = replace(self.bound, covariance=self.bound.covariance * factor**2)
+        return ExpectedFit(bound, replace(self.measured, covariance=self.measured.covariance * factor**2))
+
+
+def expected_fit(
+    plan: Plan,
+    target: Target,
+    channel: Channel,
+    *,
+    f_number: float,
+    side_px: float,
+    defocus_waves: float,
+    electrons: float,
+) -> ExpectedFit:
+    """What one photograph of the target will say; flats' errors are not in it.
+
+    f_number: of the cone that reaches the sensor; side_px: of the target; defocus_waves: RMS, at the reference wavelength;
+    electrons: at white.
     """
     first, last = plan.fit.zernike_noll
     noll = tuple(range(first, last + 1))
     optics = Optics(
         wavelength_um=channel.wavelength_nm * 1e-3,
         reference_um=plan.reference_wavelength_nm * 1e-3,
-        f_number=plan.lens.f_number,
+        f_number=f_number,
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
         noll=noll,
@@ -85,7 +109,10 @@ def expected_bound(
     pose = _pose(side_px, side, target)
     state = State(_waves(noll, defocus_waves), (pose,), np.array([electrons]), np.zeros(1), noise.centre)
     problem = Problem(ForwardModel.build(optics, target, (side, side), pose), (frame,), noise)
-    return bound_of(fisher_information(problem, state, len(noll)), parameter_names(state, noll))
+    expansion = expand(problem, state)
+    held = np.delete(np.arange(len(expansion.information)), len(noll))  # all but the cone
+    bound = bound_of(expansion.information[np.ix_(held, held)], parameter_names(state, noll))
+    return ExpectedFit(bound, expansion.measured())
 
 
 def _waves(noll: tuple[int, ...], defocus_waves: float) -> Floats:

@@ -84,39 +84,6 @@ def defocus_waves(
     return np.asarray(path_mm / PV_PER_RMS / (reference_nm * 1e-6))
 
 
-def defocus_slopes(
-    lens: ThinLens,
-    target_mm: Floats | float,
-    focus_mm: Floats | float,
-    reference_nm: float,
-    convention: Convention = "corrected",
-) -> tuple[Floats, Floats, Floats]:
-    """Derivatives of `defocus_waves` by the target's range and by that of best focus (waves RMS per mm), and by the pupil
-    magnification (waves RMS), each of the ranges' common shape.
-
-    In closed form: defocus over far ranges hardly depends on the magnification, and differences of it lose that little to
-    rounding.
-    """
-    positive("reference_nm", reference_nm, "nm")
-    to_waves = 1 / (PV_PER_RMS * reference_nm * 1e-6)
-    target_mm, focus_mm = np.broadcast_arrays(np.asarray(target_mm, float), np.asarray(focus_mm, float))
-    by_target, target_by_pupils = _sagitta_slopes(lens, target_mm, convention)
-    by_focus, focus_by_pupils = _sagitta_slopes(lens, focus_mm, convention)
-    return by_target * to_waves, -by_focus * to_waves, (target_by_pupils - focus_by_pupils) * to_waves
-
-
-def _sagitta_slopes(lens: ThinLens, range_mm: Floats, convention: Convention) -> tuple[Floats, Floats]:
-    """Derivatives of the sagitta of a range's image about the exit pupil, by the range and by the pupil magnification."""
-    radius_mm = lens.pupil_to_image_mm(range_mm, convention)
-    half_squared = (lens.exit_pupil_mm / 2.0) ** 2
-    root_mm = np.sqrt(radius_mm**2 - half_squared)
-    by_radius = -_sagitta_mm(radius_mm, half_squared) / root_mm
-    image_by_range = -((lens.focal_length_mm / (range_mm - lens.focal_length_mm)) ** 2)
-    radius_by_pupils = lens.focal_length_mm if convention == "corrected" else -lens.focal_length_mm
-    by_pupils = by_radius * radius_by_pupils + half_squared / (lens.pupil_magnification * root_mm)
-    return np.asarray(by_radius * image_by_range), np.asarray(by_pupils)
-
-
 def _sagitta_mm(radius_mm: Floats, half_squared: float) -> Floats:
     """R - sqrt(R^2 - h^2) of a wave over its pupil, without the loss of its digits."""
     return np.asarray(half_squared / (radius_mm + np.sqrt(radius_mm**2 - half_squared)))

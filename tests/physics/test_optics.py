@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import j1
 
-from labkit.optics.lens import Convention, ThinLens, circle_of_confusion_mm, defocus_slopes, defocus_waves
+from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves
 from labkit.optics.psf import Pupil, diffraction_mtf
 from labkit.optics.pupil import disc_area
 from labkit.optics.zernike import is_even, zernike
@@ -205,22 +205,6 @@ def test_defocus_against_range_has_the_published_values(range_mm: float, correct
     lens = ThinLens(70.0, 2.8, 0.985)
     assert defocus_waves(lens, range_mm, 3000.0, 450.0) == pytest.approx(corrected, abs=6e-6)
     assert defocus_waves(lens, range_mm, 3000.0, 450.0, "thesis") == pytest.approx(thesis, abs=6e-6)
-
-
-@pytest.mark.parametrize(("convention", "sign"), [("corrected", 1), ("thesis", -1)])
-def test_slopes_of_defocus_are_complex_steps(convention: Convention, sign: int) -> None:
-    def waves(target: complex, focus: complex, mp: complex) -> complex:
-        """Closed form, written out anew, which takes complex numbers."""
-        f, half = 70.0, mp * 70.0 / 2.8 / 2
-        radii = [x * f / (x - f) + sign * (mp - 1) * f for x in (target, focus)]
-        target_path, focus_path = (r - np.sqrt(r**2 - half**2) for r in radii)
-        return complex((target_path - focus_path) / np.sqrt(12) / 450e-6)
-
-    at, step = np.array([3200.0, 3150.0, 1.2]), 1e-20j
-    wanted = [waves(*(at + step * unit)).imag / 1e-20 for unit in np.eye(3)]
-    slopes = defocus_slopes(ThinLens(70.0, 2.8, 1.2), 3200.0, 3150.0, 450.0, convention)
-    # terms of 600 waves cancel to 0.008 in the last: five of sixteen digits, and two of its root's
-    np.testing.assert_allclose(slopes, wanted, rtol=5e-9)
 
 
 def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.advise import advise, best_order
+from labkit.analysis.advice_tables import session_rows
+from labkit.analysis.advise import Advice, advise, best_order
+from labkit.analysis.session_results import TELLING_STD
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
@@ -26,14 +28,59 @@ def plan() -> Plan:
     return Plan.parse(TEXT)
 
 
+@pytest.fixture(scope="module")
+def usual() -> Advice:
+    """Of a small target in one channel, 70 mm f/2.8, from 3 m on, with the light of fifty photographs."""
+    return advise(portrait("G", "RGGB"), ranges_mm=[3000.0, 3200.0, 3300.0], electrons=1e6)
+
+
 @pytest.mark.slow
-def test_errors_are_those_that_a_session_of_this_plan_had(plan: Plan) -> None:
-    # labkit demo, seed 1: best focus +- 0.026 mm and defocus +- 0.0001 a colour, mp +- 0.0027 from three colours
-    advice = advise(plan)
-    assert advice.best_focus_std_mm == pytest.approx(0.026, rel=0.3)
-    assert advice.magnification_std == pytest.approx(0.0027 * 3**0.5, rel=0.3)
-    assert all(0.5e-4 < one.std_defocus_waves < 2e-4 for one in advice.ranges)
-    assert advice.magnification_determined
+def test_errors_are_those_that_a_session_of_this_plan_had() -> None:
+    # a simulated session of 59.2 mm f/4.1, two frames at each of two ranges, fitted: best focus of G +- 0.0224 mm,
+    # f +- 0.354 mm, N +- 0.0238, mp +- 0.156, zero +- 9.00 mm
+    lens = {"lens": {"focal_length_mm": 59.2, "f_number": 4.1}, "target": {"size_mm": 13.0}}
+    sensor = {"sensor": {"pixel_pitch_um": 5.0, "fill_factor": 0.79}, "fit": {"zernike_noll": [4, 15]}}
+    colours = {"channel": [{"name": n, "wavelength_nm": nm} for n, nm in (("R", 630.0), ("G", 535.0), ("B", 455.0))]}
+    advice = advise(Plan.parse(plan_text(PORTRAIT, lens, sensor, colours)), ranges_mm=[1447.0, 1597.0])
+    assert advice.session is not None
+    std = advice.session.std
+    # one frame instead of two, and no errors of flats
+    assert std["best_focus_mm.G"] == pytest.approx(0.0224, rel=0.3)
+    assert std["focal_length_mm"] == pytest.approx(0.354, rel=0.05)
+    assert std["f_number"] == pytest.approx(0.0238, rel=0.1)
+    assert std["pupil_magnification"] == pytest.approx(0.156, rel=0.05)
+    assert std["range_zero_mm"] == pytest.approx(9.0, rel=0.05)
+
+
+@pytest.mark.slow
+def test_what_the_ranges_hardly_tell_is_named_with_what_would_tell_it(usual: Advice) -> None:
+    assert usual.session is not None
+    assert "pupil_magnification" in usual.session.open_numbers()
+    (tape,) = (remedy for remedy in usual.session.remedies if "tape" in remedy.what)
+    assert tape in usual.session.worthwhile("pupil_magnification")
+    assert tape not in usual.session.worthwhile("range_zero_mm")  # what one measures is no news of it
+    told = f"a tape right to 1 mm would make it ± {tape.std['pupil_magnification']:.2g}"
+    assert any("hardly tell the pupil magnification" in note and told in note for note in usual.notes)
+
+
+@pytest.mark.slow
+def test_a_remedy_does_what_it_says(usual: Advice) -> None:
+    assert usual.session is not None
+    (tape,) = (remedy for remedy in usual.session.remedies if "tape" in remedy.what)
+    taped = portrait("G", "RGGB").replace(fit={"range_zero_std_mm": 1.0})
+    again = advise(taped, ranges_mm=[3000.0, 3200.0, 3300.0], electrons=1e6).session
+    assert again is not None
+    assert again.std == pytest.approx(tape.std)
+    assert not any("tape" in remedy.what for remedy in again.remedies)
+
+
+@pytest.mark.slow
+def test_what_is_expected_is_said_in_rows(usual: Advice) -> None:
+    rows = dict(session_rows(usual))
+    assert usual.session is not None
+    assert rows["best focus G"] == f"± {usual.best_focus_std_mm:.2g} mm"
+    assert rows["focal length"].endswith("stated ± 1.4 mm")  # 2 % of 70 mm
+    assert "with a tape right to 1 mm" in rows
 
 
 def test_the_order_is_the_largest_that_an_airy_disc_resolves(plan: Plan) -> None:
@@ -61,11 +108,11 @@ def test_cells_finer_than_the_displays_pixels_are_named(plan: Plan) -> None:
     assert any("finer than the display's pixels" in note for note in advise(small, ranges_mm=[3000.0]).notes)
 
 
-def test_far_away_the_magnification_is_not_determined(plan: Plan) -> None:
-    advice = advise(plan, ranges_mm=[30000.0, 32000.0, 34000.0])
+def test_far_away_the_magnification_is_not_determined() -> None:
+    advice = advise(portrait("G", "RGGB").replace(target={"size_mm": 156.0}), ranges_mm=[30000.0, 32000.0, 34000.0])
     assert not advice.magnification_determined
     assert advice.magnification_std is not None
-    assert advice.magnification_std > 1
+    assert advice.magnification_std > TELLING_STD
 
 
 @pytest.mark.slow
@@ -82,11 +129,12 @@ def test_photographs_for_an_error_that_is_wanted(plan: Plan) -> None:
 
 
 @pytest.mark.slow
-def test_ranges_that_are_proposed_determine_the_magnification(plan: Plan) -> None:
-    faint = advise(plan, electrons=100.0)
-    assert not faint.magnification_determined
-    proposed = advise(plan, ranges_mm=faint.proposed_ranges_mm, electrons=100.0)
+def test_ranges_that_are_proposed_determine_the_magnification(usual: Advice) -> None:
+    assert not usual.magnification_determined
+    small = portrait("G", "RGGB").replace(target={"size_mm": 3.0})
+    proposed = advise(small, ranges_mm=usual.proposed_ranges_mm, electrons=1e6)
     assert proposed.magnification_determined
+    assert proposed.proposed_ranges_mm == ()
 
 
 @pytest.mark.slow
@@ -122,10 +170,13 @@ def test_what_cannot_be_advised_on(plan: Plan) -> None:
 
 @pytest.mark.slow
 def test_the_command_answers_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "plan.toml").write_text(TEXT)
-    assert run(["advise", str(tmp_path / "plan.toml"), "--json"]) == 0
+    (tmp_path / "plan.toml").write_text(portrait("G", "RGGB").to_toml())
+    ranges = ["--range", "3000", "--range", "3300"]
+    assert run(["advise", str(tmp_path / "plan.toml"), *ranges, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert [one["range_mm"] for one in answer["ranges"]] == [3000.0, 3200.0, 3300.0]
+    assert [one["range_mm"] for one in answer["ranges"]] == [3000.0, 3300.0]
+    assert answer["session"]["std"]["best_focus_mm.G"] == answer["best_focus_std_mm"]
+    assert answer["session"]["stated"]["range_zero_mm"] == 10.0
     assert run(["advise", str(tmp_path / "none.toml")]) == 2
 
 
@@ -145,7 +196,7 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
     optics = Optics(
         wavelength_um=0.6,
         reference_um=0.6,
-        f_number=2.8,
+        f_number=2.8 * (1 + 70 / 2930),  # of the cone, the lens focused at 3 m
         pitch_um=4.78,
         active_um=4.78,
         noll=(4, 5, 6, 7),
