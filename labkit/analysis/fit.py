@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from labkit.analysis.joint import climb
+from labkit.analysis.joint import Joint, climb
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.observe import observe
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
@@ -56,36 +56,32 @@ def fit(
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
-    session = session if isinstance(session, Session) else Session.open(session)
-    plan = _plan(session, plan, noll)
-    if damage := altered(session):
-        raise SessionError("; ".join(damage))
+    session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     with Workers(workers or default_workers()) as run:
         fits = fit_session(observations, plan, target, run, progress, patience_s)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    parts = {"": fits} if change is None or not split else {"": fits, "-before": change.before, "-after": change.after}
-    noted = [*session.warnings, *assumed, *([] if change is None else [str(change)])]
-    if together is not None:
-        parts[""] = replace(fits, lens=together.lens)
-    made = [_results(part, plan, _checksum(session, plan), noted, ranges_mm) for part in parts.values()]
-    made[0] = replace(made[0], joint={} if together is None else together.differences)
-    placed = [
-        replace(results, folder=folder.with_name(folder.name + end)) for end, results in zip(parts, made, strict=True)
-    ]
-    for results in placed:
-        assert results.folder is not None
-        results.write(results.folder)
-    return placed[0]
+    common = (plan, _checksum(session, plan), [*session.warnings, *assumed, *map(str, filter(None, [change]))])
+    whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
+    parts = [] if change is None or not split else [("-before", change.before), ("-after", change.after)]
+    for end, results in [("", whole), *((end, _results(part, *common, True)) for end, part in parts)]:
+        results.write(folder.with_name(folder.name + end))
+    return replace(whole, folder=folder)
 
 
-def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], ranges_mm: Ranges) -> Results:
-    """Of fits, all or a part of a session's."""
+def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[str]) -> Results:
+    """Of fits whose lens a joint climb has settled."""
+    results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, wanted=True)
+    return replace(results, joint=joint.differences)
+
+
+def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
+    """Of fits, all or a part of a session's. wanted: whether they were to tell best focus."""
     wavefronts, lens, warnings = as_wavefronts(fits), fits.lens, warnings_of(fits)
     focus = None if lens is None else as_focus(lens)
-    wanted = ranges_mm is None and any(w.range_mm is not None and w.defocus for w in wavefronts)
+    wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
         plan=plan,
         plan_sha256=checksum,
@@ -98,9 +94,15 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
     )
 
 
-def _plan(session: Session, plan: Plan | Path | str | None, noll: tuple[int, int] | None) -> Plan:
+def _opened(
+    session: Session | Path | str, plan: Plan | Path | str | None, noll: tuple[int, int] | None
+) -> tuple[Session, Plan]:
+    """The session, and the plan to fit it with. Raises SessionError for photographs or a plan that were altered."""
+    session = session if isinstance(session, Session) else Session.open(session)
     chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
-    return chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
+    if damage := altered(session):
+        raise SessionError("; ".join(damage))
+    return session, chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
 
 
 def _checksum(session: Session, plan: Plan) -> str:

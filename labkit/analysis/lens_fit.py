@@ -115,7 +115,8 @@ def fit_session_lens(members: Sequence[Member], stated: Stated) -> LensFit:
     if strict.p_value >= CONTRADICTION or len({m.stop for m in members}) < 2:
         return strict
     others = [fit_lens(members, stated, **looser) for looser in LOOSER]
-    return max([strict, *others], key=lambda fit: (round(np.log10(max(fit.p_value, 1e-300))), -fit.chi2))
+    fewest = next((fit for fit in others if fit.p_value >= CONTRADICTION), None)
+    return fewest or min([strict, *others], key=lambda fit: fit.chi2)
 
 
 def fit_lens(
@@ -131,35 +132,46 @@ def fit_lens(
     extra_waves: RMS, an error of every mode beyond the measured ones, for rough comparisons.
     """
     model = LensModel(tuple(members), stated, shared, paraxial)
-    values, roots = (
-        [m.measured.values for m in members],
-        tuple(_root(m, extra_waves, model.size_floor) for m in members),
-    )
     centre = np.array([c.value for c in model.columns])
     prior = np.array([max(c.std, EXACT * c.scale) for c in model.columns])
     scale = np.array([min(c.scale, p) for c, p in zip(model.columns, prior, strict=True)])
-    start = _start(model, centre)
-
-    def residuals(theta: Floats) -> Floats:
-        rest = [
-            solve_triangular(root, value - predicted, lower=True)
-            for root, value, predicted in zip(roots, values, model.predicted(theta), strict=True)
-        ]
-        return np.concatenate([*rest, (centre - theta) / prior])
-
-    def slopes(theta: Floats) -> Floats:
-        rows = [
-            solve_triangular(root, slope, lower=True) for root, slope in zip(roots, model.jacobian(theta), strict=True)
-        ]
-        return -np.concatenate([*rows, np.diag(1 / prior)])
-
+    roots = tuple(_root(m, extra_waves, model.size_floor) for m in members)
+    rows = _Rows(model, roots, centre, prior)
     solved = least_squares(
-        residuals, start, slopes, x_scale=scale, bounds=_bounds(model, centre), xtol=1e-12, ftol=1e-12, gtol=1e-10
+        rows.residuals,
+        _start(model, centre),
+        rows.slopes,
+        x_scale=scale,
+        bounds=_bounds(model, centre),
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-10,
     )
-    jacobian = slopes(solved.x)
-    triangle = np.linalg.qr(jacobian * scale, mode="r")
-    inverse = np.linalg.inv(triangle) * scale[:, None]
-    return LensFit(model, solved.x, inverse @ inverse.T, residuals(solved.x), -jacobian, roots)
+    jacobian = rows.slopes(solved.x)
+    inverse = np.linalg.inv(np.linalg.qr(jacobian * scale, mode="r")) * scale[:, None]
+    return LensFit(model, solved.x, inverse @ inverse.T, rows.residuals(solved.x), -jacobian, roots)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Members and prior values as whitened rows. roots: of the members' covariances; centre, prior: (columns,)."""
+
+    model: LensModel
+    roots: tuple[Floats, ...]
+    centre: Floats
+    prior: Floats
+
+    def residuals(self, theta: Floats) -> Floats:
+        """(rows,) measured less predicted."""
+        pairs = zip(self.model.members, self.model.predicted(theta), self.roots, strict=True)
+        rest = [solve_triangular(root, m.measured.values - predicted, lower=True) for m, predicted, root in pairs]
+        return np.concatenate([*rest, (self.centre - theta) / self.prior])
+
+    def slopes(self, theta: Floats) -> Floats:
+        """(rows, columns) of the residuals."""
+        pairs = zip(self.model.jacobian(theta), self.roots, strict=True)
+        rows = [solve_triangular(root, slope, lower=True) for slope, root in pairs]
+        return -np.concatenate([*rows, np.diag(1 / self.prior)])
 
 
 def outliers(fit: LensFit) -> tuple[list[int], LensFit]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labkit.cli.app import PlanPath, SessionPath, app
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError
+
+if TYPE_CHECKING:
+    from labkit.results import Results
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -120,8 +124,13 @@ def fit(
             split=split,
             progress=report,
         )
+    _show(console, results, opened.warnings)
+
+
+def _show(console: Console, results: Results, told: Sequence[str]) -> None:
+    """What a fit found. told: warnings that were shown before. Raises DataError for what it was to find and could not."""
     for warning in results.warnings:
-        if warning not in (*opened.warnings, results.unanswered):
+        if warning not in (*told, results.unanswered):
             console.warn(warning)
     console.table(results.wavefront_rows())
     console.table(results.focus_rows())
