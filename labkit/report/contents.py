@@ -121,6 +121,13 @@ def _checks(m: Results) -> list[dict[str, Any]]:
         checks.append({"good": False, "text": text})
     elif tested:
         checks.append({"good": True, "text": _no_sign(len(tested))})
+    unexplained = [w for w in tested if w.test and not w.test.explains]
+    if unexplained:
+        names = ", ".join(f"{millimetres(w.range_mm)} {w.channel}" for w in unexplained)
+        text = (
+            f"the model does not explain the pixels of {len(unexplained)} of {len(tested)} fits to their noise: {names}"
+        )
+        checks.append({"good": False, "text": text})
     untested = len(m.wavefronts) - len(tested)
     if untested:
         checks.append({"good": False, "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested"})
@@ -134,7 +141,16 @@ def _checks(m: Results) -> list[dict[str, Any]]:
         rest = np.array([r for values in m.focus.residual_waves.values() for r in values])
         text = f"focus fit leaves {fixed(1e3 * float(np.sqrt(np.mean(rest**2))), 1)} milliwaves RMS"
         checks.append({"good": True, "text": text})
-    return checks
+    return [*checks, *_joint_check(m)]
+
+
+def _joint_check(m: Results) -> list[dict[str, Any]]:
+    """How far a climb over all frames at once moved the session's numbers, where there was one."""
+    if not m.joint:
+        return []
+    most = max(abs(moved) for moved in m.joint.values())
+    text = f"one climb over all frames moves no number by more than {fixed(most, 2)} standard errors"
+    return [{"good": most <= 1, "text": text}]
 
 
 def _no_sign(count: int) -> str:

@@ -206,6 +206,15 @@ def test_a_rejected_optimum_stands_at_the_top(tmp_path: Path) -> None:
     assert html.index("1 of 2 optima rejected as local minima: 3200 mm R") < html.index("<figure>")
 
 
+def test_pixels_that_the_model_does_not_explain_are_another_matter(tmp_path: Path) -> None:
+    unlike = a_wavefront(3200.0, test=replace(ACCEPTED, explains=False))
+    folder = written(tmp_path, wavefronts=(a_wavefront(), unlike), joint={"f_number": -0.31, "focal_length_mm": 0.1})
+    words = Page(write_report(folder).read_text()).words()
+    assert "no sign of a wrong optimum in any of 2 fits" in words
+    assert "does not explain the pixels of 1 of 2 fits to their noise: 3200 mm R" in words
+    assert "moves no number by more than 0.31 standard errors" in words
+
+
 def test_focus_is_drawn_where_the_rail_was_read_to_stand() -> None:
     wavefronts = [a_wavefront(r, measured_range_mm=r + 0.7) for r in (3000.0, 3200.0)]
     results = some_results(wavefronts=tuple(wavefronts))

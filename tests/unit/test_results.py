@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
+from math import isnan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from labkit.errors import DataError
-from labkit.results import Results
+from labkit.results import OptimumTest, Results
 from labkit.results.storage import kept_keys
-from tests.results_samples import FOCUS, a_wavefront, some_results, written
+from tests.results_samples import ACCEPTED, BUDGET, FOCUS, LENS, a_wavefront, some_results, written
 
-CONTRACT = {
+CONTRACT: dict[str, Any] = {
     "schema": 1,
     "labkit_version": "0.1.0",
     "created": "2026-11-21T12:00:00+00:00",
@@ -37,15 +40,45 @@ CONTRACT = {
     },
     "warnings": ["..."],
 }  # fmt: skip
-"""results.json as its contract prints it."""
+"""results.json of schema 1 as its contract prints it."""
+
+CONTRACT_2: dict[str, Any] = {
+    **CONTRACT,
+    "schema": 2,
+    "lens": {
+        "focal_length_mm": {"value": 69.10, "std": 0.09}, "f_number": {"value": 2.870, "std": 0.008},
+        "pupil_magnification": {"value": 0.96, "std": 0.05}, "range_zero_mm": {"value": -5.8, "std": 4.0},
+    },
+    "budget": {"best_focus_mm.G": {"photons": 0.02, "calibration": 0.01, "geometry": 0.03, "model": 0.0}},
+    "wavefronts": [
+        {
+            **CONTRACT["wavefronts"][0],
+            "f_number": 2.94, "f_number_working": {"value": 2.94, "std": 0.008}, "blur_um": {"value": -34.65, "std": 0.011},
+            "optimum": {"accepted": True, "p_value": 0.4, "others": 2},
+            "model": {"accepted": False, "p_value": 1e-6, "missing": ["low_pass_filter"]},
+        }
+    ],
+}  # fmt: skip
+"""And of schema 2."""
+
+
+def printed(folder: Path, contract: Mapping[str, Any]) -> Results:
+    """What a contract prints, read from a folder; the plan is not printed there."""
+    place = folder / "results" / "latest"
+    place.mkdir(parents=True)
+    plan = {"plan": some_results().plan.model_dump(mode="json", exclude_none=True)}
+    (place / "results.json").write_text(json.dumps({**contract, **plan}))
+    return Results.load(folder)
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     folder = written(tmp_path)
     first, again = some_results(), Results.load(folder)
     assert (again.plan, again.focus and again.focus.best_focus_mm) == (first.plan, FOCUS.best_focus_mm)
+    assert (again.lens, again.budget) == (LENS, BUDGET)
     for w, back in zip(first, again, strict=True):
         assert (back.key, back.noll, back.test, back.frames) == (w.key, w.noll, w.test, w.frames)
+        assert (back.blur, back.working_f_number) == (w.blur, w.working_f_number)
         np.testing.assert_array_equal(back.covariance, w.covariance)
         np.testing.assert_array_equal(back.poses, w.poses)
         assert back.residuals
@@ -53,22 +86,69 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(back.residuals.data, w.residuals.data, rtol=1e-7)  # kept in single precision
 
 
-def test_what_the_contract_prints_is_read(tmp_path: Path) -> None:
-    folder = tmp_path / "results" / "latest"
-    folder.mkdir(parents=True)
-    plan = {"plan": some_results().plan.model_dump(mode="json", exclude_none=True)}
-    (folder / "results.json").write_text(json.dumps({**CONTRACT, **plan}))
-    results = Results.load(tmp_path)
-    assert str(results[3000, "R"][4]) == "0.1000 ± 0.0010 waves"
+def test_what_schema_1_prints_is_read_as_results_without_a_lens(tmp_path: Path) -> None:
+    results = printed(tmp_path, CONTRACT)
+    w = results[3000, "R"]
+    assert str(w[4]) == "0.1000 ± 0.0010 waves"
     assert results.focus
     assert str(results.focus["R"]) == "3024.00 ± 0.40 mm"
+    assert (results.lens, results.budget, w.blur) == (None, {}, None)
+    assert w.f_number == 2.8  # of the plan
+    assert isnan(w.f_number_std)
+    assert w.test == OptimumTest("embedding", True, 0.4, 3, explains=True)
 
 
-def test_every_key_of_the_contract_is_written() -> None:
+def test_what_schema_2_prints_is_read(tmp_path: Path) -> None:
+    results = printed(tmp_path, CONTRACT_2)
+    assert results.lens is not None
+    numbers = (
+        results.lens.focal_length,
+        results.lens.f_number,
+        results.lens.pupil_magnification,
+        results.lens.range_zero,
+    )
+    assert [str(x) for x in numbers] == ["69.100 ± 0.090 mm", "2.8700 ± 0.0080", "0.960 ± 0.050", "-5.8 ± 4.0 mm"]
+    assert results.budget == CONTRACT_2["budget"]
+    w = results[3000, "R"]
+    assert str(w.working_f_number) == "2.9400 ± 0.0080"
+    assert str(w.blur) == "-34.650 ± 0.011 um"
+    assert results.budget_rows()[1] == ["best_focus_mm.G", "0.020", "0.010", "0.030", "0.000", "0.037"]  # sqrt(0.0014)
+
+
+@pytest.mark.parametrize("contract", [CONTRACT, CONTRACT_2])
+def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
     entry = some_results().as_json()
-    assert CONTRACT.keys() <= entry.keys()
-    assert CONTRACT["wavefronts"][0].keys() <= entry["wavefronts"][0].keys()  # type: ignore[index]
-    assert CONTRACT["focus"].keys() <= entry["focus"].keys()  # type: ignore[attr-defined]
+    assert contract.keys() <= entry.keys()
+    written = entry["wavefronts"][0]
+    assert contract["wavefronts"][0].keys() <= written.keys()
+    assert contract["focus"].keys() <= entry["focus"].keys()
+    assert entry["schema"] == 2
+    for part in ("optimum", "model") if contract["schema"] == 2 else ():
+        assert contract["wavefronts"][0][part].keys() <= written[part].keys()
+    assert entry["lens"].keys() == CONTRACT_2["lens"].keys()
+    assert written["optimum"]["accepted"] == written["global_test"]["accepted"]
+
+
+def test_optimum_and_model_are_two_questions(tmp_path: Path) -> None:
+    assert ACCEPTED.explains
+    folder = written(
+        tmp_path, wavefronts=(a_wavefront(test=replace(ACCEPTED, explains=False)),), joint={"f_number": 0.3}
+    )
+    entry = json.loads((folder / "results.json").read_text())
+    assert entry["wavefronts"][0]["optimum"]["accepted"] is True
+    assert entry["wavefronts"][0]["model"]["accepted"] is False
+    again = Results.load(folder)
+    assert again.wavefronts[0].test == replace(ACCEPTED, explains=False)
+    assert again.joint == {"f_number": 0.3}
+
+
+def test_results_without_a_lens_say_so_in_their_file(tmp_path: Path) -> None:
+    folder = written(tmp_path, lens=None, budget={}, wavefronts=(a_wavefront(blur=None, f_number_std=float("nan")),))
+    entry = json.loads((folder / "results.json").read_text())
+    assert (entry["lens"], entry["budget"], entry["wavefronts"][0]["blur_um"]) == (None, {}, None)
+    assert entry["wavefronts"][0]["f_number_working"] == {"value": 2.8, "std": None}
+    again = Results.load(folder)
+    assert (again.lens, again.budget, again.wavefronts[0].blur) == (None, {}, None)
 
 
 def test_a_range_of_many_digits_keeps_its_residuals_and_its_psf(tmp_path: Path) -> None:
