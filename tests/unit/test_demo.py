@@ -15,7 +15,7 @@ from tests.results_samples import a_wavefront, some_results
 def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> None:
     visits = [SimpleNamespace(range_mm=r, defocus_waves={"R": w}) for r, w in ((2000.0, 9.0), (3000.0, -0.302))]
     truth = SimpleNamespace(best_focus_mm={"R": 2986.0, "B": 2987.0}, pupil_magnification=0.985, visits=visits)
-    red, blue, magnification, defocus = compare(some_results(wavefronts=(a_wavefront(defocus=-0.3),)), truth)
+    red, blue, magnification, defocus = compare(some_results(wavefronts=(a_wavefront(defocus=-0.3),), lens=None), truth)
     assert (red.truth, red.estimate, red.std) == (2986.0, 2986.84, 0.42)
     assert (blue.truth, blue.estimate) == (2987.0, 2987.31)
     assert (magnification.truth, magnification.estimate) == (0.985, 0.981)
