@@ -33,35 +33,38 @@ class Change:
 def find_change(session: SessionFits, stated: Stated) -> Change | None:
     """The moment at which parting the session makes its fits agree; None where they agree as they are, or nowhere."""
     fits = [f for f in session.fits if f.ranged and not f.fit.verdict.undetermined]
-    stops = sorted(
-        {f.member.stop for f in fits}, key=lambda stop: min(_order(f) for f in fits if f.member.stop == stop)
-    )
-    if session.lens is None or len(stops) < LEAST_STOPS or (session.lens.model.paraxial and not session.strangers):
+    if session.lens is None or (session.lens.model.paraxial and not session.strangers):
         return None
-    whole = _lens(fits, stated)[1]
-    parted = []
-    for k in range(1, len(stops)):
-        parts = [[f for f in fits if f.member.stop in some] for some in (stops[:k], stops[k:])]
-        parted.append((sum(_lens(part, stated)[1].chi2 for part in parts), k, parts))
-    best, k, parts = min(parted, key=lambda entry: entry[0])
-    if whole.chi2 < FEWER * max(best, float(whole.freedom)):
+    first = sorted(fits, key=lambda f: f.task.observation.order)
+    stops = list(dict.fromkeys(f.member.stop for f in first))
+    k = parting([f.member for f in fits], stops, stated)
+    if k is None:
         return None
-    before, after = (_as_session(part, stated) for part in parts)
-    return Change(stops[k - 1], stops[k], before, after)
+    before, after = ([f for f in fits if f.member.stop in part] for part in (stops[:k], stops[k:]))
+    return Change(stops[k - 1], stops[k], _as_session(before, stated), _as_session(after, stated))
 
 
-def _order(local: LocalFit) -> int:
-    return local.task.observation.order
+def parting(members: Sequence[Member], stops: Sequence[float], stated: Stated) -> int | None:
+    """How many of the stops, in the order of their photographs, come before a change of the lens; None where none is seen."""
+    if len(stops) < LEAST_STOPS:
+        return None
+    whole = _lens(members, stated)[1]
+    parted = [
+        sum(_lens([m for m in members if m.stop in part], stated)[1].chi2 for part in (stops[:k], stops[k:]))
+        for k in range(1, len(stops))
+    ]
+    least = min(parted)
+    changed = whole.chi2 > FEWER * max(least, float(whole.freedom))
+    return 1 + parted.index(least) if changed else None
 
 
-def _lens(fits: Sequence[LocalFit], stated: Stated) -> tuple[list[LocalFit], LensFit]:
-    """The fits with their twins chosen, and what they say of the lens, held to all its laws."""
-    members: list[Member] = [f.member for f in fits]
+def _lens(members: Sequence[Member], stated: Stated) -> tuple[list[int], LensFit]:
+    """Signs of the members' right twins, and what they say of the lens, held to all its laws."""
     signs, _ = choose_twins(members, stated)
-    turned = [f if sign > 0 else replace(f, fit=f.fit.twin()) for f, sign in zip(fits, signs, strict=True)]
-    return turned, fit_lens([twin(m, s) for m, s in zip(members, signs, strict=True)], stated)
+    return signs, fit_lens([twin(m, s) for m, s in zip(members, signs, strict=True)], stated)
 
 
 def _as_session(fits: Sequence[LocalFit], stated: Stated) -> SessionFits:
-    turned, lens = _lens(fits, stated)
+    signs, lens = _lens([f.member for f in fits], stated)
+    turned = [f if sign > 0 else replace(f, fit=f.fit.twin()) for f, sign in zip(fits, signs, strict=True)]
     return SessionFits(tuple(turned), lens, tuple(range(len(turned))))

@@ -135,7 +135,9 @@ class _Chain:
         first = "G" if "G" in channels else channels[0]
         of = [k for k, channel in enumerate(channels) if channel == first]
         ranges = {k: r for k in of if (r := self.observations[k].measured_range_mm) is not None}
-        return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)])) or of[:1]
+        if not ranges:
+            return of[:1]
+        return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
 
     def fit(self, places: Sequence[int]) -> None:
         """Fit these, all at once."""

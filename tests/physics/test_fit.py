@@ -71,15 +71,18 @@ def test_from_a_start_that_is_given_the_same_optimum_is_found(fit: WavefrontFit)
     assert near.objective == pytest.approx(fit.objective, abs=0.1)
 
 
+WRONG = np.array([-0.27, -0.06, -0.04, 0.15, 0.06])
+"""A start that ends in another optimum."""
+
+
 def test_of_several_starts_the_likeliest_end_is_kept(fit: WavefrontFit) -> None:
-    far = np.array([1.2, 0.0, 0.0, 0.0, 0.0])
-    found = fitted(1, starts=(far, WAVES - 0.03))
+    found = fitted(1, starts=(WRONG, WAVES - 0.03))
     assert found.starts == 2
     assert found.objective == pytest.approx(fit.objective, abs=0.1)
 
 
 def test_a_wrong_start_alone_is_rejected_and_others_are_tried(fit: WavefrontFit) -> None:
-    found = fitted(1, starts=(np.array([1.2, 0.0, 0.0, 0.0, 0.0]),))
+    found = fitted(1, starts=(WRONG,))
     assert found.starts > 1
     assert found.verdict.accepted
     assert found.objective == pytest.approx(fit.objective, abs=0.1)

@@ -53,7 +53,7 @@ def test_other_modes_and_another_lens_are_kept_with_what_they_gave(session: Path
     again = Results.load(session, "f8.1")
     assert again.plan == results.plan
     assert (again.plan.lens.f_number, again.plan.fit.zernike_noll) == (8.1, (4, 5))
-    assert [w.f_number for w in again] == [8.1, 8.1]
+    assert [w.f_number for w in again] == [w.f_number for w in results]
     assert again.plan_sha256 != Results.load(session).plan_sha256
     assert Session.open(session).plan.lens.f_number == 8.0
 
@@ -61,10 +61,10 @@ def test_other_modes_and_another_lens_are_kept_with_what_they_gave(session: Path
 def test_the_command_line_fits_again_too(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = tmp_path / "other.toml"
     plan.write_text(Session.open(session).plan.replace(lens={"f_number": 7.9}).to_toml())
-    args = ["--json", "fit", str(session), "--plan", str(plan), "--noll", "4:5", "--name", "by-plan", "--workers", "1"]
+    args = ["--json", "fit", str(session), "--plan", str(plan), "--noll", "4:7", "--name", "by-plan", "--workers", "1"]
     assert run(args) == 0
     assert json.loads(capsys.readouterr().out)["plan"]["lens"]["f_number"] == 7.9
-    assert Results.load(session, "by-plan").plan == Plan.load(plan).replace(fit={"zernike_noll": (4, 5)})
+    assert Results.load(session, "by-plan").plan == Plan.load(plan).replace(fit={"zernike_noll": (4, 7)})
 
 
 @pytest.mark.parametrize("noll", ["4", "4-22", "22:4", "1:6", "4:99999"])
