@@ -150,7 +150,7 @@ def test_a_page_in_the_background_is_no_display(lab: Lab, glass: OpenGlass) -> N
 
 def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(lab: Lab, glass: OpenGlass) -> None:
     display = lab.display(600, 800)
-    tab = glass(display.url)
+    tab = glass(display.url, sleep=True)
     display.show("white")
     tab.cdp.send("Debugger.enable")
     tab.cdp.send("Debugger.pause")  # no script runs, as when a tablet sleeps
