@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
-import scipy.ndimage
 
+from labkit.imaging import spline
 from labkit.imaging.grid import Torus
 from labkit.imaging.warp import Pose
 from labkit.target import Target
 from labkit.types import Complexes, Floats
 
-SUPERSAMPLING = 2.2  # of the raster against the optics' Nyquist rate at the reference
-SPLINE: Literal[5] = 5  # order: errs by 3e-6 to 6e-6 RMS of white behind a perfect lens, a cubic by 1.5e-5 to 7e-5
+# Of the raster against the optics' Nyquist rate at the reference: a quintic spline errs by 3e-6 to 6e-6 RMS of white behind a
+# perfect lens, a cubic by 1.5e-5 to 7e-5
+SUPERSAMPLING = 2.2
 # The low-pass filter's pass band ends at this share of the optics' cutoff, where they pass 4 %, and its stop band begins at
 # 1.3 times that: farther out it would fold back on a torus whose Nyquist frequency is hardly more than the cutoff.
 # tests/physics/test_scene.py holds the whole to the closed form
@@ -66,9 +66,9 @@ class Scene:
         low, high = np.clip(low, 0, self.torus.fine), np.clip(high, 0, self.torus.fine)
         image = np.zeros(self.torus.fine)
         if np.all(high > low):
-            rows = np.arange(low[0], high[0])[:, None] / many
-            columns = np.arange(low[1], high[1])[None, :] / many
-            image[low[0] : high[0], low[1] : high[1]] = self._raster.at(*onto_torus.to_target(rows, columns))
+            to_torus = np.array([[1 / many, 0, low[0] / many], [0, 1 / many, low[1] / many], [0, 0, 1]])
+            window = tuple(slice(*ends) for ends in zip(low, high, strict=True))
+            image[window] = self._raster.at(np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape)
         return image
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
@@ -94,7 +94,7 @@ class _Raster:
         y_mm, x_mm = (np.arange(-n, n + 1) * step_mm for n in counts)
         values = target.sample(y_mm, x_mm, BAND_SHARE * cutoff_per_mm) - (target.surround or 0.0)
         return cls(
-            scipy.ndimage.spline_filter(values, order=SPLINE, mode="mirror"),
+            spline.coefficients(values),
             -counts * step_mm / half_mm,
             step_mm / half_mm,
         )
@@ -105,11 +105,7 @@ class _Raster:
         y, x = -self.first
         return np.array([-y, -y, y, y]), np.array([-x, x, x, -x])
 
-    def at(self, y: Floats, x: Floats) -> Floats:
-        """Values at unit coordinates; 0 outside."""
-        where = np.stack([(y - self.first[0]) / self.step[0], (x - self.first[1]) / self.step[1]])
-        return np.asarray(
-            scipy.ndimage.map_coordinates(
-                self.coefficients, where, order=SPLINE, mode="constant", cval=0.0, prefilter=False
-            )
-        )
+    def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats:
+        """Values on a grid of a shape, whose (i, j, 1) a homography (3, 3) takes to unit coordinates (y, x, 1); 0 outside."""
+        (y, x), (down, across) = -self.first / self.step, 1 / self.step
+        return spline.read(self.coefficients, np.array([[down, 0, y], [0, across, x], [0, 0, 1]]) @ to_target, shape)
