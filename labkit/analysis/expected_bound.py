@@ -11,7 +11,7 @@ from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import parameter_names
 from labkit.inference.cone import Measured, expand
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State
+from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State
 from labkit.inference.identifiability import Bound, bound_of
 from labkit.inference.likelihood import FrameData
 from labkit.plan import Channel, Plan, Sensor
@@ -109,7 +109,7 @@ def expected_fit(
     pose = _pose(side_px, side, target)
     state = State(_waves(noll, defocus_waves), (pose,), np.array([electrons]), np.zeros(1), noise.centre)
     problem = Problem(ForwardModel.build(optics, target, (side, side), pose), (frame,), noise)
-    expansion = expand(problem, state)
+    expansion = expand(problem, Start(state))
     held = np.delete(np.arange(len(expansion.information)), len(noll))  # all but the cone
     bound = bound_of(expansion.information[np.ix_(held, held)], parameter_names(state, noll))
     return ExpectedFit(bound, expansion.measured())

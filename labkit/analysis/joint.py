@@ -12,7 +12,7 @@ from labkit.analysis.wavefronts import SessionFits, Task
 from labkit.execute import Workers
 from labkit.imaging.model import ForwardModel
 from labkit.inference.cone import Measured, expand
-from labkit.inference.fisher_scoring import Problem, State
+from labkit.inference.fisher_scoring import Problem, Start, State
 from labkit.types import Floats, Progress
 
 ROUNDS = 6
@@ -86,10 +86,10 @@ def _all_reached(legs: Sequence[Leg], run: Workers) -> list[Reached]:
 
 def reach(leg: Leg) -> Reached:
     """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
-    state, f_number = expand(_problem(leg.task, leg.f_number, leg.state), leg.state).at(leg.values)
+    state, f_number = expand(_problem(leg.task, leg.f_number, leg.state), Start(leg.state)).at(leg.values)
     problem = _problem(leg.task, f_number, state)
     objective = problem.objective(state, problem.relative(state))
-    return Reached(state, f_number, expand(problem, state).measured(), objective)
+    return Reached(state, f_number, expand(problem, Start(state)).measured(), objective)
 
 
 def _problem(task: Task, f_number: float, state: State) -> Problem:

@@ -1,7 +1,7 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from labkit.imaging.halo import perfect_transfer
 from labkit.optics.psf import Pupil
 from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 
+CONE_STEP = 2e-3  # of ln N in its differences
+
 
 @dataclass(frozen=True)
 class Blur:
     """Lens and pixel.
 
-    pupil: its PSF's spacing is the torus's, or a whole fraction of it. active_um: width of the pixel's active square,
+    pupil: the torus's sides are whole numbers of its PSF's samples. active_um: width of the pixel's active square,
     whatever the sampling period. pixel: half plane of that square's transfer function.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
@@ -27,22 +29,23 @@ class Blur:
     pupil: Pupil
     active_um: float
     pixel: Floats = field(init=False, repr=False, compare=False)
-    _finer: int = field(init=False, repr=False, compare=False)
+    _finer: float = field(init=False, repr=False, compare=False)
     _centred_pixel: Complexes = field(init=False, repr=False, compare=False)
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         torus, pupil = self.torus, self.pupil
-        ratio = torus.spacing_um / pupil.spacing_um
-        if abs(ratio - round(ratio)) > 1e-9:
+        finer = torus.spacing_um / pupil.spacing_um
+        if max(abs(side * finer - round(side * finer)) for side in torus.fine) > 1e-6:
             raise ValueError(
-                f"the torus's spacing, {torus.spacing_um:g} um, is no multiple of the PSF's, {pupil.spacing_um:g} um"
+                f"the torus's sides, {torus.fine} samples of {torus.spacing_um:g} um, are no multiples of the PSF's spacing, "
+                f"{pupil.spacing_um:g} um"
             )
         pixel = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
         for name, value in (
             ("pixel", pixel),
-            ("_finer", round(ratio)),
+            ("_finer", finer),
             ("_centred_pixel", pixel * torus.shift(pupil.size // 2 * pupil.spacing_um)),
             ("_perfect", perfect_transfer(torus, pupil.wavelength_um * pupil.f_number, self.active_um)),
             ("_perfect_psf", pupil.psf(np.zeros(len(pupil.noll)))),
@@ -57,6 +60,16 @@ class Blur:
         transfer += self._perfect
         return transfer
 
+    def by_cone(self, waves: Floats) -> Complexes:
+        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held.
+
+        By differences towards larger N, where the PSF is sampled well enough: right to about CONE_STEP^2.
+        """
+        here = self.pupil.f_number
+        cones = [replace(self.pupil, f_number=here * np.exp(k * CONE_STEP)) for k in (1, 2)]
+        a, b, c = (blur.transfer(waves) for blur in (self, *(replace(self, pupil=pupil) for pupil in cones)))
+        return np.asarray((-3 * a + 4 * b - c) / (2 * CONE_STEP))
+
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
         """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
 
@@ -65,7 +78,7 @@ class Blur:
         for psf in psfs:
             yield self.torus.half_spectrum_of_window(psf, self._finer)
 
-    def behind_pixel(self, spectrum: Complexes) -> Complexes64:
+    def behind_pixel(self, spectrum: AnyComplexes) -> Complexes64:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
         return np.multiply(spectrum, self._centred_pixel, dtype=np.complex64, casting="same_kind")
 

@@ -74,18 +74,25 @@ class Torus:
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
-    def half_spectrum_of_window(self, window: AnyFloats, finer: int = 1) -> AnyComplexes:
+    def half_spectrum_of_window(self, window: AnyFloats, finer: float = 1.0) -> AnyComplexes:
         """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
 
-        window: (m, m), sampled `finer` times as finely as the torus; what it holds beyond the torus's band is left out.
-        Raises ValueError where the window is larger than the torus.
+        window: (m, m), sampled `finer` times as finely as the torus, whose sides are whole numbers of its samples; what it
+        holds beyond the torus's band is left out. Raises ValueError where the window is larger than the torus.
         """
-        rows, columns = (side * finer for side in self.fine)
+        rows, columns = (round(side * finer) for side in self.fine)
         if max(window.shape) > min(rows, columns):
             raise ValueError(f"a window of {window.shape} samples does not fit a torus of {(rows, columns)}")
         by_row = scipy.fft.rfft(window, n=rows, axis=0)[: self.row_frequency.size]
-        spectrum = np.asarray(scipy.fft.fft(by_row, n=columns, axis=1))
-        if finer == 1:
+        return self._columns(np.asarray(scipy.fft.fft(by_row, n=columns, axis=1)))
+
+    def cut(self, spectrum: AnyComplexes, oversampling: int) -> AnyComplexes:
+        """What a half plane of the same torus at another, finer oversampling holds of this one's band."""
+        return self._columns(spectrum[: self.row_frequency.size]) * np.float32((self.oversampling / oversampling) ** 2)
+
+    def _columns(self, spectrum: AnyComplexes) -> AnyComplexes:
+        """Those of this torus's column frequencies, of a half plane with more of them."""
+        if spectrum.shape[1] == self.fine[1]:
             return spectrum
         positive = (self.fine[1] + 1) // 2
         return np.concatenate([spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1)

@@ -17,6 +17,9 @@ from labkit.optics.psf import Pupil
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
+ROUGH_BAND = (
+    1.0  # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
+)
 WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
@@ -27,7 +30,8 @@ GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (
 class Evaluation:
     """The mean and its derivatives at one frame's used pixels, in units of the target's radiance.
 
-    mean: (pixels,); by_waves: (modes, pixels); by_pose: (8, pixels). Derivatives that were not wanted are empty.
+    mean: (pixels,); by_waves: (modes, pixels), behind them one by ln N of the cone if it was wanted; by_pose: (8, pixels).
+    Derivatives that were not wanted are empty.
     """
 
     mean: Floats
@@ -68,11 +72,13 @@ class Optics:
 class ForwardModel:
     """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
 
-    wrapped: (rows, columns) of the frame, light that comes around the torus and is taken off.
+    rough: the same blur up to ROUGH_BAND, for the slopes that a climb goes by: docs/decisions.md. wrapped: (rows, columns) of
+    the frame, light that comes around the torus and is taken off.
     """
 
     scene: Scene
     blur: Blur
+    rough: Blur
     wrapped: Floats
 
     @classmethod
@@ -104,12 +110,18 @@ class ForwardModel:
         size = min(size, min(torus.fine) * finer)
         pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
         wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
-        return cls(Scene(torus, target, band * cutoff, reference), Blur(torus, pupil, optics.active_um), wrapped)
+        limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
+        fewer = replace(
+            torus, oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)), band_limit_per_um=limit
+        )
+        blur = Blur(torus, pupil, optics.active_um)
+        rough = blur if fewer == torus else replace(blur, torus=fewer)
+        return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped)
 
     def at_f_number(self, f_number: float) -> "ForwardModel":
         """The same with another cone, whose drawings serve both. Raises ValueError for a cone wider than was to spare."""
         pupil = replace(self.blur.pupil, f_number=f_number)
-        return replace(self, blur=Blur(self.blur.torus, pupil, self.blur.active_um))
+        return replace(self, blur=replace(self.blur, pupil=pupil), rough=replace(self.rough, pupil=pupil))
 
     @property
     def optics(self) -> Optics:
@@ -141,41 +153,62 @@ class ForwardModel:
         used: Sequence[Bools],
         *,
         by_waves: bool = True,
+        by_cone: bool = False,
+        exact: bool = True,
         means: Sequence[Floats] | None = None,
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
-        by_waves: whether derivatives by the wavefront are wanted; they cost most of the time. means: those of `means` at
-        the same place, if they are at hand.
+        by_waves, by_cone: whether derivatives by the wavefront and by ln N are wanted; the former cost most of the time.
+        exact: whether derivatives are of the whole band, or of what a climb needs. means: those of `means` at the same place,
+        if they are at hand.
         """
         self._checked(drawing, used)
-        slopes = self.blur.pupil.psf_slopes(waves) if by_waves else ()
-        by_mode = self._responses(slopes, drawing, used)
+        blur = self.blur if exact else self.rough
+        spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
+        by_lens = self._responses(blur, blur.pupil.psf_slopes(waves) if by_waves else (), spectra, used)
+        if by_cone:
+            turn = blur.by_cone(waves).astype(np.complex64)
+            by_lens = [
+                np.concatenate([by_mode, blur.torus.sample(spectrum * turn)[u][None]])
+                for by_mode, spectrum, u in zip(by_lens, spectra, used, strict=True)
+            ]
         means = means or self.means(waves, drawing, used)
-        single = self.blur.transfer(waves, np.float32)
-        kernels = (single, *self.blur.spread(single))
+        single = blur.transfer(waves, np.float32)
+        kernels = (single, *blur.spread(single))
         by_pose = [
-            self._by_pose(spectrum.astype(np.complex64), kernels, pose, u)
-            for spectrum, pose, u in zip(drawing.spectra, drawing.poses, used, strict=True)
+            _by_pose(blur.torus, spectrum, kernels, pose, u)
+            for spectrum, pose, u in zip(spectra, drawing.poses, used, strict=True)
         ]
-        return [Evaluation(*of) for of in zip(means, by_mode, by_pose, strict=True)]
+        return [Evaluation(*of) for of in zip(means, by_lens, by_pose, strict=True)]
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
-        return self._responses(psfs, drawing, [used])[0]
+        return self._responses(
+            self.blur, psfs, [spectrum.astype(np.complex64) for spectrum in drawing.spectra], [used]
+        )[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        return self._responses(self.blur.pupil.psf_slopes(waves, only), drawing, [used])[0]
+        return self._responses(self.blur, self.blur.pupil.psf_slopes(waves, only), self._whole(drawing), [used])[0]
 
-    def _responses(self, psfs: Iterable[Floats32], drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
-        """(n, pixels) of each frame: what n changes of the PSF change in its mean. In single precision, which is enough for
-        slopes: see docs/decisions.md."""
-        torus, behind = self.blur.torus, [self.blur.behind_pixel(spectrum) for spectrum in drawing.spectra]
+    def _whole(self, drawing: Drawing) -> list[Complexes64]:
+        """A drawing's half planes in single precision, which is enough for slopes: docs/decisions.md."""
+        return [self._cut(self.blur, spectrum) for spectrum in drawing.spectra]
+
+    def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
+        """The same of the band of one of the model's blurs."""
+        return blur.torus.cut(spectrum, self.blur.torus.oversampling).astype(np.complex64)
+
+    def _responses(
+        self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[Complexes64], used: Sequence[Bools]
+    ) -> list[Floats]:
+        """(n, pixels) of each frame: what n changes of the PSF change in its mean."""
+        behind = [blur.behind_pixel(spectrum) for spectrum in spectra]
         product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
         changes = [
-            [torus.sample(np.multiply(b, response, out=product))[u] for b, u in zip(behind, used, strict=True)]
-            for response in self.blur.responses(psfs)
+            [blur.torus.sample(np.multiply(b, response, out=product))[u] for b, u in zip(behind, used, strict=True)]
+            for response in blur.responses(psfs)
         ]
         return [
             np.array([of_all[k] for of_all in changes], float).reshape(-1, int(u.sum())) for k, u in enumerate(used)
@@ -192,29 +225,28 @@ class ForwardModel:
     def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
         return self.blur.torus.sample(spectrum * transfer)[used] - self.wrapped[used] + self.scene.surround
 
-    def _by_pose(self, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:
-        """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
-        kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
-        w is linear over the width of the PSF, so this is
-        -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
-        square of blur over distance.
-        """
-        torus = self.blur.torus
-        rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
-        down, right = (
-            (2j * np.pi * torus.pitch_um * f).astype(np.complex64)
-            for f in (torus.row_frequency, torus.column_frequency)
+def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:
+    """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
+
+    kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
+    w is linear over the width of the PSF, so this is
+    -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
+    square of blur over distance.
+    """
+    rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
+    down, right = (
+        (2j * np.pi * torus.pitch_um * f).astype(np.complex64) for f in (torus.row_frequency, torus.column_frequency)
+    )
+    result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
+    for kernel, growth in zip(kernels, GROWTH, strict=True):
+        np.multiply(spectrum, kernel, out=product)
+        pictures = (
+            torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used],
+            torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used],
         )
-        result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
-        for kernel, growth in zip(kernels, GROWTH, strict=True):
-            np.multiply(spectrum, kernel, out=product)
-            pictures = (
-                torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used],
-                torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used],
-            )
-            for sign, row, column in growth:
-                for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
-                    motion *= sign * picture
-                    result += motion
-        return result
+        for sign, row, column in growth:
+            for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
+                motion *= sign * picture
+                result += motion
+    return result

@@ -13,19 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.imaging.model import Evaluation, ForwardModel
-from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, State
+from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.inference.identifiability import inverse
 from labkit.inference.likelihood import slopes
-from labkit.types import Bools, Floats
+from labkit.types import Floats
 
-STEP = 2e-3  # of ln N in the differences
-ROUNDS = 4  # the second lands within SETTLED where the engraving is 6 % off
+ROUNDS = 5  # the second lands within SETTLED where the engraving is 6 % off
 # of ln N: a step so small, or so small a part of its error, moves the optimum by less than 1e-5 waves beyond second order
 SETTLED, SETTLED_STDS = 2e-3, 0.3
 OPEN_STD = 1.0  # of ln N, a prior that keeps what a frame in focus leaves open finite
-SETTLED_LENGTH = 0.5  # standard errors, all parameters together: what is left, the expansion covers
+SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
+FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 EXACT = 1e-6  # a relative error that moves nothing
 
@@ -55,8 +54,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Freed:
-    """Where a fit ends once its cone is free. problem: at the cone reached; covariance: (modes, modes) of the modes, the
-    cone's prior error in it; measured: without that prior."""
+    """Where a fit ends once its cone is free. problem: at the cone of the last expansion; covariance: (modes, modes) of the
+    modes, the cone's prior error in it; measured: without that prior."""
 
     problem: Problem
     solution: Solution
@@ -70,8 +69,7 @@ class Expansion:
     """The log-likelihood about a state to second order, over modes, ln N of the cone, and the rest as in `Problem.scores`.
 
     gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
-    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state. relative: images (pixels,) of
-    the used pixels of each frame there.
+    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state. evaluations: of each frame.
     """
 
     problem: Problem
@@ -81,7 +79,7 @@ class Expansion:
     flats: Floats
     here: Floats
     picked: Floats
-    relative: tuple[Floats, ...]
+    evaluations: tuple[Evaluation, ...]
 
     @property
     def f_number(self) -> float:
@@ -97,6 +95,23 @@ class Expansion:
         covariance = inverse(information)
         return covariance @ gradient, covariance
 
+    @property
+    def objective(self) -> float:
+        """Log-likelihood at the state."""
+        return self.problem.objective(self.state, [e.mean for e in self.evaluations])
+
+    def moved(self, step: Floats) -> State:
+        """The state after a step (p,)."""
+        return self.state.moved(np.delete(step, self.state.waves.size))
+
+    def f_number_after(self, step: Floats) -> float:
+        """Of the cone after a step (p,)."""
+        return self.f_number * float(np.exp(step[self.state.waves.size]))
+
+    def foreseen(self, step: Floats) -> list[Floats]:
+        """Relative images (pixels,) of the frames after a short step (p,)."""
+        return self.problem.foreseen(self.state, step, self.evaluations)
+
     def measured(self) -> Measured:
         """The Gaussian of modes, ln N and scale."""
         step, covariance = self.newton(OPEN_STD**-2)
@@ -111,34 +126,46 @@ class Expansion:
         step, covariance = self.newton(OPEN_STD**-2)
         pulled = self.picked @ covariance
         step = step + pulled.T @ np.linalg.solve(pulled @ self.picked.T, values - self.here - self.picked @ step)
-        modes = self.state.waves.size
-        return self.state.moved(np.delete(step, modes)), self.f_number * float(np.exp(step[modes]))
+        return self.moved(step), self.f_number_after(step)
 
 
-def free_cone(problem: Problem, solution: Solution, f_number_std: float) -> Freed:
-    """Move an optimum to the cone that its frames call for. f_number_std: relative, of the one that it was found with."""
+def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
+    """Climb by Newton's steps, undamped, to an optimum that is near, and to the cone that its frames call for.
+
+    The first goes by rough slopes, those after it by exact ones.
+
+    f_number_std: relative, of the cone that the problem has. The last step is not drawn: its picture lies on the slopes.
+    """
     given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
-    state, modes = solution.state, solution.state.waves.size
-    for last in (*[False] * ROUNDS, True):
-        expansion = expand(problem, state)
+    modes, before = start.state.waves.size, -np.inf
+    for rounds in range(1, ROUNDS + 1):
+        expansion = expand(problem, start, exact=rounds > 1)
         step, covariance = expansion.newton(precision, -np.log(expansion.f_number / given) * precision)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
-        settled = abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes]))
-        if last or (settled and length < SETTLED_LENGTH):
+        near = length < SETTLED_LENGTH
+        settled = (
+            rounds > 1 and near and abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes]))
+        )
+        height = expansion.objective
+        if settled or rounds == ROUNDS or not (height > before - FALLEN and sane(expansion.moved(step), start.state)):
             break
-        f_number = expansion.f_number * float(np.exp(step[modes]))
-        problem = replace(problem, model=at_f_number(problem.model, f_number, state.poses[0]))
-        state = state.moved(np.delete(step, modes))
-    objective = problem.objective(state, expansion.relative)
-    ended = replace(
-        solution,
-        state=state,
-        objective=objective,
-        information=np.delete(np.delete(expansion.information, modes, 0), modes, 1),
-        relative=list(expansion.relative),
-        chi2_per_pixel=problem.chi2_per_pixel(state, expansion.relative),
+        before = height
+        problem = replace(
+            problem, model=at_f_number(problem.model, expansion.f_number_after(step), start.state.poses[0])
+        )
+        start = Start(expansion.moved(step))
+    step = step if near else np.zeros_like(step)
+    state, relative = expansion.moved(step), expansion.foreseen(step)
+    solution = Solution(
+        state,
+        problem.objective(state, relative),
+        np.delete(np.delete(expansion.information, modes, 0), modes, 1),
+        relative,
+        problem.chi2_per_pixel(state, relative),
+        rounds,
+        settled,
     )
-    return Freed(problem, ended, expansion.f_number, covariance[:modes, :modes], expansion.measured())
+    return Freed(problem, solution, expansion.f_number_after(step), covariance[:modes, :modes], expansion.measured())
 
 
 def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> ForwardModel:
@@ -150,31 +177,15 @@ def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> Forwar
         return ForwardModel.build(optics, model.scene.target, torus.frame, reference, spare=SPARE)
 
 
-def slopes_by_cone(
-    model: ForwardModel, waves: Floats, drawing: Drawing, used: Sequence[Bools], means: Sequence[Floats]
-) -> list[Floats]:
-    """Derivatives (pixels,) of each frame's mean by ln N of the cone, modes in waves held.
-
-    By differences towards larger N, where the PSF is sampled well enough: right to about STEP^2. means: at the model's own.
-    """
-    here = model.blur.pupil.f_number
-    one, two = (model.at_f_number(here * np.exp(k * STEP)).means(waves, drawing, used) for k in (1, 2))
-    return [np.asarray((-3 * a + 4 * b - c) / (2 * STEP)) for a, b, c in zip(means, one, two, strict=True)]
-
-
-def expand(problem: Problem, state: State) -> Expansion:
-    """The log-likelihood about a state, the cone free."""
-    drawing, used = problem.draw(state), [f.used for f in problem.frames]
-    evaluations = problem.model.evaluate(state.waves, drawing, used)
-    by_cone = slopes_by_cone(problem.model, state.waves, drawing, used, [e.mean for e in evaluations])
-    joined = [
-        Evaluation(e.mean, np.concatenate([e.by_waves, cone[None]]), e.by_pose)
-        for e, cone in zip(evaluations, by_cone, strict=True)
-    ]
-    gradient, information, _ = problem.assembled(state, joined)
+def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
+    """The log-likelihood about a state, the cone free. exact: as in `ForwardModel.evaluate`."""
+    state, used = start.state, [f.used for f in problem.frames]
+    drawing = start.drawing or problem.draw(state)
+    evaluations = problem.model.evaluate(state.waves, drawing, used, by_cone=True, exact=exact, means=start.relative)
+    gradient, information, _ = problem.assembled(state, evaluations)
     here, picked = _picked(problem, state, len(gradient))
-    flats, relative = _flats_noise(problem, state, joined), tuple(e.mean for e in evaluations)
-    return Expansion(problem, state, gradient, information, flats, here, picked, relative)
+    flats = _flats_noise(problem, state, evaluations)
+    return Expansion(problem, state, gradient, information, flats, here, picked, tuple(evaluations))
 
 
 def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Floats:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -123,7 +124,7 @@ class Problem:
 
     def foreseen(self, state: State, step: Floats, evaluations: Sequence[Evaluation]) -> list[Floats]:
         """Relative images (pixels,) of the frames after a short step, by their slopes where it begins."""
-        modes = state.waves.size
+        modes = max(state.waves.size, len(evaluations[0].by_waves))
         poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[:, :POSE_SIZE]
         moved = [e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)]
         return [mean + step[: len(e.by_waves)] @ e.by_waves for mean, e in zip(moved, evaluations, strict=True)]
@@ -140,13 +141,14 @@ class Problem:
         relative: Sequence[Floats] | None = None,
         *,
         by_waves: bool,
+        exact: bool = True,
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
         """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's.
 
-        drawing, relative: at the state, if they are at hand.
+        drawing, relative: at the state, if they are at hand. exact: as in `ForwardModel.evaluate`.
         """
         used, drawing = [f.used for f in self.frames], drawing or self.draw(state)
-        evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, means=relative)
+        evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, exact=exact, means=relative)
         return *self.assembled(state, evaluations), evaluations
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
@@ -166,12 +168,20 @@ class Problem:
         return gradient, information, scores
 
 
+class Start(NamedTuple):
+    """A state; the target at its poses, and the relative images (pixels,) of the frames there, if they are at hand."""
+
+    state: State
+    drawing: Drawing | None = None
+    relative: list[Floats] | None = None
+
+
 @dataclass(frozen=True)
 class Solution:
     """Where a maximisation ended.
 
-    information: Fisher, over all parameters, of where the last step began; relative: images (pixels,) of the used pixels of
-    each frame; steps: evaluations of the Jacobian.
+    information: Fisher, over all parameters, of where the last step began, which is `begun`; relative: images (pixels,) of
+    the used pixels of each frame; steps: evaluations of the Jacobian.
     """
 
     state: State
@@ -181,6 +191,7 @@ class Solution:
     chi2_per_pixel: float
     steps: int
     converged: bool
+    begun: Start | None = field(default=None, repr=False)
 
     def covariance(self) -> Floats:
         """Cramér-Rao covariance over all parameters; huge, never infinite, where the data do not determine them."""
@@ -188,16 +199,24 @@ class Solution:
 
 
 def maximize(
-    problem: Problem, start: State, *, free_waves: bool = True, max_steps: int = 40, tolerance: float = 0.05
+    problem: Problem,
+    start: State,
+    *,
+    free_waves: bool = True,
+    exact: bool = True,
+    max_steps: int = 40,
+    tolerance: float = 0.05,
 ) -> Solution:
     """The maximum of the likelihood near a start.
 
+    exact: whether slopes are of the whole band; if not it ends, and its information is, a part of a standard error off.
     tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
     at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
-    state = start
-    gradient, information, _, evaluations = problem.scores(state, by_waves=free_waves)
-    relative = [e.mean for e in evaluations]
+    state, drawing = start, problem.draw(start)
+    relative = problem.relative(start, drawing)
+    begun = Start(state, drawing, relative)
+    gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
     best = problem.objective(state, relative)
     damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
@@ -205,10 +224,10 @@ def maximize(
         length, trial = _length(step, information), state.moved(step)
         left = length * min(1.0, length / before) if before else length
         last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
-        drawing, there = None, list[Floats]()
+        there = list[Floats]()
         if last:
             there = problem.foreseen(state, step, evaluations)
-        elif _sane(trial, start):
+        elif sane(trial, start):
             drawing = problem.draw(trial)
             there = problem.relative(trial, drawing)
         value = problem.objective(trial, there) if there else -np.inf
@@ -219,9 +238,11 @@ def maximize(
         converged = last
         state, relative, best, damping, before = trial, there, value, damping / 8, length
         if not converged:
-            gradient, information, _, evaluations = problem.scores(state, drawing, relative, by_waves=free_waves)
+            begun = Start(state, drawing, relative)
+            gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
             steps += 1
-    return Solution(state, best, information, relative, problem.chi2_per_pixel(state, relative), steps, converged)
+    misfit = problem.chi2_per_pixel(state, relative)
+    return Solution(state, best, information, relative, misfit, steps, converged, begun)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
@@ -239,7 +260,7 @@ def _length(step: Floats, information: Floats) -> float:
     return float(np.sqrt(step @ information @ step))
 
 
-def _sane(state: State, start: State) -> bool:
+def sane(state: State, start: State) -> bool:
     """Whether a trial is worth drawing: light on the target, every corner before the lens and not far from its start.
 
     Without it a pose ran away where defocus was far off, to a target magnified beyond all memory.

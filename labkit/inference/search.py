@@ -12,7 +12,7 @@ import numpy as np
 from labkit.imaging.model import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import Freed, free_cone
-from labkit.inference.fisher_scoring import Problem, Solution, State, maximize
+from labkit.inference.fisher_scoring import Problem, Solution, Start, State, maximize
 from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.phase_retrieval import PhaseRetrieval, Retrieved
 from labkit.inference.sketch import Sketches, sweep
@@ -199,7 +199,10 @@ class Search:
         if len(self.poses) > 1:
             rough = self.sketches.problem(candidate, self.sketches.band)
             state = settle(replace(rough, frames=self.whole.frames), state)
-        freed = free_cone(self.whole, maximize(self.whole, state), self.f_number_std)
+        freed = free_cone(self.whole, Start(state), self.f_number_std)
+        if not freed.solution.converged:
+            near = maximize(self.whole, state, exact=False)
+            freed = free_cone(self.whole, near.begun or Start(near.state), self.f_number_std)
         if record.best is not None and freed.solution.objective <= record.best.freed.solution.objective:
             return record
         verdict = judge(freed.problem, freed.solution.state, freed.solution.relative)
