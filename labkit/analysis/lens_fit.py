@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from labkit.analysis.lens_model import EXACT, GEOMETRY, LensModel, Member, Stated
 from labkit.types import Floats
@@ -49,7 +49,7 @@ class LensFit:
     @property
     def p_value(self) -> float:
         """Chance of a chi2 as large."""
-        return float(chi2.sf(self.chi2, self.freedom)) if self.freedom else 1.0
+        return float(chdtrc(self.freedom, self.chi2)) if self.freedom else 1.0
 
     @property
     def widening(self) -> float:
@@ -143,8 +143,8 @@ def fit_lens(
         rows.slopes,
         x_scale=scale,
         bounds=_bounds(model, centre),
-        xtol=1e-12,
-        ftol=1e-12,
+        xtol=1e-9,
+        ftol=1e-9,
         gtol=1e-10,
     )
     jacobian = rows.slopes(solved.x)
@@ -185,7 +185,7 @@ def outliers(fit: LensFit) -> tuple[list[int], LensFit]:
         misfits = np.array([fit.misfit(k) for k in range(len(left))])
         typical = max(1.0, float(np.median(misfits / sizes)))
         worst = int(np.argmax(misfits / sizes))
-        chance = chi2.sf(misfits[worst] / typical, sizes[worst]) * len(left)
+        chance = chdtrc(sizes[worst], misfits[worst] / typical) * len(left)
         if chance > SIGNIFICANCE or _departure(fit, worst) < MATERIAL_WAVES:
             break
         out.append(left.pop(worst))
@@ -202,7 +202,7 @@ def belongs(fit: LensFit, member: Member) -> bool:
     last = len(fit.model.members)
     size = len(member.measured.values)
     typical = max(1.0, fit.chi2 / fit.freedom)
-    return bool(chi2.sf(whole.misfit(last) / typical, size) > SIGNIFICANCE or _departure(whole, last) < MATERIAL_WAVES)
+    return bool(chdtrc(size, whole.misfit(last) / typical) > SIGNIFICANCE or _departure(whole, last) < MATERIAL_WAVES)
 
 
 def _departure(fit: LensFit, k: int) -> float:

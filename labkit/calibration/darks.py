@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from labkit.calibration.masters import clipped_mean, outliers, planes_of, shrunk
 from labkit.calibration.photon_transfer import OUTLIER_PROBABILITY, ROUNDING_VARIANCE, Scatter
@@ -34,8 +34,8 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
         good = ~outliers(values, np.ones(values.shape, dtype=np.bool_), least=1.0)
         if frames > 1:
             variance = stack.counts[(slice(None), *plane)].var(axis=0, ddof=1, dtype=np.float64)
-            typical = float(np.median(variance) / (chi2.median(frames - 1) / (frames - 1)))
-            limit = chi2.isf(OUTLIER_PROBABILITY, frames - 1) / (frames - 1)
+            typical = float(np.median(variance) / (chdtri(frames - 1, 0.5) / (frames - 1)))
+            limit = chdtri(frames - 1, OUTLIER_PROBABILITY) / (frames - 1)
             good &= variance <= limit * max(typical, ROUNDING_VARIANCE)
             offset[plane] = shrunk(values, float(variance[good].mean()) / frames)[0]
         else:

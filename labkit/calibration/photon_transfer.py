@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from labkit.types import Floats
 
@@ -137,10 +137,10 @@ def _line(signal: Floats, variance: Floats, freedom: Floats, *, floor_known: boo
 def _median_factor(freedom: Floats) -> Floats:
     """Median of a sample variance over its mean."""
     few, which = np.unique(freedom, return_inverse=True)
-    return np.asarray((chi2.median(few) / few)[which])
+    return np.asarray((chdtri(few, 0.5) / few)[which])
 
 
 def _limit(freedom: Floats) -> Floats:
     """What a sample variance over its mean exceeds with OUTLIER_PROBABILITY."""
     few, which = np.unique(freedom, return_inverse=True)
-    return np.asarray((chi2.isf(OUTLIER_PROBABILITY, few) / few)[which])
+    return np.asarray((chdtri(few, OUTLIER_PROBABILITY) / few)[which])

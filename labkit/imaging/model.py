@@ -190,18 +190,15 @@ class ForwardModel:
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        return self._responses(self.blur, self.blur.pupil.psf_slopes(waves, only), self._whole(drawing), [used])[0]
-
-    def _whole(self, drawing: Drawing) -> list[Complexes64]:
-        """A drawing's half planes in single precision, which is enough for slopes: docs/decisions.md."""
-        return [self._cut(self.blur, spectrum) for spectrum in drawing.spectra]
+        return self._responses(self.blur, self.blur.pupil.psf_slopes(waves, only), drawing.spectra, [used])[0]
 
     def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
-        """The same of the band of one of the model's blurs."""
+        """Of a drawing's half plane the band of one of the blurs, in single precision, which is enough for slopes:
+        docs/decisions.md."""
         return blur.torus.cut(spectrum, self.blur.torus.oversampling).astype(np.complex64)
 
     def _responses(
-        self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[Complexes64], used: Sequence[Bools]
+        self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[AnyComplexes], used: Sequence[Bools]
     ) -> list[Floats]:
         """(n, pixels) of each frame: what n changes of the PSF change in its mean."""
         behind = [blur.behind_pixel(spectrum) for spectrum in spectra]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.identifiability import worse_than
@@ -77,7 +77,7 @@ def judge(problem: Problem, state: State, relative: list[Floats], model_error: f
     # products of independent residuals scatter about zero by their own squares, whatever the pixels' variances
     lags = scatter > 0  # a Bayer plane has no neighbours at odd distances
     likeness = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
-    p_value = min(1.0, 2 * float(min(norm.sf(excess), chi2.sf(likeness, np.count_nonzero(lags)))))
+    p_value = min(1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), likeness))))
     return Verdict(p_value, p_value >= SIGNIFICANCE, excess, likeness)
 
 

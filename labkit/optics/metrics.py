@@ -47,11 +47,27 @@ class Directed:
 
 
 def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
-    """The PSF of the optics alone on a grid of a spacing, with standard errors.
+    """The PSF of the optics alone on a grid of a spacing, with standard errors; arguments and errors as of `psf_value`."""
+    pupil, at_um = _psf_samples(wavefront, spacing_um, size)
+    value, slopes = pupil.psf_at(wavefront.waves, at_um)
+    total = value.sum()
+    slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
+    return Psf(spacing_um, value / total, np.sqrt(wavefront.variance(slopes)) / total)
+
+
+def psf_value(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Floats:
+    """(size, size) PSF of the optics alone on a grid of a spacing, unit sum, its centre in the middle.
 
     size: samples along a side, odd; by default the window reaches 32 lambda N from the centre. Raises ValueError for an even
     size, and for a spacing above lambda N, which undersamples so much that the samples' sum depends on where they lie.
     """
+    pupil, at_um = _psf_samples(wavefront, spacing_um, size)
+    value = pupil.psf_at(wavefront.waves, at_um, slice(0))[0]
+    return np.asarray(value / value.sum())
+
+
+def _psf_samples(wavefront: FittedWavefront, spacing_um: float, size: int | None) -> tuple[Pupil, Floats]:
+    """A pupil sampled finely enough, and where along both axes the PSF is wanted, um from its centre."""
     airy_um = wavefront.wavelength_um * wavefront.f_number
     if not positive("spacing_um", spacing_um, "um") <= airy_um:
         raise ValueError(f"spacing_um = {spacing_um:g}: at most lambda N is needed, here {airy_um:g} um")
@@ -63,10 +79,7 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
     pupil = Pupil(
         w.wavelength_um, w.reference_um, w.f_number, airy_um / 2, int(np.ceil(2 * apart_um / airy_um)), w.noll
     )
-    value, slopes = pupil.psf_at(w.waves, spacing_um * np.arange(-half, half + 1.0))
-    total = value.sum()
-    slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
-    return Psf(spacing_um, value / total, np.sqrt(w.variance(slopes)) / total)
+    return pupil, spacing_um * np.arange(-half, half + 1.0)
 
 
 def opd_map(wavefront: FittedWavefront, samples: int, without: Collection[int] = ()) -> OpdMap:

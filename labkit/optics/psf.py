@@ -130,8 +130,8 @@ class Pupil:
             product *= turned
             yield product
 
-    def psf_at(self, waves: Floats, at_um: Floats) -> tuple[Floats, Floats]:
-        """The PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives per wave RMS.
+    def psf_at(self, waves: Floats, at_um: Floats, only: slice = slice(None)) -> tuple[Floats, Floats]:
+        """The PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives, or only some.
 
         Scaled as `psf` is, but on any grid and without the fold at the window's borders; what `size` and `spacing_um` set is
         the pupil's sampling alone. R. Soummer et al., Opt. Express 15, 15935 (2007).
@@ -140,8 +140,8 @@ class Pupil:
         pupil = self._pupil_function(waves)
         field = turn @ pupil @ turn.T
         factor = 4 * np.pi * self.reference_um / self.wavelength_um / self._light
-        slopes = np.empty((len(self.noll), *field.shape))
-        for slope, mode in zip(slopes, self.modes, strict=True):
+        slopes = np.empty((len(self.noll[only]), *field.shape))
+        for slope, mode in zip(slopes, self.modes[only], strict=True):
             np.multiply(-factor, (np.conj(field) * (turn @ (pupil * mode) @ turn.T)).imag, out=slope)
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 

@@ -185,7 +185,7 @@ class Wavefront:
 
         size: odd; by default the window reaches 32 lambda N from its centre.
         """
-        return metrics.psf(self.fitted, spacing_um, size).value
+        return metrics.psf_value(self.fitted, spacing_um, size)
 
     def mtf(self, frequency_per_mm: ArrayLike, direction: Direction | float = "x") -> Curve:
         """MTF of the optics alone with standard errors, along "x" (right), "y" (down), or degrees from x towards y."""
