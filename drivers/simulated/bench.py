@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from labkit.drivers.simulated.optics import (
     defocus_waves,
     entrance_pupil_to_target_mm,
+    halo_beyond,
     image_per_tangent_mm,
     point_spread,
     working_f_number,
@@ -162,8 +163,7 @@ class Bench:
 
     def irradiance(self, colour: str, samples: int | None = None, halo_um: float | None = None) -> Floats32:
         """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
-        scene = self._scene(self._lateral(colour), samples, halo_um)
-        return photograph(scene, self._psf(colour, scene.grid), self.settings.sensor.fill_factor)
+        return self._photograph(colour, self._scene(self._lateral(colour), samples, halo_um))
 
     def _draw(self) -> None:
         """Everything that stays as it is while the bench lives."""
@@ -257,7 +257,7 @@ class Bench:
         lens, sensor = self.settings.lens, self.settings.sensor
         nyquist_um = min(lens.wavelength_nm.values()) * 1e-3 * lens.f_number / 2
         per_pixel = samples or max(self.settings.samples_per_pixel, int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)))
-        reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um * per_pixel))
+        reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um)) * per_pixel
         return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
 
     def _scene(self, lateral: float = 1.0, samples: int | None = None, halo_um: float | None = None) -> SceneTransform:
@@ -265,13 +265,18 @@ class Bench:
         glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm)
         return transform(render(glass, self._to_pixels(lateral), grid), grid)
 
-    def _psf(self, colour: str, grid: FineGrid) -> Floats32:
-        lens = self.settings.lens
+    def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
+        """A scene through the lens in one colour, all of its light counted."""
+        lens, sensor, grid = self.settings.lens, self.settings.sensor, scene.grid
         waves = {4: self._defocus(colour), **self._modes[colour]}
         focus_mm, focal_mm, pupils = lens.best_focus_mm[colour], lens.focal_length_mm, lens.pupil_magnification
         cone = working_f_number(lens.f_number, focus_mm, focal_mm, pupils)
-        spacing_um = self.settings.sensor.pitch_um / grid.samples
-        return point_spread(waves, lens.wavelength_nm[colour], cone, spacing_um, grid.reach, REFERENCE_NM)
+        spacing_um, wavelength_nm = sensor.pitch_um / grid.samples, lens.wavelength_nm[colour]
+        psf = point_spread(waves, wavelength_nm, cone, spacing_um, grid.reach, REFERENCE_NM)
+        farthest = max(sensor.rows, sensor.cols)
+        halo = halo_beyond(wavelength_nm, cone, spacing_um, grid.reach, grid.samples, farthest)
+        total = psf.sum(dtype=float) + halo.sum(dtype=float)  # what lands farther than the frame is wide is no loss
+        return photograph(scene, psf, sensor.fill_factor, halo) / np.float32(total)
 
     def _defocus(self, colour: str) -> float:
         lens = self.settings.lens
@@ -299,7 +304,7 @@ class Bench:
         for colour in np.unique(colours):
             here, lateral = colours == colour, self._lateral(str(colour))
             scene = scenes[lateral] = scenes.get(lateral) or self._scene(lateral)
-            seen[here] = photograph(scene, self._psf(str(colour), scene.grid), self.settings.sensor.fill_factor)[here]
+            seen[here] = self._photograph(str(colour), scene)[here]
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
         defocus = {colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm}

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 import scipy.fft
+import scipy.signal
 from numpy.typing import NDArray
 
 from labkit.types import Floats, Floats32
@@ -129,23 +130,31 @@ def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class SceneTransform:
-    """A scene's Fourier transform, kept to lay several PSFs over it."""
+    """A scene's Fourier transform, kept to lay several PSFs over it; and its mean over each pixel, rim included."""
 
     transform: NDArray[np.complex64]
     size: tuple[int, int]
     grid: FineGrid
+    pixels: Floats32
 
 
 def transform(scene: Floats32, grid: FineGrid) -> SceneTransform:
-    """The transform of a rendered scene."""
+    """The transform of a rendered scene, whose rim is whole pixels wide. Raises ValueError for another."""
+    if grid.reach % grid.samples:
+        raise ValueError(f"a rim of {grid.reach} samples is no whole number of pixels of {grid.samples}")
+    rows, cols = (side // grid.samples for side in scene.shape)
+    pixels = scene.reshape(rows, grid.samples, cols, grid.samples).mean(axis=(1, 3))
     size = (scipy.fft.next_fast_len(scene.shape[0], True), scipy.fft.next_fast_len(scene.shape[1], True))
-    return SceneTransform(scipy.fft.rfft2(scene, size, workers=2), size, grid)
+    return SceneTransform(scipy.fft.rfft2(scene, size, workers=2), size, grid, pixels)
 
 
-def photograph(scene: SceneTransform, psf: Floats32, fill_factor: float = 1.0) -> Floats32:
+def photograph(
+    scene: SceneTransform, psf: Floats32, fill_factor: float = 1.0, halo: Floats32 | None = None
+) -> Floats32:
     """(rows, cols) mean radiance over each pixel's active square after the blur.
 
     psf: (2 reach + 1, 2 reach + 1). The rim of the scene, reach wide, takes up whatever the transform wraps around.
+    halo: (2 n + 1, 2 n + 1) what lies beyond the psf, from pixel to pixel; beyond the rim the scene goes on as it ends.
     """
     grid = scene.grid
     blurred = scipy.fft.rfft2(psf, scene.size, workers=2)
@@ -157,6 +166,11 @@ def photograph(scene: SceneTransform, psf: Floats32, fill_factor: float = 1.0) -
     weights = _active(grid.samples, fill_factor)
     squares = fine.reshape(grid.rows, grid.samples, grid.cols, grid.samples)
     pixels: Floats32 = np.einsum("isjt,s,t->ij", squares, weights, weights, optimize=True).astype(np.float32)
+    if halo is not None:
+        rim, far = grid.reach // grid.samples, halo.shape[0] // 2
+        wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
+        inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
+        pixels += scipy.signal.fftconvolve(wide[inner, inner], halo, mode="valid").astype(np.float32)
     return pixels
 
 

@@ -111,8 +111,8 @@ class BenchSettings:
     panel: TruePanel = TruePanel()
     rail: TrueRail = TrueRail()
     pose: TruePose = TruePose()
-    halo_um: float = 750.0
-    """How far out diffraction is followed."""
+    halo_um: float = 400.0
+    """How far out diffraction is followed ring by ring; beyond, only what is the mean of rings."""
     samples_per_pixel: int = 10
     """At least; a fast lens gets as many as its diffraction needs."""
 
