@@ -132,13 +132,11 @@ def point_spread(
     path = np.zeros_like(u)
     for mode, amount in waves.items():
         path += amount * zernike(mode, u, v)
-    lit = inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)
-    pupil = np.zeros((n, n), dtype=np.complex64)
-    index = np.arange(-edge, edge + 1)
-    pupil[np.ix_(index, index)] = lit
-    field = scipy.fft.fft2(pupil, workers=2, overwrite_x=True)
+    lit = (inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)).astype(np.complex64)
     around = np.arange(-reach, reach + 1)
-    window = field[np.ix_(around, around)]
+    # where the pupil begins only turns the field's phase; rows beyond the window are left out between the passes
+    rows = scipy.fft.fft(lit, n, axis=0, workers=2)[around]
+    window = scipy.fft.fft(rows, n, axis=1, workers=2)[:, around]
     # an edge that is grey over one sample dims the rings far out; the amplitudes sum to the pupil's area, their squares to less
     dimmed = np.sinc(np.hypot(*np.meshgrid(around / n, around / n, indexing="ij"))) ** 2
     psf: Floats32 = ((window.real**2 + window.imag**2) / (dimmed * n**2 * inside.sum())).astype(np.float32)

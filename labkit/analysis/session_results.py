@@ -105,8 +105,13 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
 
 def warnings_of(session: SessionFits) -> list[str]:
     """What the session found, a line each."""
-    lens, warnings = session.lens, list[str]()
-    labels = [local.task.label for local in session.fits]
+    lens, labels = session.lens, [local.task.label for local in session.fits]
+    warnings = [
+        f"{labels[k]}: the search's {local.task.patience_s:g} s were up after {local.fit.starts} starts with no optimum "
+        "accepted; the likeliest is kept, a longer --patience looks further"
+        for k, local in enumerate(session.fits)
+        if local.fit.cut_short and k not in session.members
+    ]
     warnings += [f"{labels[k]}: made again from the other fits, and mended" for k in session.mended]
     warnings += [
         f"{labels[k]}: does not belong to the session, as the other fits have it; was the lens touched, or is it another "

@@ -34,7 +34,7 @@ class WavefrontFit:
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance, the error of the
     given f-number in it; f_number: where the cone ended; measured: what the frames alone say; state: all parameters; starts:
     made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used pixels of
-    each frame; seconds: it took.
+    each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted.
     """
 
     noll: tuple[int, ...]
@@ -49,6 +49,7 @@ class WavefrontFit:
     others: tuple[Other, ...]
     relative: tuple[Floats, ...]
     seconds: float
+    cut_short: bool = False
 
     @property
     def waves(self) -> Floats:
@@ -111,10 +112,10 @@ def fit_wavefront(
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
-    return _as_fit(record, optics.noll, perf_counter() - began)
+    return _as_fit(record, optics.noll, perf_counter() - began, search.late and not record.accepted)
 
 
-def _as_fit(record: Record, noll: tuple[int, ...], seconds: float) -> WavefrontFit:
+def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bool) -> WavefrontFit:
     """The best of a search, and what else it came across."""
     assert record.best is not None
     freed, optima = record.best.freed, sorted(record.optima, key=lambda optimum: optimum[1])
@@ -132,6 +133,7 @@ def _as_fit(record: Record, noll: tuple[int, ...], seconds: float) -> WavefrontF
         tuple(Other(waves, misfit - optima[0][1]) for waves, misfit in optima[1:]),
         tuple(record.best.relative),
         seconds,
+        cut_short,
     )
 
 
