@@ -1,0 +1,75 @@
+"""The cone freed: Newton's steps end where damped climbs do, and at the f-number that the frames call for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.warp import Pose
+from labkit.inference.cone import SPARE, at_f_number, expand, free_cone
+from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
+from labkit.inference.likelihood import FrameData
+from labkit.target import CellTarget
+
+OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=4.0, pitch_um=4.8, active_um=4.8, noll=(4, 6, 8))
+CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
+CORNERS = np.array([[8.3, 9.1], [8.0, 49.7], [48.8, 49.9], [49.1, 9.4]])
+FRAME = (58, 60)
+PRIOR = NoisePrior(0.25, 0.01, 4.0, 0.02)
+POSE = Pose.from_corners(CORNERS, CARPET.size_mm)
+TRUTH = State(np.array([0.15, 0.04, -0.05]), (POSE,), np.array([1500.0]), np.array([40.0]), PRIOR.centre)
+MODES = slice(3)
+
+
+@pytest.fixture(scope="module")
+def model() -> ForwardModel:
+    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
+
+
+def photographed(model: ForwardModel) -> Problem:
+    rng, used, one = np.random.default_rng(11), np.ones(FRAME, bool), np.ones(FRAME)
+    (seen,) = model.means(TRUTH.waves, model.draw(TRUTH.poses), [used])
+    mean = (1500 * seen + 40).reshape(FRAME)
+    data = FrameData(rng.normal(mean, np.sqrt(0.25 * mean + 4)), used, one, 0 * one)
+    return Problem(model, (data,), PRIOR)
+
+
+def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: ForwardModel) -> None:
+    problem = photographed(model)
+    step = np.zeros(3 + 10 + 2)
+    step[MODES] = 0.004, -0.003, 0.003
+    climbed = maximize(problem, TRUTH.moved(step), tolerance=1e-3)
+    freed = free_cone(problem, Start(TRUTH.moved(step)), 0.0)
+    std = np.sqrt(np.diag(climbed.covariance()))[MODES]
+    assert freed.solution.converged
+    assert np.abs((freed.solution.state.waves - climbed.state.waves) / std).max() < 0.02
+    assert freed.solution.objective == pytest.approx(climbed.objective, abs=1e-3)
+    assert freed.f_number == pytest.approx(OPTICS.f_number, rel=1e-6)
+
+
+def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -> None:
+    problem = photographed(model)
+    off = Problem(at_f_number(model, 1.03 * OPTICS.f_number, POSE), problem.frames, PRIOR)
+    freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
+    std = np.sqrt(freed.measured.covariance[-2, -2])
+    assert std < 0.02
+    assert abs(freed.measured.values[-2] - np.log(OPTICS.f_number)) < 3 * std
+    # the same optimum from either cone, but for what they are told of it beforehand
+    both = np.array([freed.measured.values, right.measured.values])
+    assert np.abs(np.diff(both[:, :-1], axis=0) / np.sqrt(np.diag(right.measured.covariance))[:-1]).max() < 0.18
+
+
+def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:
+    far = State(np.array([1.5, -0.3, 0.4]), TRUTH.poses, TRUTH.scales, TRUTH.ambients, TRUTH.log_noise)
+    assert not free_cone(photographed(model), Start(far), 0.03).solution.converged
+
+
+def test_rough_slopes_are_nearly_the_exact_ones(model: ForwardModel) -> None:
+    problem = photographed(model)
+    rough, exact = (expand(problem, Start(TRUTH), exact=exact) for exact in (False, True))
+    for one, other in zip(rough.evaluations, exact.evaluations, strict=True):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        for got, wanted in ((one.by_waves, other.by_waves), (one.by_pose, other.by_pose)):
+            off = np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)
+            assert 0.01 < off.min() < off.max() < 0.09
