@@ -35,7 +35,7 @@ PITCH_UM = 5.0
 FINER, ACTIVE = 9, 8  # samples to a pixel, and those of them that are sensitive, along a side
 SPACING_UM = PITCH_UM / FINER
 REACH = 110 * FINER  # of the PSF, samples: no used pixel is further from a corner of the target along a side
-PERIOD = 2880  # samples after which the sampled pupil's field repeats
+PERIOD = 5832  # samples after which the sampled pupil's field repeats
 ORDER, SIZE_MM = 4, 13.0
 RANGES_MM = (1450.0, 1600.0)
 COLOURS = {"R": 630.0, "G": 535.0, "B": 455.0}  # nm
@@ -97,16 +97,18 @@ def point_spread(waves: dict[int, float], wavelength_nm: float, f_number: float)
     """(2 REACH + 1, same) light in each sample of the image of a point: the share of all the light that passes the lens."""
     radius = PERIOD * SPACING_UM / (2 * wavelength_nm * 1e-3 * f_number)  # of the pupil, in samples of it
     half, many = int(radius) + 2, 6
-    fine = (np.arange((2 * half + 1) * many) - ((2 * half + 1) * many - 1) / 2) / many / radius
+    fine = ((np.arange((2 * half + 1) * many) - ((2 * half + 1) * many - 1) / 2) / many / radius).astype(np.float32)
     disc = (np.hypot(fine[:, None], fine) < 1).reshape(2 * half + 1, many, 2 * half + 1, many).mean(axis=(1, 3))
     y, x = np.meshgrid(*[np.arange(-half, half + 1) / radius] * 2, indexing="ij")
     shapes = modes(x, y)
     path = sum(amount * shapes[j] for j, amount in waves.items())
-    pupil = np.zeros((PERIOD, PERIOD), complex)
-    pupil[: 2 * half + 1, : 2 * half + 1] = disc * np.exp(2j * np.pi * REFERENCE_NM / wavelength_nm * path)
+    pupil = disc * np.exp(2j * np.pi * REFERENCE_NM / wavelength_nm * path)
     window = np.arange(-REACH, REACH + 1)
-    light = np.abs(scipy.fft.fft2(pupil, workers=2)[np.ix_(window, window)]) ** 2
-    return np.asarray(light / (PERIOD**2 * disc.sum()))  # by Parseval, but for the grey rim: of the disc's area
+    rows = scipy.fft.fft(pupil, PERIOD, axis=0, workers=2)[window]
+    light = np.abs(scipy.fft.fft(rows, PERIOD, axis=1, workers=2)[:, window]) ** 2
+    # means over the pupil's samples dim the image far out; the disc's area is all the light, its grey rim's squares are less
+    dimmed = np.outer(*[np.sinc(window / PERIOD)] * 2) ** 2
+    return np.asarray(light / (dimmed * PERIOD**2 * disc.sum()))
 
 
 def carpet() -> Floats:
