@@ -114,6 +114,14 @@ class LensModel:
         return "G" if "G" in self.channels else self.channels[0]
 
     @property
+    def shortening(self) -> tuple[float, float]:
+        """By how much the target's lean makes all sizes less, as ln, and its error: as the member has it that knows best.
+
+        The lean is the same at all ranges, so that its error is none of one size beside another.
+        """
+        return min((m.measured.shortening for m in self.members), key=lambda one: one[1])
+
+    @property
     def size_floor(self) -> float:
         """Relative error of each size in the picture, beside the frames' own."""
         return SIZE_FLOOR if self.paraxial else FREE_SIZE
@@ -172,7 +180,7 @@ class LensModel:
             Column(GEOMETRY[1], (), n.value, n.std, 1e-2 * n.value),
             Column(GEOMETRY[2], (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1),
             Column(GEOMETRY[3], (), 0.0, stated.range_zero_std_mm, 1e-3 * far),
-            Column(GEOMETRY[6], (), 0.0, stated.size_std, 1e-4),
+            Column(GEOMETRY[6], (), 0.0, float(np.hypot(stated.size_std, self.shortening[1])), 1e-4),
             Column("cone", (), 0.0, 0.0 if self.paraxial else FREE_CONE, 1e-2),
         ]
         homings = sorted({h for m in self.members for h in m.homings})
@@ -226,7 +234,7 @@ class LensModel:
     def _one(self, k: int, theta: Floats, laws: Floats) -> Floats:
         member = self.members[k]
         modes = [laws[0] if j == 4 else theta[self.index("mode", *self._mode_of(k), j)] for j in member.measured.noll]
-        size = laws[2] + theta[self.index("target size")]
+        size = laws[2] + theta[self.index("target size")] - self.shortening[0]
         if member.channel != self.reference:
             size += theta[self.index("lateral colour", member.channel)]
         return np.array([*modes, laws[1] + theta[self.index("cone")], size])

@@ -85,20 +85,27 @@ class Pose:
         return float(dy), float(dx)
 
     def log_scale(self) -> tuple[float, Floats]:
-        """ln of pixels per mm at the target's centre, along the line there that does not recede; and its slopes (8,) by v.
+        """ln of pixels per mm at the target's centre, the geometric mean over all directions; and its slopes (8,) by v.
 
-        A tilt shortens the target across that line only, so that this is the scale of a target that does not lean, wherever
-        it stands in the picture. The line has (y, x) in the direction (v7, -v6).
+        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_shortening` tells.
+        """
+        log_det = np.linalg.slogdet(self.matrix)[1]
+        slopes = np.asarray(0.5 * np.linalg.inv(self.matrix).T, dtype=float)
+        mean = 0.5 * (log_det - np.log(self.half_size_mm[0] * self.half_size_mm[1]))
+        return float(mean), slopes[[0, 0, 0, 1, 1, 1, 2, 2], [2, 0, 1, 2, 0, 1, 0, 1]]
+
+    def log_shortening(self) -> float:
+        """ln of pixels per mm along the line through the target's centre that does not recede, less the mean of all directions.
+
+        A tilt shortens the target across that line only, wherever it stands in the picture. The line has (y, x) in the
+        direction (v7, -v6); where nothing recedes nothing is shortened.
         """
         v, (tall, wide) = self.v, self.half_size_mm
-        y, x = (v[7], -v[6]) if v[6:].any() else (0.0, 1.0)
-        down, right, length = v[1] * y + v[2] * x, v[4] * y + v[5] * x, np.hypot(tall * y, wide * x)
-        square = down**2 + right**2
-        slope = np.array([0.0, down * y, down * x, 0.0, right * y, right * x, 0.0, 0.0]) / square
-        if v[6:].any():
-            slope[6] = -(down * v[2] + right * v[5]) / square + wide**2 * x / length**2
-            slope[7] = (down * v[1] + right * v[4]) / square - tall**2 * y / length**2
-        return float(np.log(np.sqrt(square) / length)), slope
+        if not v[6:].any():
+            return 0.0
+        y, x = v[7], -v[6]
+        length = np.hypot(tall * y, wide * x)
+        return float(np.log(np.hypot(v[1] * y + v[2] * x, v[4] * y + v[5] * x) / length)) - self.log_scale()[0]
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""

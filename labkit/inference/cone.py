@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.warp import POSE_SIZE, Pose
@@ -27,6 +28,7 @@ SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, 
 FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 EXACT = 1e-6  # a relative error that moves nothing
+POSES = 200  # drawn to see how well a tilt is known
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,16 @@ class Measured:
     """What frames of one channel at one range say: a Gaussian over (modes..., ln N of the cone, ln of the picture's scale).
 
     values: (modes + 2,); covariance: of photons and read noise, (modes + 2, modes + 2), with no prior on N.
-    scale: sensor over target, mm per mm, whatever the target's tilt. calibration: the part of the
-    covariance that the flats' own errors make.
+    scale: sensor over target, mm per mm, the mean of all directions. calibration: the part of the covariance that the flats'
+    own errors make. shortening: ln of the scale along the line on which a leaning target does not recede, less the mean's, and
+    its standard error.
     """
 
     noll: tuple[int, ...]
     values: Floats
     covariance: Floats
     calibration: Floats
+    shortening: tuple[float, float] = (0.0, 0.0)
 
     def twin(self, signs: Floats) -> Measured:
         """With even modes reversed. signs: (modes,)."""
@@ -117,8 +121,13 @@ class Expansion:
         step, covariance = self.newton(OPEN_STD**-2)
         pulled = self.picked @ covariance
         values = self.here + self.picked @ step
+        at = self.state.waves.size + 1 + np.arange(POSE_SIZE)
         return Measured(
-            self.problem.model.blur.pupil.noll, values, pulled @ self.picked.T, pulled @ self.flats @ pulled.T
+            self.problem.model.blur.pupil.noll,
+            values,
+            pulled @ self.picked.T,
+            pulled @ self.flats @ pulled.T,
+            _shortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
         )
 
     def at(self, values: Floats) -> tuple[State, float]:
@@ -132,9 +141,8 @@ class Expansion:
 def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     """Climb by Newton's steps, undamped, to an optimum that is near, and to the cone that its frames call for.
 
-    The first goes by rough slopes, those after it by exact ones.
-
-    f_number_std: relative, of the cone that the problem has. The last step is not drawn: its picture lies on the slopes.
+    f_number_std: relative, of the cone that the problem has. The first step goes by rough slopes, those after it by exact ones;
+    the last is not drawn, its picture lies on the slopes. Where they do not settle, `Freed.solution.converged` says so.
     """
     given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
     modes, before = start.state.waves.size, -np.inf
@@ -200,6 +208,17 @@ def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluatio
         weighted = of.of_mean * (frame.relative_std[frame.used] * of.mean / of.variance)
         total[np.ix_(index, index)] += weighted @ weighted.T
     return total
+
+
+def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
+    """Mean and standard deviation over the poses that a covariance (8, 8) allows.
+
+    Where the picture hardly tells which way the target leans, that is far from linear in the pose.
+    """
+    root = scipy.linalg.sqrtm(covariance).real
+    steps = np.random.default_rng(0).normal(size=(POSES, POSE_SIZE)) @ root
+    values = [pose.moved(step).log_shortening() for step in steps]
+    return float(np.mean(values)), float(np.std(values))
 
 
 def _picked(problem: Problem, state: State, size: int) -> tuple[Floats, Floats]:
