@@ -92,7 +92,7 @@ class LensFit:
             calibration = float(here @ member.measured.calibration @ here)
             shares["model"] += float(MODEL_FLOOR_WAVES * here[member.measured.noll.index(4)]) ** 2
             shares["calibration"] += calibration
-            shares["geometry"] += float(self.model.size_floor * here[-1]) ** 2
+            shares["geometry"] += float(self.model.size_error(k) * here[-1]) ** 2
             shares["photons"] += float(here @ member.measured.covariance @ here) - calibration
         prior = pull[-len(self.model.columns) :] ** 2
         shares["geometry"] += sum(
@@ -135,7 +135,7 @@ def fit_lens(
     centre = np.array([c.value for c in model.columns])
     prior = np.array([max(c.std, EXACT * c.scale) for c in model.columns])
     scale = np.array([min(c.scale, p) for c, p in zip(model.columns, prior, strict=True)])
-    roots = tuple(_root(m, extra_waves, model.size_floor) for m in members)
+    roots = tuple(_root(m, extra_waves, model.size_error(k)) for k, m in enumerate(members))
     rows = _Rows(model, roots, centre, prior)
     solved = least_squares(
         rows.residuals,
@@ -230,14 +230,14 @@ def predict(fit: LensFit, member: Member) -> Floats:
     return wider.predicted(theta)[-1]
 
 
-def _root(member: Member, extra_waves: float, size_floor: float) -> Floats:
+def _root(member: Member, extra_waves: float, size_error: float) -> Floats:
     """Lower triangular, of a member's covariance."""
     covariance = member.measured.covariance.copy()
     noll = member.measured.noll
     modes = np.arange(len(noll))
     covariance[modes, modes] += extra_waves**2
     covariance[noll.index(4), noll.index(4)] += MODEL_FLOOR_WAVES**2
-    covariance[-1, -1] += size_floor**2
+    covariance[-1, -1] += size_error**2
     return np.asarray(cholesky(covariance, lower=True))
 
 

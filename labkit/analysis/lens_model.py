@@ -6,10 +6,12 @@ session, some of which a plan states with an error: a measurement like any other
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
+from scipy.special import chdtrc
 
 from labkit.inference.cone import Measured
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
@@ -19,6 +21,8 @@ from labkit.uncertain import Uncertain
 
 USUAL_LOG_MAGNIFICATION = 0.7  # standard error: pupil magnifications of lenses lie between 0.5 and 2
 SIZE_FLOOR = 3e-5  # of a size in the picture: a target is as flat, a picture as free of distortion
+SAME_LEAN = 1e-3  # chance of leans that differ as much, below which they are not the same
+LEAN_FLOOR = 1e-5  # of a size, by which a carriage that tips changes it
 FREE_CONE, FREE_SIZE = 0.1, 0.03  # relative errors of cone and scale where no law holds
 COLOUR_STD = 0.01  # of a colour's size in the picture against the reference colour's
 MODE_STD = 10.0  # waves RMS, of a mode before it is measured
@@ -88,7 +92,9 @@ class LensModel:
     """Members, what is stated, and the columns of the estimate.
 
     shared: modes but defocus are the same at all ranges. paraxial: the cone at the sensor and the picture's scale follow from
-    the pupils of a lens that moves as a whole; else they are tied to nothing, and only defocus tells of the lens.
+    the pupils of a lens that moves as a whole; else they are tied to nothing, and only defocus tells of the lens. lean: by how
+    much the target's makes all sizes less, as ln, and its error, which is none of one size beside another; None where it
+    differs from range to range.
     """
 
     members: tuple[Member, ...]
@@ -96,9 +102,11 @@ class LensModel:
     shared: bool = True
     paraxial: bool = True
     columns: tuple[Column, ...] = field(init=False, repr=False)
+    lean: tuple[float, float] | None = field(init=False, repr=False)
     _index: dict[tuple[str, tuple[str | float, ...]], int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "lean", _common_lean([m.measured.shortening for m in self.members]))
         columns = tuple(self._columns())
         object.__setattr__(self, "columns", columns)
         object.__setattr__(self, "_index", {(c.kind, c.of): k for k, c in enumerate(columns)})
@@ -113,13 +121,10 @@ class LensModel:
         """The channel whose sizes the lens's scale is held to: green, where there is one."""
         return "G" if "G" in self.channels else self.channels[0]
 
-    @property
-    def shortening(self) -> tuple[float, float]:
-        """By how much the target's lean makes all sizes less, as ln, and its error: as the member has it that knows best.
-
-        The lean is the same at all ranges, so that its error is none of one size beside another.
-        """
-        return min((m.measured.shortening for m in self.members), key=lambda one: one[1])
+    def size_error(self, k: int) -> float:
+        """Relative error of a member's size, beside the frames' own: that of its lean, where that is not shared, is in it."""
+        own = 0.0 if self.lean is not None else self.members[k].measured.shortening[1]
+        return float(np.hypot(self.size_floor, own))
 
     @property
     def size_floor(self) -> float:
@@ -180,7 +185,7 @@ class LensModel:
             Column(GEOMETRY[1], (), n.value, n.std, 1e-2 * n.value),
             Column(GEOMETRY[2], (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1),
             Column(GEOMETRY[3], (), 0.0, stated.range_zero_std_mm, 1e-3 * far),
-            Column(GEOMETRY[6], (), 0.0, float(np.hypot(stated.size_std, self.shortening[1])), 1e-4),
+            Column(GEOMETRY[6], (), 0.0, float(np.hypot(stated.size_std, (self.lean or (0.0, 0.0))[1])), 1e-4),
             Column("cone", (), 0.0, 0.0 if self.paraxial else FREE_CONE, 1e-2),
         ]
         homings = sorted({h for m in self.members for h in m.homings})
@@ -234,7 +239,7 @@ class LensModel:
     def _one(self, k: int, theta: Floats, laws: Floats) -> Floats:
         member = self.members[k]
         modes = [laws[0] if j == 4 else theta[self.index("mode", *self._mode_of(k), j)] for j in member.measured.noll]
-        size = laws[2] + theta[self.index("target size")] - self.shortening[0]
+        size = laws[2] + theta[self.index("target size")] - (self.lean or member.measured.shortening)[0]
         if member.channel != self.reference:
             size += theta[self.index("lateral colour", member.channel)]
         return np.array([*modes, laws[1] + theta[self.index("cone")], size])
@@ -261,3 +266,10 @@ class LensModel:
             if j != 4:
                 rows[row, self.index("mode", *self._mode_of(k), j)] = 1.0
         return rows
+
+
+def _common_lean(every: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """What each member says of it, in one: as the member has it that knows best, where the others agree."""
+    best, error = min(every, key=lambda one: one[1])
+    misfit = sum((value - best) ** 2 / (std**2 + error**2 + LEAN_FLOOR**2) for value, std in every)
+    return (best, error) if chdtrc(len(every), misfit) > SAME_LEAN else None

@@ -68,6 +68,34 @@ def test_pixels_and_target_lead_back_to_each_other(pose: Pose) -> None:
     np.testing.assert_allclose(pose.shifted(3, -5).to_pixels(y, x), where - [3, -5], atol=1e-11)
 
 
+def pinhole(tilts_deg: tuple[float, float], aside_mm: float) -> Pose:
+    """A target of 30 mm by 20, 400 mm before a camera of 12000 pixels' focal length, leaning, and beside its axis."""
+    a, b = np.radians(tilts_deg)
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    y, x = np.array([-10.0, -10, 10, 10]), np.array([-15.0, 15, 15, -15])
+    right, down, away = about_y @ about_x @ np.stack([x, y, 0 * x]) + np.array([[aside_mm], [0], [400]])
+    return Pose.from_corners(12000 * np.stack([down / away, right / away], axis=1), (20.0, 30.0))
+
+
+@pytest.mark.parametrize("tilts_deg", [(0.0, 0.0), (8.0, 0.0), (0.0, -5.0), (6.0, 9.0)])
+@pytest.mark.parametrize("aside_mm", [0.0, 25.0])
+def test_the_scale_along_the_line_that_does_not_recede_is_that_of_a_target_that_does_not_lean(
+    tilts_deg: tuple[float, float], aside_mm: float
+) -> None:
+    pose = pinhole(tilts_deg, aside_mm)
+    assert pose.log_scale()[0] + pose.log_shortening() == pytest.approx(np.log(12000 / 400), abs=1e-12)
+
+
+def test_the_mean_scale_is_less_by_half_of_ln_cos_of_a_tilt_and_its_slopes_are_differences() -> None:
+    pose = pinhole((8.0, 0.0), 0.0)
+    assert pose.log_shortening() == pytest.approx(-0.5 * np.log(np.cos(np.radians(8.0))), abs=1e-12)
+    size = np.array([1e-3] * 6 + [1e-6] * 2)
+    for slope, step in zip(pose.log_scale()[1], np.diag(size), strict=True):
+        high, low = (pose.moved(s).log_scale()[0] for s in (step, -step))
+        assert slope == pytest.approx((high - low) / (2 * step.sum()), rel=1e-6, abs=1e-9)
+
+
 def test_the_motion_of_points_is_its_finite_difference(pose: Pose) -> None:
     row, col = np.random.default_rng(5).uniform(12, 40, (2, 20))
     y, x = pose.to_target(row, col)

@@ -279,3 +279,28 @@ def test_ranges_that_tell_nothing_leave_no_zero_error() -> None:
     assert np.all(np.isfinite(fit.covariance))
     assert fit.std("best focus", "G") > 1e3
     assert fit.std("pupil magnification") == pytest.approx(USUAL_LOG_MAGNIFICATION, rel=0.3)
+
+
+def leaning(m: Member, shortening: float, std: float) -> Member:
+    """A member whose target leans: its size is less by as much."""
+    values = m.measured.values - [0.0, 0.0, shortening]
+    return replace(m, measured=replace(m.measured, values=values, shortening=(shortening, std)))
+
+
+def test_a_lean_that_all_ranges_share_costs_no_precision_of_one_size_beside_another() -> None:
+    seen = members((1900, 2000, 2100), 2010, 70.0, 2.8)
+    straight = fit_lens(seen, stated(70.0, 2.8))
+    leans = fit_lens([leaning(m, 8e-4, 3e-4 if k else 1e-5) for k, m in enumerate(seen)], stated(70.0, 2.8))
+    assert leans.model.lean == (8e-4, 1e-5)
+    off = np.abs(leans.theta - straight.theta) / np.sqrt(np.diag(straight.covariance))
+    assert off.max() < 1e-3
+    assert leans.std("pupil magnification") == pytest.approx(straight.std("pupil magnification"), rel=0.02)
+
+
+def test_leans_that_differ_count_each_for_itself_with_their_errors() -> None:
+    seen = members((1900, 2000, 2100), 2010, 70.0, 2.8)
+    leans = fit_lens([leaning(m, (2e-4, 8e-4, 5e-4)[k // 3], 2e-5) for k, m in enumerate(seen)], stated(70.0, 2.8))
+    assert leans.model.lean is None
+    assert leans.value("focal length") == pytest.approx(
+        fit_lens(seen, stated(70.0, 2.8)).value("focal length"), abs=0.02
+    )
