@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, outliers, predict
-from labkit.analysis.lens_model import Member, Stated
+from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member, Stated
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
 from labkit.execute import Workers
@@ -197,7 +197,7 @@ class _Chain:
         """From what is known of the lens: its cone, its modes, and where its focus lies."""
         observation = self.observations[k]
         optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
-        std = self.plan.lens.stated_f_number.std / self.plan.lens.f_number
+        std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
         task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
         nearest = _nearest(observation, [f for f in known.fits if f.fit.verdict.accepted])
         if nearest is None:
@@ -213,6 +213,11 @@ class _Chain:
         ranges = [o.measured_range_mm for o in self.observations if o.measured_range_mm is not None]
         lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
         return float(lens.working_f_number(sum(ranges) / len(ranges))) if ranges else lens.f_number
+
+    def _pupils_share(self) -> float:
+        """Relative error of the engraved cone that the pupils make, as long as their magnification is not known."""
+        lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
+        return (self._engraved_cone() / lens.f_number - 1) * USUAL_LOG_MAGNIFICATION
 
     def _tasks_again(self, known: SessionFits, lens: LensFit) -> dict[int, Task]:
         """Of those that are no members, from what the members predict, where they do."""

@@ -155,7 +155,7 @@ class ForwardModel:
         by_waves: bool = True,
         by_cone: bool = False,
         exact: bool = True,
-        means: Sequence[Floats] | None = None,
+        means: Sequence[Floats] = (),
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 

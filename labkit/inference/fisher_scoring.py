@@ -101,6 +101,14 @@ class State:
         return replace(self, poses=self.poses[:1], scales=self.scales[:1], ambients=self.ambients[:1])
 
 
+class Start(NamedTuple):
+    """A state; the target at its poses, and the relative images (pixels,) of the frames there, if they are at hand."""
+
+    state: State
+    drawing: Drawing | None = None
+    relative: Sequence[Floats] = ()
+
+
 @dataclass(frozen=True)
 class Problem:
     """Frames of one wavefront, a model of them, and what is known of the noise."""
@@ -116,6 +124,11 @@ class Problem:
     def relative(self, state: State, drawing: Drawing | None = None) -> list[Floats]:
         """Relative images (pixels,) of the frames. drawing: at the state's poses, if it is at hand."""
         return self.model.means(state.waves, drawing or self.draw(state), [f.used for f in self.frames])
+
+    def drawn(self, state: State) -> Start:
+        """A state with all that is computed of it."""
+        drawing = self.draw(state)
+        return Start(state, drawing, self.relative(state, drawing))
 
     def objective(self, state: State, relative: Sequence[Floats]) -> float:
         """Log-likelihood of everything measured, that of the noise's calibration included."""
@@ -138,7 +151,7 @@ class Problem:
         self,
         state: State,
         drawing: Drawing | None = None,
-        relative: Sequence[Floats] | None = None,
+        relative: Sequence[Floats] = (),
         *,
         by_waves: bool,
         exact: bool = True,
@@ -166,14 +179,6 @@ class Problem:
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
         information[-NOISE:, -NOISE:] += np.diag(self.noise.precision)
         return gradient, information, scores
-
-
-class Start(NamedTuple):
-    """A state; the target at its poses, and the relative images (pixels,) of the frames there, if they are at hand."""
-
-    state: State
-    drawing: Drawing | None = None
-    relative: list[Floats] | None = None
 
 
 @dataclass(frozen=True)
@@ -213,36 +218,31 @@ def maximize(
     tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
     at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
-    state, drawing = start, problem.draw(start)
-    relative = problem.relative(start, drawing)
-    begun = Start(state, drawing, relative)
+    here = begun = problem.drawn(start)
     gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
-    best = problem.objective(state, relative)
+    best = problem.objective(here.state, here.relative)
     damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
-        length, trial = _length(step, information), state.moved(step)
+        length, trial = _length(step, information), Start(here.state.moved(step))
         left = length * min(1.0, length / before) if before else length
         last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
-        there = list[Floats]()
         if last:
-            there = problem.foreseen(state, step, evaluations)
-        elif sane(trial, start):
-            drawing = problem.draw(trial)
-            there = problem.relative(trial, drawing)
-        value = problem.objective(trial, there) if there else -np.inf
+            trial = trial._replace(relative=problem.foreseen(here.state, step, evaluations))
+        elif sane(trial.state, start):
+            trial = problem.drawn(trial.state)
+        value = problem.objective(trial.state, trial.relative) if trial.relative else -np.inf
         if not value > best:
             converged = length < tolerance
             damping, before = max(damping, 1e-4) * 8, 0.0
             continue
-        converged = last
-        state, relative, best, damping, before = trial, there, value, damping / 8, length
+        here, best, damping, before, converged = trial, value, damping / 8, length, last
         if not converged:
-            begun = Start(state, drawing, relative)
+            begun = here
             gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
             steps += 1
-    misfit = problem.chi2_per_pixel(state, relative)
-    return Solution(state, best, information, relative, misfit, steps, converged, begun)
+    misfit = problem.chi2_per_pixel(here.state, here.relative)
+    return Solution(here.state, best, information, list(here.relative), misfit, steps, converged, begun)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
