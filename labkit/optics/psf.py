@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 
 from labkit.arrays import positive, real_array
-from labkit.optics.pupil import disc_area
+from labkit.optics.pupil import smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
@@ -30,7 +30,7 @@ class Pupil:
     wavelength_um, reference_um: of the light, and the one that wavefronts are counted in.
     f_number: of the beam that reaches the sensor. spacing_um: of the PSF. size: samples along a side of the PSF's window.
     noll: the modes of the wavefront.
-    amplitude: (n, n) shaded aperture, its centre in the middle. modes: (modes, n, n) Zernike polynomials on its samples.
+    amplitude: (n, n) aperture with a smooth edge, its centre in the middle. modes: (modes, n, n) Zernike polynomials there.
 
     Sampling the pupil folds what lies beyond the window back into it; `Blur` mends that.
     """
@@ -57,14 +57,14 @@ class Pupil:
             raise ValueError(
                 f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
             )
-        half = int(np.ceil(self.radius)) + 1
+        half = int(np.ceil(self.radius)) + 2
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
         rho, theta = np.hypot(x, y), np.arctan2(y, x)
         tilt = np.exp(2j * np.pi * (self.size // 2) / self.size * offsets)
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
-        object.__setattr__(self, "amplitude", disc_area(offsets, self.radius))
+        object.__setattr__(self, "amplitude", smooth_disc(offsets, self.radius))
         object.__setattr__(self, "modes", np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape))
 
     @property
@@ -90,8 +90,8 @@ class Pupil:
     def _light(self) -> float:
         """What |field|^2 sums to when all light is counted: the pupil's area, as Parseval has it.
 
-        The sum of the squared shaded amplitudes is less by 1/(3 radius): with it as the norm every frequency but zero would
-        come out too large by as much, which puts 0.003 waves into a defocus of 1.2.
+        The sum of the squared amplitudes is less by 1/(4 radius), as their edge is grey: with it as the norm every frequency
+        but zero would come out too large by as much, which puts 0.003 waves into a defocus of 1.2.
         """
         return np.pi * self.radius**2 * self.size**2
 
