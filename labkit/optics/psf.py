@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 
 from labkit.arrays import positive, real_array
-from labkit.optics.pupil import smooth_disc
+from labkit.optics.pupil import REACH, smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
@@ -57,7 +57,7 @@ class Pupil:
             raise ValueError(
                 f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
             )
-        half = int(np.ceil(self.radius)) + 2
+        half = int(np.ceil(self.radius)) + REACH
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
         rho, theta = np.hypot(x, y), np.arctan2(y, x)

@@ -1,50 +1,58 @@
 """The aperture on a grid: a disc whose edge the samples share so that its transform hardly depends on where they lie."""
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from labkit.arrays import positive, real_array
 from labkit.types import Floats
 
-NODES = 5  # Gauss-Legendre's, on each of the four intervals of Keys' kernel
+REACH = 3  # of the edge's kernel, in samples
 
 
 def smooth_disc(offsets: Floats, radius: float) -> Floats:
-    """A disc under Keys' cubic kernel (a = -1/2), sampled on a grid: (n, n), a little below 0 and above 1 along the edge.
+    """A disc under the kernel of central Lagrange interpolation over six samples, on a grid: (n, n), about 0 to 1.
 
     offsets: (n,) coordinates of the samples along either axis, from the disc's centre. radius: in samples, 2 or more.
-    The transform of samples repeats with their frequency. What its copies add to a field, and what the soft edge takes from it,
-    go with the third and fourth power of the distance from the centre; of `disc_area` with the first and second. R. Keys, IEEE
-    Trans. Acoust. Speech Signal Process. 29, 1153 (1981). Raises ValueError for offsets of another shape or not finite, and for
-    no radius.
+    A transform of samples repeats with their frequency. What its copies add to a field, and what a soft edge takes from it, go
+    here with the sixth power of the distance from the centre; of `disc_area` with the first and second. G. Strang, G. Fix,
+    in Constructive Aspects of Functional Analysis (CIME, 1971). Raises ValueError for offsets of another shape or not finite,
+    and for no radius.
     """
     offsets = real_array("offsets", offsets, (None,), "samples")
     positive("radius", radius, "samples")
-    rows, columns = np.abs(offsets)[:, None], np.abs(offsets)[None, :]
-    along, across = np.maximum(rows, columns), np.minimum(rows, columns)  # where the edge cuts its chords steeply
+    axis, places = np.unique(np.abs(offsets), return_inverse=True)
+    along, across = axis[:, None], axis[None, :]
     distance = np.hypot(along, across)
-    disc = (distance < radius).astype(float)
-    edge = np.abs(distance - radius) < 3.0
-    at, weight = np.polynomial.legendre.leggauss(NODES)
-    at = np.concatenate([piece + 0.5 + at / 2 for piece in (-2, -1, 0, 1)])
-    weight = np.tile(weight / 2, 4) * _keys(at)
-    half_chord = np.sqrt(np.maximum(radius**2 - (across[edge][:, None] - at) ** 2, 0.0))
-    inside = _keys_primitive(half_chord - along[edge][:, None]) - _keys_primitive(-half_chord - along[edge][:, None])
-    disc[edge] = inside @ weight
-    return disc
+    octant = (distance < radius).astype(float)
+    edge = (np.abs(distance - radius) < REACH * np.sqrt(2)) & (along >= across)  # where chords end steeply
+    at, weight = (np.concatenate(each) for each in zip(*map(_gauss, range(-REACH, REACH)), strict=True))
+    rows, columns = np.nonzero(edge)
+    half_chord = np.sqrt(np.maximum(radius**2 - (axis[columns, None] - at) ** 2, 0.0))
+    inside = _primitive(half_chord - axis[rows, None]) - _primitive(-half_chord - axis[rows, None])
+    octant[rows, columns] = octant[columns, rows] = inside @ weight
+    return np.asarray(octant[np.ix_(places, places)])
 
 
-def _keys(t: Floats) -> Floats:
-    """Keys' kernel, from -2 to 2."""
-    t = np.abs(t)
-    return np.where(t < 1, 1 + t**2 * (1.5 * t - 2.5), 2 + t * (-4 + t * (2.5 - 0.5 * t)))
+def _kernel(piece: int) -> Polynomial:
+    """The kernel from a whole number to the next: 1 at 0, and 0 at the other samples that take part there."""
+    others = [node for node in range(piece - REACH + 1, piece + REACH + 1) if node]
+    product = Polynomial.fromroots(others)
+    return product / product(0.0)
 
 
-def _keys_primitive(t: Floats) -> Floats:
-    """Its integral from 0 to t, 1/2 from 2 on."""
-    s = np.minimum(np.abs(t), 2.0)
-    near = s * (1 + s**2 * (-5 / 6 + 3 / 8 * s))
-    far = -1 / 6 + s * (2 + s * (-2 + s * (5 / 6 - s / 8)))
-    return np.copysign(np.where(s < 1, near, far), t)
+def _gauss(piece: int) -> tuple[Floats, Floats]:
+    """Nodes and weights of an integral times the kernel, over one of its pieces."""
+    at, weight = np.polynomial.legendre.leggauss(REACH + 2)
+    at = piece + (1 + at) / 2
+    return at, weight / 2 * _kernel(piece)(at)
+
+
+def _primitive(t: Floats) -> Floats:
+    """The kernel's integral from 0 to t, 1/2 from its reach on."""
+    s, total = np.minimum(np.abs(t), REACH), np.zeros_like(t)
+    for piece in range(REACH):
+        total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
+    return np.copysign(total, t)
 
 
 def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:

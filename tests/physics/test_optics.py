@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import astropy.units as u
@@ -16,8 +17,9 @@ from scipy.special import j1
 
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import disc_area
+from labkit.optics.pupil import disc_area, smooth_disc
 from labkit.optics.zernike import is_even, zernike
+from labkit.types import Floats
 
 EVERY_MODE = tuple(range(4, 16))
 
@@ -67,6 +69,20 @@ def test_each_shaded_sample_holds_the_exact_area_of_small_and_large_discs(radius
         kinks = sorted(x for x in kinks if left <= x <= left + 1)
         area = sum(quad(chord, a, b, args=(bottom,))[0] for a, b in pairwise(kinks) if b > a)
         assert disc_area(at, radius)[row + 7, col + 7] == pytest.approx(area, abs=1e-8)
+
+
+@pytest.mark.parametrize(("edge", "limits"), [(smooth_disc, (1e-7, 1.4e-6, 5e-6)), (disc_area, (5e-5, 2.5e-4, 1.6e-4))])
+def test_the_transform_of_a_smooth_disc_is_airys_wherever_its_samples_lie(
+    edge: Callable[[Floats, float], Floats], limits: tuple[float, ...]
+) -> None:
+    at = np.arange(-64.0, 65.0)
+    for reach, limit in zip((5.3, 10.7, 20.3), limits, strict=True):  # in lambda N, of a window of about 121
+        airy = 2 * j1(np.pi * reach) / (np.pi * reach)
+        off = [
+            (edge(at, radius) @ np.cos(np.pi * reach / radius * at)).sum() / (np.pi * radius**2) - airy
+            for radius in np.linspace(60, 61, 11)
+        ]
+        assert limit / 10 < np.abs(off).max() < limit
 
 
 def airy_share(spacing: float, reach: int) -> np.ndarray:

@@ -29,7 +29,7 @@ from labkit.inference.optimum_tests import (
 )
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import disc_area
+from labkit.optics.pupil import disc_area, smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge
@@ -54,6 +54,7 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "zernike rho": ("rho", np.ones(3), lambda v: zernike(4, v, np.ones(3))),
     "zernike theta": ("theta", np.ones(3), lambda v: zernike(4, np.ones(3), v)),
     "disc_area": ("offsets", np.arange(-2.0, 3), lambda v: disc_area(v, 1.5)),
+    "smooth_disc": ("offsets", np.arange(-4.0, 5), lambda v: smooth_disc(v, 2.5)),
     "psf": ("waves", np.ones(2), PUPIL.psf),
     "psf_jacobian": ("waves", np.ones(2), PUPIL.psf_jacobian),
     "psf_hessian": ("waves", np.ones(2), lambda v: list(PUPIL.psf_hessian(v))),
