@@ -66,19 +66,21 @@ def run(setting: Setting) -> Outcome:
         ),
     ]
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(8.0, 3.4), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        left.hist(1e3 * varied, 30)
-        left.set(
-            xlabel="summed absolute change / 1e-3",
-            ylabel="wavefronts of 1e-3 waves RMS",
-            title="What a wavefront does to the PSF",
-        )
-        for edge, marker in zip(EDGES, "^os", strict=True):
-            right.loglog([r["diameter"] for r in rows], [r[f"{edge}_error"] for r in rows], f"{marker}-", label=edge)
-        right.set(xlabel="samples across the pupil", ylabel="summed absolute error", title="What its sampling does")
-        right.legend()
-        return figure
+    return Outcome(claims, rows, lambda: _drawn(varied, rows))
 
-    return Outcome(claims, rows, draw)
+
+def _drawn(varied: Floats, rows: list[dict[str, float]]) -> Figure:
+    """Both studies beside each other."""
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.hist(1e3 * varied, 30)
+    left.set(
+        xlabel="summed absolute change / 1e-3",
+        ylabel="wavefronts of 1e-3 waves RMS",
+        title="What a wavefront does to the PSF",
+    )
+    for edge, marker in zip(EDGES, "^os", strict=True):
+        right.loglog([r["diameter"] for r in rows], [r[f"{edge}_error"] for r in rows], f"{marker}-", label=edge)
+    right.set(xlabel="samples across the pupil", ylabel="summed absolute error", title="What its sampling does")
+    right.legend()
+    return figure

@@ -108,7 +108,9 @@ def point_spread(waves: dict[int, float], wavelength_nm: float, f_number: float)
     window = np.arange(-REACH, REACH + 1)
     rows = scipy.fft.fft(pupil, PERIOD, axis=0, workers=2)[window]
     light = np.abs(scipy.fft.fft(rows, PERIOD, axis=1, workers=2)[:, window]) ** 2
-    return np.asarray(light / (PERIOD**2 * disc.sum()))  # the disc's area is all the light, its grey rim's squares are less
+    return np.asarray(
+        light / (PERIOD**2 * disc.sum())
+    )  # the disc's area is all the light, its grey rim's squares are less
 
 
 def carpet() -> Floats:
