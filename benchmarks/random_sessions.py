@@ -31,6 +31,7 @@ from labkit.drivers.simulated.world import (
 )
 from labkit.plan import Plan
 from labkit.session.session import Session
+from labkit.types import Floats
 
 FOCAL_STD, F_NUMBER_STD, SIZE_STD, WAVELENGTH_STD = 0.02, 0.03, 1e-4, 0.005
 """Relative errors of engravings, target and filters: those that a plan has by default, as the tape's here."""
@@ -38,6 +39,7 @@ FOCAL_STD, F_NUMBER_STD, SIZE_STD, WAVELENGTH_STD = 0.02, 0.03, 1e-4, 0.005
 TAPE_STD_MM, HOMING_STD_MM = 10.0, 0.02
 
 HALO_UM = 350.0
+MANY_MODES = tuple(range(5, 23))
 PANEL_PIXELS = 320
 """Of a side; a cell of the carpet is one of them, and a flat fills all that the camera sees, its halo included."""
 
@@ -68,6 +70,25 @@ def draw(seed: int, index: int) -> Drawn:
         ranges_mm = _true_ranges_mm(lens, sides, rng)
         if ranges_mm:
             return _session(lens, ranges_mm, sides, rng)
+
+
+def draw_many_modes(seed: int, index: int) -> Drawn:
+    """One of half a wave in Noll's modes 5 to 22, a wavefront for each of three ranges: before, about and behind best focus."""
+    rng = np.random.default_rng([seed, index])
+    best_mm = _even_in_log(rng, 1000, 3000)
+    lens = TrueLens(
+        f_number=_even_in_log(rng, 2.5, 4),
+        wavelength_nm={"G": float(rng.uniform(*WAVELENGTHS_NM["G"]))},
+        best_focus_mm={"G": best_mm},
+        noll=MANY_MODES,
+        aberration_waves=0.5,
+    )
+    stops = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
+    drawn = _session(lens, _ranges_at(lens, best_mm, stops), "through focus", rng)
+    return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, MANY_MODES[-1])}))
+
+
+KINDS = {"any": draw, "many-modes": draw_many_modes}
 
 
 def make(drawn: Drawn, folder: Path) -> Truth:
@@ -112,6 +133,11 @@ def _true_ranges_mm(lens: TrueLens, sides: str, rng: np.random.Generator) -> lis
     best_mm, reach = float(np.mean(list(lens.best_focus_mm.values()))), rng.uniform(0.5, 1.5)
     low, high = {"around": (-reach, reach), "short": (-reach, -0.1), "beyond": (0.1, reach)}[sides]
     stops = np.linspace(low, high, rng.integers(2, 7)) + rng.uniform(-0.05, 0.05)
+    return _ranges_at(lens, best_mm, stops)
+
+
+def _ranges_at(lens: TrueLens, best_mm: float, stops: Floats) -> list[float]:
+    """Where defocus is as wanted, waves in rising order; none where that is too far from best focus for a rail."""
     near_mm, far_mm = best_mm / 1.3, best_mm * 1.3
     if not _defocus(lens, near_mm, best_mm) < stops[0] < stops[-1] < _defocus(lens, far_mm, best_mm):
         return []

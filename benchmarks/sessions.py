@@ -21,7 +21,7 @@ import numpy as np
 from scipy import stats
 
 import labkit
-from benchmarks.random_sessions import Drawn, draw, make
+from benchmarks.random_sessions import KINDS, Drawn, make
 from labkit.drivers.simulated.world import Truth
 from labkit.execute import run_all
 
@@ -42,7 +42,7 @@ ROWS = {
     "range zero": ("range_zero",),
     "best focus": ("best_focus",),
     "defocus": ("noll.4",),
-    "other modes": tuple(f"noll.{j}" for j in range(5, 16)),
+    "other modes": tuple(f"noll.{j}" for j in range(5, 23)),
 }
 
 
@@ -50,6 +50,7 @@ ROWS = {
 class Job:
     """A session of a study, to be made and fitted. keep: the folder for sessions that are not thrown away."""
 
+    study: str
     seed: int
     index: int
     keep: Path | None
@@ -57,7 +58,7 @@ class Job:
 
 def run(job: Job) -> Line:
     """Make a session, fit it without its truth, and compare."""
-    drawn = draw(job.seed, job.index)
+    drawn = KINDS[job.study](job.seed, job.index)
     with TemporaryDirectory(prefix="labkit-sessions-") as base:
         folder = (job.keep or Path(base)) / f"{job.seed}-{job.index}"
         shutil.rmtree(folder, ignore_errors=True)  # what a run that was killed had kept
@@ -179,9 +180,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="keep the sessions in this folder")
+    parser.add_argument("--study", choices=KINDS, default="any", help="which sessions are drawn")
     asked = parser.parse_args()
     done = {line["index"] for line in read(asked.out) if line["seed"] == asked.seed}
-    jobs = [Job(asked.seed, index, asked.keep) for index in range(asked.sessions) if index not in done]
+    jobs = [Job(asked.study, asked.seed, index, asked.keep) for index in range(asked.sessions) if index not in done]
     with asked.out.open("a", encoding="utf-8") as file:
         for _, line in run_all(run, jobs, asked.workers):
             file.write(json.dumps(line) + "\n")

@@ -35,7 +35,7 @@ from labkit.drivers.simulated.scene import (
     render,
     transform,
 )
-from labkit.drivers.simulated.world import FIXED_MODES, REFERENCE_NM, BenchSettings, Fault, Truth, Visit
+from labkit.drivers.simulated.world import REFERENCE_NM, BenchSettings, Fault, Truth, Visit
 from labkit.types import Floats, Floats32
 
 KEPT_PICTURES = 4
@@ -169,12 +169,12 @@ class Bench:
         """Everything that stays as it is while the bench lives."""
         lens, sensor, pose = self.settings.lens, self.settings.sensor, self.settings.pose
         rng = self._generator("fixed")
-        shared = rng.normal(size=len(FIXED_MODES))
+        shared = rng.normal(size=len(lens.noll))
         self._modes = {}
         for colour in lens.wavelength_nm:
             own = shared + lens.colour_share * rng.normal(size=shared.size)
             amounts = own * lens.aberration_waves / np.linalg.norm(own)
-            self._modes[colour] = dict(zip(FIXED_MODES, amounts.tolist(), strict=True))
+            self._modes[colour] = dict(zip(lens.noll, amounts.tolist(), strict=True))
         self._tilt_deg = (rng.uniform(-1, 1) * pose.tilt_deg, rng.uniform(-1, 1) * pose.tilt_deg)
         self._roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
         self._offset_px = tuple(rng.uniform(-pose.offset_px, pose.offset_px, 2))

@@ -28,6 +28,7 @@ class TrueLens:
     pupil_magnification: float = 0.985
     wavelength_nm: Mapping[str, float] = field(default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0})
     best_focus_mm: Mapping[str, float] = field(default_factory=lambda: {"R": 3024.0, "G": 3013.2, "B": 3031.0})
+    noll: tuple[int, ...] = FIXED_MODES
     aberration_waves: float = 0.07
     colour_share: float = 0.15
     """Size of what each colour has of its own in the aberration, relative to what they share."""
