@@ -165,12 +165,15 @@ def _session(lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.
         hot_pixels=3,
         dead_pixels=3,
     )
+    others = [colour for colour in lens.wavelength_nm if colour != "G"]
     order = int(rng.choice([3, 4]))
     size_mm = round(0.76 * rows * sensor.pitch_um * 1e-3 / _scale(lens, ranges_mm[0]), 3)
     pitch_mm = size_mm * (1 + rng.normal(0, SIZE_STD)) / 3**order
     panel = TruePanel(pixels=(PANEL_PIXELS,) * 2, pitch_mm=pitch_mm)
     settings = BenchSettings(int(rng.integers(2**31)), lens, sensor, panel, rail, TruePose(2.0, 3.0, 3.0), HALO_UM)
-    chosen = sorted(rng.permutation(list(lens.wavelength_nm))[: rng.integers(1, 4)], key="RGB".index)
+    chosen = sorted(
+        ["G", *rng.permutation(others)[: rng.integers(0, 3)]], key="RGB".index
+    )  # green has the truth's focal length
     plan = _plan(settings, chosen, stated_mm, order, size_mm, rng)
     kind = {"ranges": sides, "electrons": electrons, "colours": len(chosen), "mono": sensor.pattern == "mono"}
     return Drawn(plan, settings, kind)
@@ -179,7 +182,7 @@ def _session(lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.
 def _scale(lens: TrueLens, range_mm: float) -> float:
     """Size of the picture over that of a target at a range."""
     focal_mm, mp = lens.focal_length_mm, lens.pupil_magnification
-    tangent_mm = image_per_tangent_mm(float(np.mean(list(lens.best_focus_mm.values()))), focal_mm, mp)
+    tangent_mm = image_per_tangent_mm(lens.focused_mm, focal_mm, mp)
     return tangent_mm / entrance_pupil_to_target_mm(range_mm, focal_mm, mp)
 
 

@@ -240,8 +240,7 @@ class Bench:
         """(3, 3): panel mm to pixels, by the camera's true pose at this stop: perspective from the entrance pupil."""
         lens, sensor = self.settings.lens, self.settings.sensor
         focal_mm, pupils = lens.focal_length_mm, lens.pupil_magnification
-        focus_mm = float(np.mean(list(lens.best_focus_mm.values())))  # the sensor stands at one place for all colours
-        tangent_px = lateral * image_per_tangent_mm(focus_mm, focal_mm, pupils) / (sensor.pitch_um * 1e-3)
+        tangent_px = lateral * image_per_tangent_mm(lens.focused_mm, focal_mm, pupils) / (sensor.pitch_um * 1e-3)
         col = (sensor.cols - 1) / 2 + self._wander_px[1]
         row = (sensor.rows - 1) / 2 + self._wander_px[0]
         camera = np.array([[tangent_px, 0, col], [0, tangent_px, row], [0, 0, 1]])
@@ -269,8 +268,8 @@ class Bench:
         """A scene through the lens in one colour, all of its light counted."""
         lens, sensor, grid = self.settings.lens, self.settings.sensor, scene.grid
         waves = {4: self._defocus(colour), **self._modes[colour]}
-        focus_mm, focal_mm, pupils = lens.best_focus_mm[colour], lens.focal_length_mm, lens.pupil_magnification
-        cone = working_f_number(lens.f_number, focus_mm, focal_mm, pupils)
+        f_number, focal_mm = lens.f_number_in(colour), lens.focal_length_in(colour)
+        cone = working_f_number(f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification)
         spacing_um, wavelength_nm = sensor.pitch_um / grid.samples, lens.wavelength_nm[colour]
         psf = point_spread(waves, wavelength_nm, cone, spacing_um, grid.reach, REFERENCE_NM)
         farthest = max(sensor.rows, sensor.cols)
@@ -283,8 +282,8 @@ class Bench:
         return defocus_waves(
             self.range_mm,
             lens.best_focus_mm[colour],
-            lens.focal_length_mm,
-            lens.f_number,
+            lens.focal_length_in(colour),
+            lens.f_number_in(colour),
             lens.pupil_magnification,
             REFERENCE_NM,
         )

@@ -19,7 +19,8 @@ FIXED_MODES = tuple(range(5, 16))
 class TrueLens:
     """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm).
 
-    best_focus_mm: true ranges, from the front principal plane.
+    best_focus_mm: true ranges, from the front principal plane. Focal length and f-number are those of green, or of the first
+    colour; one sensor and one aperture serve all, so that other colours' follow from where they focus.
     """
 
     focal_length_mm: float = 70.0
@@ -36,6 +37,20 @@ class TrueLens:
     """By how much a colour's picture is larger than the others', relative; 0 of those left out."""
     vignetting: float = 0.10
     """Light lost in the frame's corner."""
+
+    @property
+    def focused_mm(self) -> float:
+        """Best focus of green, or of the first colour."""
+        return self.best_focus_mm.get("G", next(iter(self.best_focus_mm.values())))
+
+    def focal_length_in(self, colour: str) -> float:
+        """mm, of a colour that is focused on the same sensor from elsewhere."""
+        sensor = 1 / self.focal_length_mm - 1 / self.focused_mm  # 1 over its distance from the rear principal plane
+        return 1 / (sensor + 1 / self.best_focus_mm[colour])
+
+    def f_number_in(self, colour: str) -> float:
+        """Of a colour, at infinity."""
+        return self.focal_length_in(colour) * self.f_number / self.focal_length_mm
 
 
 @dataclass(frozen=True, slots=True)

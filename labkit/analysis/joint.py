@@ -95,7 +95,8 @@ def reach(leg: Leg) -> Reached:
 def _problem(task: Task, f_number: float, state: State) -> Problem:
     observation = task.observation
     optics = replace(task.optics, f_number=f_number)
-    model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0])
+    window_airy = optics.window_airy(state.waves)
+    model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0], window_airy=window_airy)
     return Problem(model, observation.frames, observation.noise)
 
 

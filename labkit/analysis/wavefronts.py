@@ -22,6 +22,7 @@ from labkit.types import Floats, Progress
 
 SEED = 1  # of the further starts: a session fitted twice gives the same results
 PATIENCE_S = 120.0
+ANCHOR_S = 15.0  # for the first fits, of which one is enough: a plain optimum shows within a third of it
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
@@ -108,11 +109,14 @@ def fit_session(
 ) -> SessionFits:
     """Every observation fitted, and the session estimated from all.
 
-    Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. The rest begin at
-    what these predict. Those that the session finds not to belong are made again from what the others predict.
+    Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. One that does not
+    show soon is sought again from the other. The rest begin at what these predict. Those that the session finds not to belong
+    are made again from what the others predict.
     """
     chain = _Chain(tuple(observations), plan, target, run, progress, patience_s)
-    chain.fit(chain.anchors())
+    anchors = chain.anchors()
+    chain.fit(anchors, ANCHOR_S if len(anchors) > 1 else np.inf)
+    chain.fit(chain.taken_back())
     chain.fit([k for k in range(len(observations)) if k not in chain.fits])
     return chain.settled()
 
@@ -139,14 +143,22 @@ class _Chain:
             return of[:1]
         return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
 
-    def fit(self, places: Sequence[int]) -> None:
-        """Fit these, all at once."""
+    def fit(self, places: Sequence[int], patience_s: float = np.inf) -> None:
+        """Fit these, all at once. patience_s: for a search, if it is less than the session's."""
         known = self._joined()
         tasks = [self._task(k, known) for k in places]
+        tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
         self.progress(len(self.fits), len(self.observations), "fitting")
         for index, fit in self.run(fit_task, tasks):
             self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
             self.progress(len(self.fits), len(self.observations), tasks[index].label)
+
+    def taken_back(self) -> list[int]:
+        """Fits whose search was cut short, which are forgotten."""
+        places = [k for k, f in self.fits.items() if f.fit.cut_short]
+        for k in places:
+            del self.fits[k]
+        return places
 
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
@@ -199,10 +211,14 @@ class _Chain:
         optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
         std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
         task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
-        nearest = _nearest(observation, [f for f in known.fits if f.fit.verdict.accepted])
+        accepted = [f for f in known.fits if f.fit.verdict.accepted]
+        nearest = _nearest(observation, accepted)
         if nearest is None:
             return task
-        if known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
+        law = (
+            len({f.member.stop for f in accepted if f.ranged}) > 1
+        )  # one range tells neither best focus nor the right twin
+        if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))
             return _starting_at(task, predicted)
         cone = replace(optics, f_number=nearest.fit.f_number)

@@ -13,6 +13,7 @@ from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.imaging.window import WINDOW_AIRY, window_for
 from labkit.optics.psf import Pupil
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
@@ -20,7 +21,6 @@ from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Fl
 ROUGH_BAND = (
     1.0  # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 )
-WINDOW_AIRY = 120.0  # PSF window in units of lambda N; wider ones change a wavefront of 1.2 waves by less than 1e-4
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
 GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))
@@ -67,19 +67,24 @@ class Optics:
         """lambda N, the unit of length of diffraction."""
         return self.wavelength_um * self.f_number
 
+    def window_airy(self, waves: Floats) -> float:
+        """Width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
+        return window_for(self.noll, waves * (self.reference_um / self.wavelength_um))
+
 
 @dataclass(frozen=True)
 class ForwardModel:
     """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
 
     rough: the same blur up to ROUGH_BAND, for the slopes that a climb goes by: docs/decisions.md. wrapped: (rows, columns) of
-    the frame, light that comes around the torus and is taken off.
+    the frame, light that comes around the torus and is taken off. window_airy: width of the PSF's window, lambda N.
     """
 
     scene: Scene
     blur: Blur
     rough: Blur
     wrapped: Floats
+    window_airy: float = WINDOW_AIRY
 
     @classmethod
     def build(
@@ -116,12 +121,18 @@ class ForwardModel:
         )
         blur = Blur(torus, pupil, optics.active_um)
         rough = blur if fewer == torus else replace(blur, torus=fewer)
-        return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped)
+        return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped, window_airy)
 
     def at_f_number(self, f_number: float) -> "ForwardModel":
         """The same with another cone, whose drawings serve both. Raises ValueError for a cone wider than was to spare."""
         pupil = replace(self.blur.pupil, f_number=f_number)
         return replace(self, blur=replace(self.blur, pupil=pupil), rough=replace(self.rough, pupil=pupil))
+
+    def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
+        """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
+        window_airy = max(self.window_airy, optics.window_airy(waves))
+        target, frame = self.scene.target, self.scene.torus.frame
+        return ForwardModel.build(optics, target, frame, reference, window_airy=window_airy, spare=spare)
 
     @property
     def optics(self) -> Optics:

@@ -28,6 +28,7 @@ OPEN_STD = 1.0  # of ln N, a prior that keeps what a frame in focus leaves open 
 SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
 FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
+NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
 EXACT = 1e-6  # a relative error that moves nothing
 POSES = 200  # drawn to see how well a tilt is known
 
@@ -145,6 +146,7 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     f_number_std: relative, of the cone that the problem has. The first step goes by rough slopes, those after it by exact ones;
     the last is not drawn, its picture lies on the slopes. Where they do not settle, `Freed.solution.converged` says so.
     """
+    problem, start = _wide_enough(problem, start)
     given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
     modes, before = start.state.waves.size, -np.inf
     for rounds in range(1, ROUNDS + 1):
@@ -159,10 +161,8 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
         if settled or rounds == ROUNDS or not (height > before - FALLEN and sane(expansion.moved(step), start.state)):
             break
         before = height
-        problem = replace(
-            problem, model=at_f_number(problem.model, expansion.f_number_after(step), start.state.poses[0])
-        )
         start = Start(expansion.moved(step))
+        problem = replace(problem, model=at_f_number(problem.model, expansion.f_number_after(step), start.state))
     step = step if near else np.zeros_like(step)
     state, relative = expansion.moved(step), expansion.foreseen(step)
     solution = Solution(
@@ -177,13 +177,21 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     return Freed(problem, solution, expansion.f_number_after(step), covariance[:modes, :modes], expansion.measured())
 
 
-def at_f_number(model: ForwardModel, f_number: float, reference: Pose) -> ForwardModel:
-    """The same model with another cone, built anew where it does not spare enough."""
-    optics, torus = replace(model.optics, f_number=f_number), model.scene.torus
+def at_f_number(model: ForwardModel, f_number: float, state: State) -> ForwardModel:
+    """The same model with another cone, built anew about a state where it does not spare enough."""
     try:
         return model.at_f_number(f_number)
     except ValueError:
-        return ForwardModel.build(optics, model.scene.target, torus.frame, reference, spare=SPARE)
+        return model.again(replace(model.optics, f_number=f_number), state.poses[0], waves=state.waves, spare=SPARE)
+
+
+def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
+    """With a window that holds what the start's wavefront throws far."""
+    model, state = problem.model, start.state
+    if model.window_airy >= NARROW * model.optics.window_airy(state.waves):
+        return problem, start
+    wider = model.again(model.optics, state.poses[0], waves=state.waves, spare=SPARE)
+    return replace(problem, model=wider), Start(state)
 
 
 def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:

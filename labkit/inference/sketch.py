@@ -4,8 +4,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.imaging.model import WINDOW_AIRY, ForwardModel, Optics
+from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
+from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.likelihood import FrameData
 from labkit.target import Target
@@ -17,9 +18,9 @@ SKETCH_BAND = 0.2
 DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 OUTWARDS = 1.4  # from one value to the next where the last of the row is still the best
 FARTHEST_WAVES = 12.0  # RMS: there the sweep ends
-# RMS defocus up to which a PSF's window so many lambda N wide serves to search; its geometric blur is
+# RMS at the light's own wavelength. There a fit needs a window of 91 lambda N, a search one of 48: geometric blur is
 # 16 sqrt(3) 0.5 = 14 lambda N wide
-NEAR_WAVES, NEAR_WINDOW = 0.5, 48.0
+NEAR_WAVES, NEEDED_NEAR, NEAR_WINDOW = 0.5, 92.0, 48.0
 
 
 @dataclass
@@ -42,13 +43,13 @@ class Sketches:
         return min(1.0, max(SKETCH_BAND, 0.75 / self.optics.pitch_um * self.optics.airy_um))
 
     def near(self, state: State) -> bool:
-        """Whether a wavefront is near enough to focus for a PSF's narrow window."""
+        """Whether defocus is so small that other modes decide what a picture looks like."""
         defocus = state.waves[0] if self.optics.noll[0] == 4 else 0.0
         return bool(abs(defocus) * self.optics.reference_um <= NEAR_WAVES * self.optics.wavelength_um)
 
     def problem(self, state: State, band: float) -> Problem:
-        """For wavefronts of about a state's defocus."""
-        key = band, NEAR_WINDOW if self.near(state) else WINDOW_AIRY
+        """For wavefronts of about a state's."""
+        key = band, NEAR_WINDOW if self.optics.window_airy(state.waves) < NEEDED_NEAR else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
             model = ForwardModel.build(self.optics, self.target, shape, self.pose, band=band, window_airy=key[1])

@@ -50,7 +50,7 @@ def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: F
 
 def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -> None:
     problem = photographed(model)
-    off = Problem(at_f_number(model, 1.03 * OPTICS.f_number, POSE), problem.frames, PRIOR)
+    off = Problem(at_f_number(model, 1.03 * OPTICS.f_number, TRUTH), problem.frames, PRIOR)
     freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
     std = np.sqrt(freed.measured.covariance[-2, -2])
     assert std < 0.02
