@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,9 +29,9 @@ def model() -> ForwardModel:
     return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
 
 
-def photographed(model: ForwardModel) -> Problem:
+def photographed(model: ForwardModel, truth: State = TRUTH) -> Problem:
     rng, used, one = np.random.default_rng(11), np.ones(FRAME, bool), np.ones(FRAME)
-    (seen,) = model.means(TRUTH.waves, model.draw(TRUTH.poses), [used])
+    (seen,) = model.means(truth.waves, model.draw(truth.poses), [used])
     mean = (1500 * seen + 40).reshape(FRAME)
     data = FrameData(rng.normal(mean, np.sqrt(0.25 * mean + 4)), used, one, 0 * one)
     return Problem(model, (data,), PRIOR)
@@ -63,6 +65,23 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
 def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:
     far = State(np.array([1.5, -0.3, 0.4]), TRUTH.poses, TRUTH.scales, TRUTH.ambients, TRUTH.log_noise)
     assert not free_cone(photographed(model), Start(far), 0.03).solution.converged
+
+
+def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardModel) -> None:
+    thrown = replace(TRUTH, waves=np.array([0.5, 0.8, 0.8]))
+    wide = model.again(OPTICS, POSE, waves=thrown.waves, spare=SPARE)
+    assert wide.window_airy > 1.5 * model.window_airy
+    problem = photographed(wide, thrown)
+    ends = [free_cone(replace(problem, model=each), Start(thrown), 0.03) for each in (model, wide)]
+    assert ends[0].problem.model.window_airy == pytest.approx(wide.window_airy)
+    narrow = maximize(replace(problem, model=model), thrown).state.waves
+    right, widened, std = (
+        ends[1].solution.state.waves,
+        ends[0].solution.state.waves,
+        np.sqrt(np.diag(ends[1].covariance)),
+    )
+    np.testing.assert_allclose(widened, right, atol=1e-9)
+    assert 0.2 < np.abs((narrow - right) / std).max() < 0.7  # what a window of 120 lambda N loses here
 
 
 def test_rough_slopes_are_nearly_the_exact_ones(model: ForwardModel) -> None:

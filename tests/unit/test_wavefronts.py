@@ -1,0 +1,95 @@
+"""In which order a session's fits are made, and from what each begins; the fits themselves are played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit.analysis.observe import Observation
+from labkit.analysis.wavefronts import ANCHOR_S, PATIENCE_S, Task, fit_session
+from labkit.imaging.warp import Pose
+from labkit.inference.cone import Measured
+from labkit.inference.fisher_scoring import NoisePrior, State
+from labkit.inference.fit import WavefrontFit
+from labkit.inference.goodness_of_fit import Verdict
+from labkit.plan import Plan
+from labkit.target import CellTarget
+from tests.lens_samples import covariance, laws
+from tests.plans import PORTRAIT
+
+NOISE = NoisePrior(0.5, 0.01, 4.0, 0.02)
+TARGET = CellTarget(np.eye(2), (9.0, 9.0), 0.0)
+POSE = Pose.from_corners(np.array([[0.0, 0], [0, 9], [9, 9], [9, 0]]), (9.0, 9.0))
+PLAN = Plan.from_tables({**PORTRAIT, "fit": {"zernike_noll": [4, 4]}})
+RANGES_MM = (2900.0, 3010.0, 3100.0, 3200.0)
+FOCUS_MM = 3000.0
+
+Batch = list[Task]
+
+
+def observations() -> list[Observation]:
+    return [Observation(r, r, "G", ("a.dng",), (), (), NOISE, ((0, 0),), 1) for r in RANGES_MM]
+
+
+def true_values(task: Task) -> Any:
+    """Waves, ln cone, ln scale of a lens as engraved."""
+    return np.array(laws(task.observation.range_mm, FOCUS_MM, FOCUS_MM, 70.0, 2.8, 1.0))
+
+
+def as_found(task: Task, settled: bool) -> WavefrontFit:
+    """A fit that has found the wavefront, or that has found another when its time was up."""
+    values = true_values(task) + (0.0 if settled else np.array([0.3, 0.2, 0.0]))
+    spread = covariance(float(values[0]))
+    state = State(values[:1], (POSE,), np.ones(1), np.zeros(1), NOISE.centre)
+    measured = Measured((4,), values, spread, np.zeros((3, 3)))
+    verdict = Verdict(0.5 if settled else 0.0, settled, 0.0, 0.0)
+    return WavefrontFit(
+        (4,), state, spread[:1, :1], 2.8, measured, 0.0, 1.0, verdict, 1, (), (np.ones(1),), 0.0, cut_short=not settled
+    )
+
+
+def made(settles: Callable[[Task], bool]) -> list[Batch]:
+    """The batches of tasks that a session is fitted by, where a fit shows if `settles` says so."""
+    batches = list[Batch]()
+
+    def run(function: Any, tasks: Sequence[Task]) -> Iterator[tuple[int, WavefrontFit]]:
+        if tasks:
+            batches.append(list(tasks))
+        yield from enumerate(as_found(task, settles(task)) for task in tasks)
+
+    fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)  # type: ignore[arg-type]
+    return batches
+
+
+def ranges(batch: Batch) -> list[float | None]:
+    return [task.observation.range_mm for task in batch]
+
+
+def test_both_ends_come_first_and_predict_the_rest() -> None:
+    anchors, rest = made(lambda task: True)
+    assert ranges(anchors) == [2900.0, 3200.0]
+    assert ranges(rest) == [3010.0, 3100.0]
+    assert all(not task.starts and not task.alike for task in anchors)
+    for task in rest:
+        assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
+
+
+def test_an_end_that_does_not_show_soon_begins_from_the_other() -> None:
+    anchors, again, rest = made(lambda task: task.observation.range_mm != 3200.0 or bool(task.alike))
+    assert [task.patience_s for task in anchors] == [ANCHOR_S, ANCHOR_S]
+    (task,) = again
+    assert ranges(again) == [3200.0]
+    # one range tells neither best focus nor which twin is right: its modes are known, defocus is not
+    assert task.starts == ()
+    assert abs(task.alike[0][0]) == pytest.approx(abs(true_values(anchors[0])[0]))
+    assert task.patience_s == PATIENCE_S
+    assert all(task.starts for task in rest)
+
+
+def test_where_neither_end_shows_both_are_searched_for_as_long_as_patience_lasts() -> None:
+    batches = made(lambda task: task.patience_s > ANCHOR_S)
+    assert [ranges(batch) for batch in batches] == [[2900.0, 3200.0], [2900.0, 3200.0], [3010.0, 3100.0]]
+    assert all(task.patience_s == PATIENCE_S and not task.alike for task in batches[1])
