@@ -9,6 +9,8 @@ from tests.lens_samples import members, moved, stated
 
 STOPS = (3000.0, 3060.0, 3120.0, 3180.0, 3240.0, 3300.0)
 
+pytestmark = pytest.mark.slow  # every cut is a fit of both halves
+
 
 @pytest.mark.parametrize("before", [2, 3, 4])
 def test_the_stop_is_named_after_which_the_focus_was_changed(before: int) -> None:
