@@ -79,6 +79,7 @@ def _described(job: Job, drawn: Drawn) -> Line:
     lens, plan = drawn.settings.lens, drawn.plan
     assert plan.rail is not None
     return {
+        "study": job.study,
         "seed": job.seed,
         "index": job.index,
         **drawn.kind,
@@ -182,13 +183,17 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="keep the sessions in this folder")
     parser.add_argument("--study", choices=KINDS, default="any", help="which sessions are drawn")
     asked = parser.parse_args()
-    done = {line["index"] for line in read(asked.out) if line["seed"] == asked.seed}
+
+    def of_study() -> list[Line]:
+        return [line for line in read(asked.out) if (line["study"], line["seed"]) == (asked.study, asked.seed)]
+
+    done = {line["index"] for line in of_study()}
     jobs = [Job(asked.study, asked.seed, index, asked.keep) for index in range(asked.sessions) if index not in done]
     with asked.out.open("a", encoding="utf-8") as file:
         for _, line in run_all(run, jobs, asked.workers):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    print(*table(line for line in read(asked.out) if line["seed"] == asked.seed), sep="\n")
+    print(*table(of_study()), sep="\n")
 
 
 if __name__ == "__main__":

@@ -156,7 +156,6 @@ def halo_beyond(
     """
     airy_um, pitch_um = wavelength_nm * 1e-3 * f_number, samples * spacing_um
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")
-
     rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3 * pitch_um**2
     edge_um = (reach + 0.5) * spacing_um
     within = np.clip((edge_um - abs(y)) / pitch_um + 0.5, 0, 1) * np.clip((edge_um - abs(x)) / pitch_um + 0.5, 0, 1)

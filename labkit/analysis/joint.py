@@ -11,6 +11,7 @@ from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.wavefronts import SessionFits, Task
 from labkit.execute import Workers
 from labkit.imaging.model import ForwardModel
+from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import Problem, Start, State
 from labkit.types import Floats, Progress
@@ -95,7 +96,7 @@ def reach(leg: Leg) -> Reached:
 def _problem(task: Task, f_number: float, state: State) -> Problem:
     observation = task.observation
     optics = replace(task.optics, f_number=f_number)
-    window_airy = optics.window_airy(state.waves)
+    window_airy = max(WINDOW_AIRY, optics.window_airy(state.waves))
     model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0], window_airy=window_airy)
     return Problem(model, observation.frames, observation.noise)
 

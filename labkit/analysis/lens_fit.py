@@ -227,13 +227,10 @@ def predict(fit: LensFit, member: Member) -> Floats:
     known = {(c.kind, c.of): value for c, value in zip(fit.model.columns, fit.theta, strict=True)}
     for k, column in enumerate(wider.columns):
         theta[k] = known.get((column.kind, column.of), theta[k])
-        if (
-            column.kind == "mode" and (column.kind, column.of) not in known
-        ):  # its own: about those of its channel's others
+        if column.kind == "mode" and (column.kind, column.of) not in known:  # where each has its own: their mean
             channel, j = column.of[0], column.of[-1]
-            theta[k] = np.mean(
-                [known[c.kind, c.of] for c in fit.model.columns if (*c.of[:1], *c.of[-1:]) == (channel, j)]
-            )
+            alike = [of for kind, of in known if kind == "mode" and (of[0], of[-1]) == (channel, j)]
+            theta[k] = np.mean([known["mode", of] for of in alike])
     return wider.predicted(theta)[-1]
 
 

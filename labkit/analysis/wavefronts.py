@@ -22,7 +22,7 @@ from labkit.types import Floats, Progress
 
 SEED = 1  # of the further starts: a session fitted twice gives the same results
 PATIENCE_S = 120.0
-ANCHOR_S = 15.0  # for the first fits, of which one is enough: a plain optimum shows within a third of it
+ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
@@ -145,6 +145,8 @@ class _Chain:
 
     def fit(self, places: Sequence[int], patience_s: float = np.inf) -> None:
         """Fit these, all at once. patience_s: for a search, if it is less than the session's."""
+        if not places:
+            return
         known = self._joined()
         tasks = [self._task(k, known) for k in places]
         tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
@@ -215,9 +217,8 @@ class _Chain:
         nearest = _nearest(observation, accepted)
         if nearest is None:
             return task
-        law = (
-            len({f.member.stop for f in accepted if f.ranged}) > 1
-        )  # one range tells neither best focus nor the right twin
+        # one range tells neither best focus nor the right twin
+        law = len({f.member.stop for f in accepted if f.ranged}) > 1
         if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))
             return _starting_at(task, predicted)

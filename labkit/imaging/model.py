@@ -18,9 +18,8 @@ from labkit.optics.psf import Pupil
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
-ROUGH_BAND = (
-    1.0  # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
-)
+# cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
+ROUGH_BAND = 1.0
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
 GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))

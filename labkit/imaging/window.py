@@ -9,10 +9,8 @@ from labkit.types import Floats
 
 STRAYED = 1e-4  # share of the light by which a PSF beyond its window may differ from a perfect lens's
 OF_HALO = 0.2  # 0.14 to 0.27 for wavefronts of 0.2 to 1.5 waves RMS in modes 4 to 28
-WINDOW_AIRY, WIDEST = (
-    120.0,
-    400.0,
-)  # lambda N: half as much again strays at 1.3 waves of defocus, and what memory allows
+WINDOW_AIRY = 120.0  # lambda N, unless a wavefront needs more: twice STRAYED strays at 1.3 waves of defocus
+WIDEST = 400.0  # for memory's sake
 RAYS, STEP = 128, 1e-4
 
 

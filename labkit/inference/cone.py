@@ -20,8 +20,8 @@ from labkit.inference.identifiability import inverse
 from labkit.inference.likelihood import slopes
 from labkit.types import Floats
 
-# Two or three do where the cone is a few per cent off; at f/1.9 and 12 % off, where cone and defocus go along a bent ridge, ten
-ROUNDS = 15
+# Two or three do where the cone is a few per cent off; at f/1.9 and 12 % off, where cone and defocus go along a bent ridge, six
+ROUNDS = 12
 # of ln N: a step so small, or so small a part of its error, moves the optimum by less than 1e-5 waves beyond second order
 SETTLED, SETTLED_STDS = 2e-3, 0.3
 OPEN_STD = 1.0  # of ln N, a prior that keeps what a frame in focus leaves open finite

@@ -192,7 +192,7 @@ class Solution:
     state: State
     objective: float
     information: Floats
-    relative: list[Floats]
+    relative: Sequence[Floats]
     chi2_per_pixel: float
     steps: int
     converged: bool
@@ -242,7 +242,7 @@ def maximize(
             gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
             steps += 1
     misfit = problem.chi2_per_pixel(here.state, here.relative)
-    return Solution(here.state, best, information, list(here.relative), misfit, steps, converged, begun)
+    return Solution(here.state, best, information, here.relative, misfit, steps, converged, begun)
 
 
 def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:

@@ -41,7 +41,7 @@ class Verdict:
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
 
-def judge(problem: Problem, state: State, relative: list[Floats], model_error: float = 0.01) -> Verdict:
+def judge(problem: Problem, state: State, relative: Sequence[Floats], model_error: float = 0.01) -> Verdict:
     """Judge an optimum by its residuals.
 
     excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a

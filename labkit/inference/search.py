@@ -40,7 +40,7 @@ class Outcome:
     verdict: Verdict
 
     @property
-    def relative(self) -> list[Floats]:
+    def relative(self) -> Sequence[Floats]:
         """Images (pixels,) of the used pixels of each frame."""
         return self.freed.solution.relative
 

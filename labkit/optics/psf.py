@@ -91,7 +91,7 @@ class Pupil:
         """What |field|^2 sums to when all light is counted: the pupil's area, as Parseval has it.
 
         The sum of the squared amplitudes is less by 1/(4 radius), as their edge is grey: with it as the norm every frequency
-        but zero would come out too large by as much, which puts 0.003 waves into a defocus of 1.2.
+        but zero would come out too large by as much. A little more, 1/(3 radius), put 0.003 waves into a defocus of 1.2.
         """
         return np.pi * self.radius**2 * self.size**2
 

@@ -96,8 +96,9 @@ def airy_share(spacing: float, reach: int) -> np.ndarray:
 def test_a_perfect_lens_shows_airys_disc() -> None:
     pupil = Pupil(0.55, 0.45, 4.0, 0.4 * 2.2, 500, (4,))
     difference = pupil.psf(np.zeros(1)) - airy_share(0.4, 250)
-    # the energy beyond the window, 100 lambda N, is 0.2 %, and folds back into it
-    assert np.abs(difference).sum() < 4e-3
+    # all of it near the border: the edge's kernel dims what lies there, and the window's copies overlap
+    assert np.abs(difference).sum() < 1.3e-3
+    assert np.abs(difference[150:350, 150:350]).sum() < 4e-5
 
 
 @pytest.mark.parametrize(
@@ -111,8 +112,8 @@ def test_a_perfect_lens_has_the_published_mtf(nu: float, mtf: float) -> None:
 def test_the_axis_of_a_defocused_psf_follows_the_squared_sinc(waves: float) -> None:
     pupil = Pupil(0.45, 0.45, 4.0, 0.72, 600, (4,))
     strehl = pupil.psf(np.array([waves]))[300, 300] / pupil.psf(np.zeros(1))[300, 300]
-    # peak to valley sqrt(12) RMS; a pupil 240 samples across sums the edge to 1e-4 of the peak
-    assert strehl == pytest.approx(np.sinc(np.sqrt(12) * waves) ** 2, abs=3e-4)
+    # peak to valley sqrt(12) RMS
+    assert strehl == pytest.approx(np.sinc(np.sqrt(12) * waves) ** 2, abs=7e-8)
 
 
 def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:

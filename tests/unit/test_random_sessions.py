@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.random_sessions import Drawn, draw
+from benchmarks.random_sessions import Drawn, draw, draw_many_modes
 from benchmarks.sessions import compared, read, table
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.drivers.simulated.bench import Bench
@@ -29,6 +29,18 @@ def drawn() -> list[Drawn]:
 def test_a_session_is_drawn_by_its_number_alone(drawn: list[Drawn]) -> None:
     assert draw(1, 7) == drawn[7]
     assert draw(2, 7) != drawn[7]
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_sessions_of_many_modes_go_through_focus(index: int) -> None:
+    one = draw_many_modes(1, index)
+    lens, tape_mm = one.settings.lens, one.settings.rail.tape_error_mm
+    assert one.plan.rail is not None
+    near, about, far = (mm + tape_mm - lens.best_focus_mm["G"] for mm in one.plan.rail.ranges_mm)
+    assert near < 0 < far
+    assert abs(about) < min(-near, far) / 2
+    assert one.plan.fit.zernike_noll == (4, 22)
+    assert [*Bench(one.settings).truth.modes_waves["G"]] == [*range(5, 23)]
 
 
 def test_plans_are_off_by_the_errors_that_they_state(drawn: list[Drawn]) -> None:
