@@ -17,6 +17,7 @@ MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values fr
 LEAST_MAGNIFICATION, MOST_MAGNIFICATION = 0.05, 20.0  # pupil magnifications that are tried
 SIGNIFICANCE = 1e-4  # chance of a misfit as large, for all members together
 CONTRADICTION = 1e-3  # chance of a chi2 as large, below which a law is given up
+FEW = 0.25  # share of the members that are let go rather than a law
 LOOSER: tuple[dict[str, bool], ...] = ({"paraxial": False}, {"shared": False}, {"paraxial": False, "shared": False})
 MATERIAL_WAVES = 0.01  # RMS: what departs by less is no other optimum
 
@@ -47,6 +48,11 @@ class LensFit:
         return int(rows - columns)
 
     @property
+    def typical(self) -> float:
+        """chi2 for each degree of freedom."""
+        return self.chi2 / self.freedom if self.freedom else 1.0
+
+    @property
     def p_value(self) -> float:
         """Chance of a chi2 as large."""
         return float(chdtrc(self.freedom, self.chi2)) if self.freedom else 1.0
@@ -54,7 +60,7 @@ class LensFit:
     @property
     def widening(self) -> float:
         """By how much the errors must grow where the members disagree beyond chance; 1 where they do not."""
-        return float(np.sqrt(self.chi2 / self.freedom)) if self.p_value < 1e-3 else 1.0
+        return float(np.sqrt(self.typical)) if self.p_value < 1e-3 else 1.0
 
     def rows(self, k: int) -> slice:
         """Of member k."""
@@ -106,17 +112,20 @@ class LensFit:
         return {name: float(np.sqrt(max(share, 0.0))) for name, share in shares.items()}
 
 
-def fit_session_lens(members: Sequence[Member], stated: Stated) -> LensFit:
-    """The session's estimate, under the strictest laws that its members do not contradict.
+def fit_session_lens(members: Sequence[Member], stated: Stated) -> tuple[list[int], LensFit]:
+    """Members that do not belong to their session, worst first, and the session's estimate from the others.
 
-    Where they do, the laws of cone and scale are let go, or that modes are the same at all ranges, or both.
+    It is made under the strictest laws that the members do not contradict. A few that do are let go rather than a law; where
+    many do, the laws of cone and scale are given up, or that modes are the same at all ranges, or both.
     """
     strict = fit_lens(members, stated)
-    if strict.p_value >= CONTRADICTION or len({m.stop for m in members}) < 2:
-        return strict
+    out, fit = outliers(strict)
+    few = len(out) <= len(members) * FEW
+    if len({m.stop for m in members}) < 2 or (few and fit.p_value >= CONTRADICTION):
+        return out, fit
     others = [fit_lens(members, stated, **looser) for looser in LOOSER]
     fewest = next((fit for fit in others if fit.p_value >= CONTRADICTION), None)
-    return fewest or min([strict, *others], key=lambda fit: fit.chi2)
+    return outliers(fewest or min([strict, *others], key=lambda fit: fit.chi2))
 
 
 def fit_lens(
@@ -175,7 +184,7 @@ class _Rows:
 
 
 def outliers(fit: LensFit) -> tuple[list[int], LensFit]:
-    """Members that do not belong to their session, worst first, and the fit without them.
+    """Members that do not belong to their session under its laws, worst first, and the fit without them.
 
     Judged by the others, whose own misfit is allowed for: real lenses keep no law to the last photon.
     """
@@ -183,14 +192,14 @@ def outliers(fit: LensFit) -> tuple[list[int], LensFit]:
     while len(left) > 2:
         sizes = np.array([len(fit.model.members[k].measured.values) for k in range(len(left))])
         misfits = np.array([fit.misfit(k) for k in range(len(left))])
-        typical = max(1.0, float(np.median(misfits / sizes)))
         worst = int(np.argmax(misfits / sizes))
+        without = _like(fit, [m for k, m in enumerate(fit.model.members) if k != worst])
+        typical = max(1.0, min(float(np.median(misfits / sizes)), without.typical))
         chance = chdtrc(sizes[worst], misfits[worst] / typical) * len(left)
-        if chance > SIGNIFICANCE or _departure(fit, worst) < MATERIAL_WAVES:
+        if chance > SIGNIFICANCE or _departure(without, fit.model.members[worst]) < MATERIAL_WAVES:
             break
         out.append(left.pop(worst))
-        members = [m for k, m in enumerate(fit.model.members) if k != worst]
-        fit = _like(fit, members)
+        fit = without
     return out, fit
 
 
@@ -201,18 +210,15 @@ def belongs(fit: LensFit, member: Member) -> bool:
     whole = _like(fit, [*fit.model.members, member])
     last = len(fit.model.members)
     size = len(member.measured.values)
-    typical = max(1.0, fit.chi2 / fit.freedom)
-    return bool(chdtrc(size, whole.misfit(last) / typical) > SIGNIFICANCE or _departure(whole, last) < MATERIAL_WAVES)
+    chance = chdtrc(size, whole.misfit(last) / max(1.0, fit.typical))
+    return bool(chance > SIGNIFICANCE or _departure(fit, member) < MATERIAL_WAVES)
 
 
-def _departure(fit: LensFit, k: int) -> float:
-    """Of a member's modes from those that the others predict, waves RMS."""
-    members = [m for i, m in enumerate(fit.model.members) if i != k]
-    without = _like(fit, members)
-    member = fit.model.members[k]
-    if member.channel not in without.model.channels or not without.model.shared:
+def _departure(fit: LensFit, member: Member) -> float:
+    """Of a member's modes from those that the others, of whom a fit is made, predict, waves RMS."""
+    if member.channel not in fit.model.channels or not fit.model.shared:
         return np.inf
-    return float(np.linalg.norm((member.measured.values - predict(without, member))[:-2]))
+    return float(np.linalg.norm((member.measured.values - predict(fit, member))[:-2]))
 
 
 def _like(fit: LensFit, members: Sequence[Member]) -> LensFit:

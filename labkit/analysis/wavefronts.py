@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, outliers, predict
+from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member, Stated
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
@@ -193,12 +193,13 @@ class _Chain:
             if sign < 0:
                 fits[k] = replace(fits[k], fit=fits[k].fit.twin())
         members = good if len(good) > 1 else ranged
-        out, lens = outliers(fit_session_lens([fits[k].member for k in members], stated))
+        out, lens = fit_session_lens([fits[k].member for k in members], stated)
         kept = [k for i, k in enumerate(members) if i not in out]
         late = [k for k in ranged if k not in members and belongs(lens, fits[k].member)]
         if late:
             kept = sorted([*kept, *late])
-            lens = fit_session_lens([fits[k].member for k in kept], stated)
+            out, lens = fit_session_lens([fits[k].member for k in kept], stated)
+            kept = [k for i, k in enumerate(kept) if i not in out]
         if not good and (out or lens.widening > MOST_WIDENING):
             return SessionFits(tuple(fits.values()))
         order = list(fits)

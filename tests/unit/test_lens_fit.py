@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.analysis.lens_fit import MODEL_FLOOR_WAVES, LensFit, fit_lens, fit_session_lens, outliers
+from labkit.analysis.lens_fit import MODEL_FLOOR_WAVES, LensFit, fit_lens, fit_session_lens
 from labkit.analysis.lens_model import (
     COLOUR_STD,
     SIZE_FLOOR,
@@ -221,9 +221,9 @@ def test_a_wrong_optimum_is_found_and_no_other() -> None:
         )
         for m in fits
     ]
-    assert outliers(fit_session_lens(fits, stated(70.0, 2.8)))[0] == []
+    assert fit_session_lens(fits, stated(70.0, 2.8))[0] == []
     fits[7] = moved(fits[7], 0.09)  # the case of physics.md §15
-    out, fit = outliers(fit_session_lens(fits, stated(70.0, 2.8)))
+    out, fit = fit_session_lens(fits, stated(70.0, 2.8))
     assert out == [7]
     assert fit.value("best focus", "B") == pytest.approx(1010.0, abs=4 * fit.std("best focus", "B"))
 
@@ -231,23 +231,38 @@ def test_a_wrong_optimum_is_found_and_no_other() -> None:
 def test_a_cone_of_another_lens_is_not_believed() -> None:
     fits, plan = near_session(focal_length=EXACT[0], f_number=Uncertain(4.0, 0.002), range_zero_std_mm=0.1)
     off = [moved(m, -0.04 * m.measured.values[0], 0.04) for m in fits]
-    assert fit_session_lens(fits, plan).model.paraxial
-    fit = fit_session_lens(off, plan)
+    assert fit_session_lens(fits, plan)[1].model.paraxial
+    out, fit = fit_session_lens(off, plan)
+    assert out == []
     assert not fit.model.paraxial
     # without sizes the pupils take a part of it upon them: 0.020 is left
     assert 0.01 < fit.value("cone") < 0.04
     assert fit.value("best focus", "G") == pytest.approx(482.0, abs=0.01)
 
 
-def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> None:
-    def with_coma(m: Member, coma: float) -> Member:
-        values, cov = np.insert(m.measured.values, 1, coma), np.diag([0.0, 1e-8, 0.0, 0.0])
-        cov[np.ix_([0, 2, 3], [0, 2, 3])] = m.measured.covariance
-        return replace(m, measured=Measured((4, 7), values, cov, 0 * cov))
+def with_coma(m: Member, coma: float) -> Member:
+    values, cov = np.insert(m.measured.values, 1, coma), np.diag([0.0, 1e-8, 0.0, 0.0])
+    cov[np.ix_([0, 2, 3], [0, 2, 3])] = m.measured.covariance
+    return replace(m, measured=Measured((4, 7), values, cov, 0 * cov))
 
+
+def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> None:
     fits, plan = near_session()
-    assert fit_session_lens([with_coma(m, 0.02) for m in fits], plan).model.shared
-    assert not fit_session_lens([with_coma(m, 0.02 + 1e-4 * (m.range_mm - 482)) for m in fits], plan).model.shared
+    assert fit_session_lens([with_coma(m, 0.02) for m in fits], plan)[1].model.shared
+    out, fit = fit_session_lens([with_coma(m, 0.02 + 1e-4 * (m.range_mm - 482)) for m in fits], plan)
+    assert out == []
+    assert not fit.model.shared
+
+
+def test_a_few_wrong_optima_cost_no_law() -> None:
+    fits, plan = near_session()
+    for wrong in ([7], [7, 11]):
+        off = [with_coma(moved(m, 0.02), -0.03) if k in wrong else with_coma(m, 0.02) for k, m in enumerate(fits)]
+        out, fit = fit_session_lens(off, plan)
+        assert sorted(out) == wrong
+        assert fit.model.shared
+        assert fit.model.paraxial
+        assert fit.p_value > 0.1
 
 
 def focus_of(fit: LensFit) -> Any:
