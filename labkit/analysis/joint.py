@@ -10,7 +10,7 @@ import numpy as np
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.wavefronts import SessionFits, Task
 from labkit.execute import Workers
-from labkit.imaging.model import ForwardModel
+from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import Problem, Start, State
@@ -22,11 +22,11 @@ SETTLED_STDS = 0.02  # the climb ends with a step shorter than this in every num
 
 @dataclass(frozen=True)
 class Leg:
-    """One member's part of a step: where it stands, and the values, (modes + 2,), that the session's step gives it."""
+    """One member's part of a step: where it stands, and the values, as of `Measured`, that the session's step gives it."""
 
     task: Task
     state: State
-    f_number: float
+    optics: Optics
     values: Floats
 
 
@@ -35,7 +35,7 @@ class Reached:
     """Where a leg ended, and what the likelihood is about it."""
 
     state: State
-    f_number: float
+    optics: Optics
     measured: Measured
     log_likelihood: float
 
@@ -61,16 +61,15 @@ def climb(session: SessionFits, run: Workers, progress: Progress) -> Joint:
         raise ValueError("the fits have no lens in common: there is nothing to climb together")
     first = lens = session.lens
     fits = [session.fits[k] for k in session.members]
-    states, f_numbers, likelihoods = [f.fit.state for f in fits], [f.fit.f_number for f in fits], list[float]()
+    states, optics, likelihoods = [f.fit.state for f in fits], [f.fit.optics for f in fits], list[float]()
     for done in range(ROUNDS):
         progress(done, ROUNDS, "climbing jointly")
         values = lens.model.predicted(lens.theta)
         legs = [
-            Leg(fit.task, state, f_number, value)
-            for fit, state, f_number, value in zip(fits, states, f_numbers, values, strict=True)
+            Leg(fit.task, state, of, value) for fit, state, of, value in zip(fits, states, optics, values, strict=True)
         ]
         reached = _all_reached(legs, run)
-        states, f_numbers = [r.state for r in reached], [r.f_number for r in reached]
+        states, optics = [r.state for r in reached], [r.optics for r in reached]
         likelihoods.append(sum(r.log_likelihood for r in reached) - 0.5 * _prior_chi2(lens))
         members = [replace(m, measured=r.measured) for m, r in zip(lens.model.members, reached, strict=True)]
         before = lens
@@ -87,15 +86,14 @@ def _all_reached(legs: Sequence[Leg], run: Workers) -> list[Reached]:
 
 def reach(leg: Leg) -> Reached:
     """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
-    state, f_number = expand(_problem(leg.task, leg.f_number, leg.state), Start(leg.state)).at(leg.values)
-    problem = _problem(leg.task, f_number, state)
+    state, optics = expand(_problem(leg.task, leg.optics, leg.state), Start(leg.state)).at(leg.values)
+    problem = _problem(leg.task, optics, state)
     objective = problem.objective(state, problem.relative(state))
-    return Reached(state, f_number, expand(problem, Start(state)).measured(), objective)
+    return Reached(state, optics, expand(problem, Start(state)).measured(), objective)
 
 
-def _problem(task: Task, f_number: float, state: State) -> Problem:
+def _problem(task: Task, optics: Optics, state: State) -> Problem:
     observation = task.observation
-    optics = replace(task.optics, f_number=f_number)
     window_airy = max(WINDOW_AIRY, optics.window_airy(state.waves))
     model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0], window_airy=window_airy)
     return Problem(model, observation.frames, observation.noise)

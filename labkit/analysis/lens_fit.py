@@ -75,13 +75,13 @@ class LensFit:
         return float(np.sqrt(self.covariance[k, k])) * self.widening
 
     def posterior(self, k: int) -> tuple[Floats, Floats]:
-        """(modes + 2,) modes, ln N and ln scale at member k by the whole session, and their covariance."""
+        """What member k would measure by the whole session, in light as stated, and its covariance."""
         slope = self.model.jacobian(self.theta)[k]
         slope[:, self.model.index("wavelength", self.model.members[k].channel)] = 0.0
         return self.model.true(self.theta)[k], slope @ self.covariance @ slope.T * self.widening**2
 
     def misfit(self, k: int) -> float:
-        """chi2 of member k against all others: (modes + 2) degrees of freedom."""
+        """chi2 of member k against all others: as many degrees of freedom as it has values."""
         rows = self.rows(k)
         here, rest = self.jacobian[rows], self.residuals[rows]
         left = np.eye(len(rest)) - here @ self.covariance @ here.T
@@ -218,7 +218,7 @@ def _departure(fit: LensFit, member: Member) -> float:
     """Of a member's modes from those that the others, of whom a fit is made, predict, waves RMS."""
     if member.channel not in fit.model.channels or not fit.model.shared:
         return np.inf
-    return float(np.linalg.norm((member.measured.values - predict(fit, member))[:-2]))
+    return float(np.linalg.norm(member.measured.waves - predict(fit, member)[: len(member.measured.noll)]))
 
 
 def _like(fit: LensFit, members: Sequence[Member]) -> LensFit:
@@ -227,7 +227,7 @@ def _like(fit: LensFit, members: Sequence[Member]) -> LensFit:
 
 
 def predict(fit: LensFit, member: Member) -> Floats:
-    """What a session predicts for a member of one of its channels that was not in it, (modes + 2,)."""
+    """What a session predicts for a member of one of its channels that was not in it."""
     wider = LensModel((*fit.model.members, member), fit.model.stated, fit.model.shared, fit.model.paraxial)
     theta = np.array([c.value for c in wider.columns])
     known = {(c.kind, c.of): value for c, value in zip(fit.model.columns, fit.theta, strict=True)}

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 from scipy.special import chdtrc
 
+from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.plan import Plan
@@ -25,6 +26,7 @@ SAME_LEAN = 1e-3  # chance of leans that differ as much, below which they are no
 LEAN_FLOOR = 1e-5  # of a size, by which a carriage that tips changes it
 FREE_CONE, FREE_SIZE = 0.1, 0.03  # relative errors of cone and scale where no law holds
 COLOUR_STD = 0.01  # of a colour's size in the picture against the reference colour's
+PART_STD = 10.0  # of a camera's part, before it is measured, in its own units
 MODE_STD = 10.0  # waves RMS, of a mode before it is measured
 EXACT = 1e-9  # the error of what is held exact, in the units of its column
 STEP = 1e-6  # relative, of the differences that give the laws' slopes
@@ -73,6 +75,10 @@ class Member:
     stop: float
     measured: Measured
     homings: tuple[int, ...] = ()
+
+    def part_of(self, label: str) -> tuple[str, ...]:
+        """Whose number a part's is: one camera's, but each channel has its own light."""
+        return (label, self.channel) if label == SPECTRUM_WIDTH else (label,)
 
 
 @dataclass(frozen=True)
@@ -141,40 +147,40 @@ class LensModel:
         return ThinLens(float(f), float(n), float(np.exp(pupils)))
 
     def true(self, theta: Floats) -> list[Floats]:
-        """Modes, ln of the cone's f-number and ln of the scale at each member, (modes + 2,)."""
+        """Modes, parts, ln of the cone's f-number and ln of the scale at each member, as `Measured` has them."""
         laws = self._laws(self._arguments(theta))
         return [self._one(k, theta, laws[:, k]) for k in range(len(self.members))]
 
     def predicted(self, theta: Floats) -> list[Floats]:
-        """What each member should measure, (modes + 2,).
+        """What each member should measure.
 
         A light of another wavelength than stated makes the same picture through a cone narrower by as much, with paths
         shorter by as much: N grows with the wavelength's error, the modes shrink.
         """
-        return [value + self._by_wavelength(value) * theta[at] for value, at in self._with_wavelengths(theta)]
+        return [value + slope * theta[at] for value, slope, at in self._with_wavelengths(theta)]
 
     def jacobian(self, theta: Floats) -> list[Floats]:
-        """Of each member's prediction, (modes + 2, columns)."""
+        """Of each member's prediction, (values, columns)."""
         arguments = self._arguments(theta)
         steps = STEP * np.maximum(np.abs(arguments), 0.1)
         moved = arguments[:, None] + steps[:, None] * np.eye(len(steps))[:, :, None]
         back = arguments[:, None] - steps[:, None] * np.eye(len(steps))[:, :, None]
         slopes = np.moveaxis((self._laws(moved) - self._laws(back)) / (2 * steps), 0, 1)
         rows = [self._rows(k, slopes[:, :, k]) for k in range(len(self.members))]
-        for row, (value, at) in zip(rows, self._with_wavelengths(theta), strict=True):
-            row[:-2] *= 1 - theta[at]
-            row[:, at] = self._by_wavelength(value)
+        for member, row, (_, slope, at) in zip(self.members, rows, self._with_wavelengths(theta), strict=True):
+            row[: len(member.measured.noll)] *= 1 - theta[at]
+            row[:, at] = slope
         return rows
 
-    def _with_wavelengths(self, theta: Floats) -> list[tuple[Floats, int]]:
-        """Of each member what is true, and the column of its wavelength."""
-        columns = [self.index("wavelength", m.channel) for m in self.members]
-        return list(zip(self.true(theta), columns, strict=True))
-
-    @staticmethod
-    def _by_wavelength(value: Floats) -> Floats:
-        """Slope (modes + 2,) of what is measured, by the relative error of the wavelength."""
-        return np.concatenate([-value[:-2], [1.0, 0.0]])
+    def _with_wavelengths(self, theta: Floats) -> list[tuple[Floats, Floats, int]]:
+        """Of each member what is true, its slope by the relative error of the wavelength, and the column of that."""
+        result = []
+        for member, value in zip(self.members, self.true(theta), strict=True):
+            modes = len(member.measured.noll)
+            slope = np.concatenate([-value[:modes], np.zeros(len(value) - modes)])
+            slope[-2] = 1.0
+            result.append((value, slope, self.index("wavelength", member.channel)))
+        return result
 
     def _columns(self) -> list[Column]:
         stated, channels = self.stated, self.channels
@@ -195,6 +201,8 @@ class LensModel:
         columns += [Column("best focus", (c,), far, OPEN_MM, 1e-3 * far) for c in channels]
         columns += [Column("wavelength", (c,), 0.0, stated.wavelength_std.get(c, 0.0), 1e-3) for c in channels]
         columns += [Column("lateral colour", (c,), 0.0, COLOUR_STD, 1e-4) for c in channels if c != self.reference]
+        parts = [m.part_of(label) for m in self.members for label in m.measured.parts]
+        columns += [Column("part", of, 0.0, PART_STD, 1e-3) for of in dict.fromkeys(parts)]
         modes = [(self._mode_of(k), j) for k, m in enumerate(self.members) for j in m.measured.noll if j != 4]
         columns += [Column("mode", (*of, j), 0.0, MODE_STD, 1e-2) for of, j in dict.fromkeys(modes)]
         return columns
@@ -242,13 +250,14 @@ class LensModel:
         size = laws[2] + theta[self.index("target size")] - (self.lean or member.measured.shortening)[0]
         if member.channel != self.reference:
             size += theta[self.index("lateral colour", member.channel)]
-        return np.array([*modes, laws[1] + theta[self.index("cone")], size])
+        parts = [theta[self.index("part", *member.part_of(label))] for label in member.measured.parts]
+        return np.array([*modes, *parts, laws[1] + theta[self.index("cone")], size])
 
     def _rows(self, k: int, slopes: Floats) -> Floats:
-        """(modes + 2, columns) of one member. slopes: (6, 3) of the laws by their arguments."""
+        """(values, columns) of one member. slopes: (6, 3) of the laws by their arguments."""
         member = self.members[k]
         noll = member.measured.noll
-        rows = np.zeros((len(noll) + 2, len(self.columns)))
+        rows = np.zeros((len(member.measured.values), len(self.columns)))
         laws = [noll.index(4), -2, -1]
         by_range, by_focus, by_reference = slopes[3:]
         for kind, slope in zip(GEOMETRY[:3], slopes[:3], strict=True):
@@ -265,6 +274,8 @@ class LensModel:
         for row, j in enumerate(noll):
             if j != 4:
                 rows[row, self.index("mode", *self._mode_of(k), j)] = 1.0
+        for row, label in enumerate(member.measured.parts, len(noll)):
+            rows[row, self.index("part", *member.part_of(label))] = 1.0
         return rows
 
 

@@ -40,8 +40,9 @@ def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
 
 
 def _with(w: Wavefront, values: Floats, covariance: Floats) -> Wavefront:
-    """A wavefront with a session's values for it, (modes + 2,)."""
-    f_number, waves = float(np.exp(values[-2])), values[:-2]
+    """A wavefront with a session's values for it, as of `Measured`."""
+    modes = len(w.noll)
+    f_number, waves = float(np.exp(values[-2])), values[:modes]
     blur = None
     if 4 in w.noll:
         um = 8 * f_number * np.sqrt(12) * w.reference_wavelength_nm * 1e-3
@@ -51,7 +52,7 @@ def _with(w: Wavefront, values: Floats, covariance: Floats) -> Wavefront:
     return replace(
         w,
         waves=waves,
-        covariance=covariance[:-2, :-2],
+        covariance=covariance[:modes, :modes],
         f_number=f_number,
         f_number_std=f_number * float(np.sqrt(covariance[-2, -2])),
         blur=blur,

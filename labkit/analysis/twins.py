@@ -9,7 +9,6 @@ import numpy as np
 from labkit.analysis.lens_fit import fit_lens, turned
 from labkit.analysis.lens_model import Member, Stated
 from labkit.inference.fit import twin_signs
-from labkit.types import Floats
 
 ROUGH_WAVES = 0.01  # errors below this decide no sign
 CLEAR = 9.0  # of chi2 between one choice of signs and the next
@@ -54,13 +53,9 @@ def _like_the_first(members: Sequence[Member], places: Sequence[int], signs: Seq
     first = twin(members[0], signs[0]).measured
     chosen = []
     for k in places:
-        here = [_distance(twin(members[k], sign).measured.values, first.values) for sign in (1, -1)]
+        here = [np.linalg.norm(twin(members[k], sign).measured.waves - first.waves) for sign in (1, -1)]
         chosen.append(1 if k == 0 or here[0] <= here[1] else -1)
     return chosen
-
-
-def _distance(one: Floats, other: Floats) -> float:
-    return float(np.linalg.norm(one[:-2] - other[:-2]))
 
 
 def defocus(member: Member) -> float:

@@ -13,6 +13,7 @@ from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
 from labkit.execute import Workers
 from labkit.imaging.model import Optics
+from labkit.imaging.parts import LowPass, Part
 from labkit.inference.cone import Measured
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront
 from labkit.optics.lens import ThinLens
@@ -30,7 +31,7 @@ SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 @dataclass(frozen=True)
 class Task:
-    """One fit, as it travels to a worker. f_number_std: relative. starts, alike: wavefronts as `fit_wavefront` takes them."""
+    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing: as `fit_wavefront` takes them."""
 
     optics: Optics
     target: Target
@@ -39,6 +40,7 @@ class Task:
     starts: tuple[Floats, ...] = ()
     alike: tuple[Floats, ...] = ()
     patience_s: float = PATIENCE_S
+    missing: tuple[Part, ...] = ()
 
     @property
     def ranged(self) -> bool:
@@ -213,7 +215,7 @@ class _Chain:
         observation = self.observations[k]
         optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
         std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
-        task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
+        task = Task(optics, self.target, observation, std, patience_s=self.patience_s, missing=(LowPass(),))
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = _nearest(observation, accepted)
         if nearest is None:
@@ -222,8 +224,9 @@ class _Chain:
         law = len({f.member.stop for f in accepted if f.ranged}) > 1
         if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))
-            return _starting_at(task, predicted)
-        cone = replace(optics, f_number=nearest.fit.f_number)
+            alike = replace(optics, parts=nearest.fit.optics.parts)
+            return _starting_at(replace(task, optics=alike), predicted)
+        cone = replace(optics, f_number=nearest.fit.f_number, parts=nearest.fit.optics.parts)
         return replace(task, optics=cone, f_number_std=SHARED_CONE_STD, alike=(nearest.fit.waves,))
 
     def _engraved_cone(self) -> float:
@@ -248,9 +251,10 @@ class _Chain:
 
 
 def _starting_at(task: Task, predicted: Floats) -> Task:
-    """A task that begins at a prediction, (modes + 2,)."""
-    optics = replace(task.optics, f_number=float(np.exp(predicted[-2])))
-    return replace(task, optics=optics, f_number_std=SHARED_CONE_STD, starts=(predicted[:-2],), alike=())
+    """A task that begins at a prediction, as of `Measured`."""
+    modes = len(task.optics.noll)
+    optics = task.optics.shaped(predicted[modes:-1])  # as of `Optics.shape`
+    return replace(task, optics=optics, f_number_std=SHARED_CONE_STD, starts=(predicted[:modes],), alike=())
 
 
 def _nearest(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | None:
@@ -277,6 +281,7 @@ def fit_task(task: Task) -> WavefrontFit:
         starts=task.starts,
         alike=task.alike,
         patience_s=task.patience_s,
+        missing=task.missing,
     )
 
 

@@ -17,10 +17,9 @@ SMOOTH = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is
 ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 
-def perfect_transfer(torus: Torus, airy_um: float, active_um: float) -> Floats:
-    """Half plane of the transfer function of a perfect lens and a square pixel. airy_um: lambda N."""
-    lens = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um)
-    return lens * np.sinc(torus.row_frequency * active_um) * np.sinc(torus.column_frequency * active_um)
+def perfect_lens(torus: Torus, airy_um: float) -> Floats:
+    """Half plane of the transfer function of a perfect lens. airy_um: lambda N."""
+    return diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um)
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:
@@ -54,6 +53,7 @@ def wrapped_light(torus: Torus, target: Target, reference: Pose, airy_um: float,
         low = [wide - own for wide, own in zip(twice.margin, each.margin, strict=True)]
         shown = image[low[0] : low[0] + each.pixels[0], low[1] : low[1] + each.pixels[1]]
         smooth = np.exp(-(np.hypot(each.row_frequency, each.column_frequency) ** 2) * (torus.pitch_um / SMOOTH) ** 2)
-        transfer = perfect_transfer(each, airy_um, active_um) * smooth
+        pixel = np.sinc(each.row_frequency * active_um) * np.sinc(each.column_frequency * active_um)
+        transfer = perfect_lens(each, airy_um) * pixel * smooth
         pictures.append(each.sample(each.half_spectrum(shown) * transfer))
     return np.asarray(pictures[0] - pictures[1])

@@ -1,8 +1,8 @@
 """Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.fft
@@ -11,15 +11,19 @@ from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
+from labkit.imaging.parts import Part
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY, window_for
 from labkit.optics.psf import Pupil
+from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 ROUGH_BAND = 1.0
+
+SPECTRUM_WIDTH = "spectrum.variance"
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
 GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))
@@ -29,7 +33,8 @@ GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (
 class Evaluation:
     """The mean and its derivatives at one frame's used pixels, in units of the target's radiance.
 
-    mean: (pixels,); by_waves: (modes, pixels), behind them one by ln N of the cone if it was wanted; by_pose: (8, pixels).
+    mean: (pixels,); by_waves: (modes, pixels), behind them those by the `Optics.shape` if they were wanted; by_pose:
+    (8, pixels).
     Derivatives that were not wanted are empty.
     """
 
@@ -44,7 +49,8 @@ class Optics:
 
     wavelength_um: of the light; reference_um: of the waves that wavefronts are counted in. f_number: of the beam that
     reaches the sensor. pitch_um: of the pixels, whatever their colours; active_um: width of a pixel's active square. noll:
-    modes of the wavefront. Raises ValueError for a length or f-number that is not above 0.
+    modes of the wavefront. spectrum: of the light, about its wavelength; parts: what the camera adds. Raises ValueError for a
+    length or f-number that is not above 0.
 
     >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
     """
@@ -55,6 +61,8 @@ class Optics:
     pitch_um: float
     active_um: float
     noll: tuple[int, ...] = tuple(range(4, 16))
+    spectrum: Spectrum = field(default_factory=Spectrum)
+    parts: tuple[Part, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
@@ -65,6 +73,31 @@ class Optics:
     def airy_um(self) -> float:
         """lambda N, the unit of length of diffraction."""
         return self.wavelength_um * self.f_number
+
+    @property
+    def shape(self) -> Floats:
+        """(n,) what may be estimated beside the wavefront: numbers of the parts, the spectrum's variance, ln N."""
+        width = [] if self.spectrum.variance is None else [self.spectrum.variance]
+        return np.array([*(value for part in self.parts for value in part.values), *width, math.log(self.f_number)])
+
+    @property
+    def shape_labels(self) -> tuple[str, ...]:
+        """What those before ln N are called."""
+        width = () if self.spectrum.variance is None else (SPECTRUM_WIDTH,)
+        return (*(f"{part.name}.{label}" for part in self.parts for label in part.labels), *width)
+
+    @property
+    def usual_shape(self) -> Floats:
+        """(n,) how much the shape differs among cameras, standard deviations: wide priors."""
+        width = [] if self.spectrum.variance is None else [WIDEST**2]
+        return np.array([*(usual for part in self.parts for usual in part.usual), *width, 1.0])
+
+    def shaped(self, shape: Floats) -> "Optics":
+        """The same of another shape (n,)."""
+        numbers = iter(map(float, shape))
+        parts = tuple(part.at([next(numbers) for _ in part.labels]) for part in self.parts)
+        spectrum = self.spectrum if self.spectrum.variance is None else Spectrum.of_width(next(numbers))
+        return replace(self, parts=parts, spectrum=spectrum, f_number=math.exp(next(numbers)))
 
     def window_airy(self, waves: Floats) -> float:
         """Width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
@@ -102,10 +135,10 @@ class ForwardModel:
         reference: the target's pose in such frames, its scale right to 5 %; see `Scene`.
         band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
         window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
-        the wavefront. spare: relative, by which `at_f_number` may make the cone wider.
+        the wavefront. spare: relative, by which `shaped` may make the cone wider.
         """
         window_um = window_airy * optics.airy_um
-        cutoff = 1 / (optics.airy_um * (1 - spare))
+        cutoff = 1 / (optics.airy_um * (1 - spare) * optics.spectrum.shortest)
         guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
@@ -118,14 +151,15 @@ class ForwardModel:
         fewer = replace(
             torus, oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)), band_limit_per_um=limit
         )
-        blur = Blur(torus, pupil, optics.active_um)
-        rough = blur if fewer == torus else replace(blur, torus=fewer)
+        blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts)
+        rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
         return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped, window_airy)
 
-    def at_f_number(self, f_number: float) -> "ForwardModel":
-        """The same with another cone, whose drawings serve both. Raises ValueError for a cone wider than was to spare."""
-        pupil = replace(self.blur.pupil, f_number=f_number)
-        return replace(self, blur=replace(self.blur, pupil=pupil), rough=replace(self.rough, pupil=pupil))
+    def shaped(self, optics: Optics) -> "ForwardModel":
+        """The same of another `Optics.shape`; drawings serve both. Raises ValueError for a cone wider than spared."""
+        pupil = replace(self.blur.pupil, f_number=optics.f_number)
+        blur = replace(self.blur, pupil=pupil, spectrum=optics.spectrum, parts=optics.parts)
+        return replace(self, blur=blur, rough=replace(blur, torus=self.rough.torus).simple)
 
     def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
         """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
@@ -144,6 +178,8 @@ class ForwardModel:
             pitch_um=pitch_um,
             active_um=active_um,
             noll=pupil.noll,
+            spectrum=self.blur.spectrum,
+            parts=self.blur.parts,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
@@ -163,24 +199,24 @@ class ForwardModel:
         used: Sequence[Bools],
         *,
         by_waves: bool = True,
-        by_cone: bool = False,
+        by_shape: bool = False,
         exact: bool = True,
         means: Sequence[Floats] = (),
     ) -> list[Evaluation]:
         """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
 
-        by_waves, by_cone: whether derivatives by the wavefront and by ln N are wanted; the former cost most of the time.
+        by_waves, by_shape: whether derivatives by wavefront and by `Optics.shape` are wanted; the former cost most of the time.
         exact: whether derivatives are of the whole band, or of what a climb needs. means: those of `means` at the same place,
         if they are at hand.
         """
         self._checked(drawing, used)
         blur = self.blur if exact else self.rough
         spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
-        by_lens = self._responses(blur, blur.pupil.psf_slopes(waves) if by_waves else (), spectra, used)
-        if by_cone:
-            turn = blur.by_cone(waves).astype(np.complex64)
+        by_lens = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
+        if by_shape:
+            turns = [turn.astype(np.complex64) for turn in self._by_shape(blur, waves)]
             by_lens = [
-                np.concatenate([by_mode, blur.torus.sample(spectrum * turn)[u][None]])
+                np.concatenate([by_mode, [blur.torus.sample(spectrum * turn)[u] for turn in turns]])
                 for by_mode, spectrum, u in zip(by_lens, spectra, used, strict=True)
             ]
         means = means or self.means(waves, drawing, used)
@@ -192,6 +228,13 @@ class ForwardModel:
         ]
         return [Evaluation(*of) for of in zip(means, by_lens, by_pose, strict=True)]
 
+    def _by_shape(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
+        """Half planes of the transfer function's derivatives by `Optics.shape`."""
+        yield from blur.by_parts(waves)
+        if self.blur.spectrum.variance is not None:
+            yield replace(blur, spectrum=self.blur.spectrum).by_width(waves)
+        yield blur.by_cone(waves)
+
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
         return self._responses(
@@ -200,7 +243,7 @@ class ForwardModel:
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        return self._responses(self.blur, self.blur.pupil.psf_slopes(waves, only), drawing.spectra, [used])[0]
+        return self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])[0]
 
     def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
         """Of a drawing's half plane the band of one of the blurs, in single precision, which is enough for slopes:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from labkit.imaging.model import Evaluation, ForwardModel
+from labkit.imaging.model import Evaluation, ForwardModel, Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.inference.identifiability import inverse
@@ -24,7 +24,6 @@ from labkit.types import Floats
 ROUNDS = 12
 # of ln N: a step so small, or so small a part of its error, moves the optimum by less than 1e-5 waves beyond second order
 SETTLED, SETTLED_STDS = 2e-3, 0.3
-OPEN_STD = 1.0  # of ln N, a prior that keeps what a frame in focus leaves open finite
 SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
 FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
@@ -35,12 +34,12 @@ POSES = 200  # drawn to see how well a tilt is known
 
 @dataclass(frozen=True)
 class Measured:
-    """What frames of one channel at one range say: a Gaussian over (modes..., ln N of the cone, ln of the picture's scale).
+    """What frames of one channel at one range say: a Gaussian over (modes..., parts..., ln N of the cone, ln of the scale).
 
-    values: (modes + 2,); covariance: of photons and read noise, (modes + 2, modes + 2), with no prior on N.
-    scale: sensor over target, mm per mm, the mean of all directions. calibration: the part of the covariance that the flats'
-    own errors make. shortening: ln of the scale along the line on which a leaning target does not recede, less the mean's, and
-    its standard error.
+    parts: labels of the camera's numbers that were fitted along, often none. values: (modes + parts + 2,); covariance: of
+    photons and read noise, with no prior on N; scale: of the picture, sensor over target, mm per mm, the mean of all
+    directions. calibration: the part of the covariance that the flats' own errors make. shortening: ln of the scale along the
+    line on which a leaning target does not recede, less the mean's, and its standard error.
     """
 
     noll: tuple[int, ...]
@@ -48,10 +47,16 @@ class Measured:
     covariance: Floats
     calibration: Floats
     shortening: tuple[float, float] = (0.0, 0.0)
+    parts: tuple[str, ...] = ()
+
+    @property
+    def waves(self) -> Floats:
+        """(modes,) of the values."""
+        return self.values[: len(self.noll)]
 
     def twin(self, signs: Floats) -> Measured:
         """With even modes reversed. signs: (modes,)."""
-        signs = np.append(signs, [1.0, 1.0])
+        signs = np.append(signs, np.ones(len(self.values) - len(signs)))
         both = np.outer(signs, signs)
         return replace(
             self, values=self.values * signs, covariance=self.covariance * both, calibration=self.calibration * both
@@ -60,22 +65,23 @@ class Measured:
 
 @dataclass(frozen=True)
 class Freed:
-    """Where a fit ends once its cone is free. problem: at the cone of the last expansion; covariance: (modes, modes) of the
-    modes, the cone's prior error in it; measured: without that prior."""
+    """Where a fit ends once its cone is free, and what of the camera is. problem: at the shape of the last expansion; optics:
+    of where it ends; covariance: (modes, modes) of the modes, the shape's prior error in it; measured: without that prior."""
 
     problem: Problem
     solution: Solution
-    f_number: float
+    optics: Optics
     covariance: Floats
     measured: Measured
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """The log-likelihood about a state to second order, over modes, ln N of the cone, and the rest as in `Problem.scores`.
+    """The log-likelihood about a state to second order, over modes, shape, and the rest as in `Problem.scores`.
 
     gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
-    picked: (modes + 2, p) what modes, ln N and ln scale change by, which are `here` at the state. evaluations: of each frame.
+    picked: (modes + shape + 1, p) what modes, shape and ln scale change by, which are `here` at the state. evaluations: of
+    each frame.
     """
 
     problem: Problem
@@ -88,13 +94,19 @@ class Expansion:
     evaluations: tuple[Evaluation, ...]
 
     @property
-    def f_number(self) -> float:
-        """Of the cone that it is about."""
-        return self.problem.model.blur.pupil.f_number
+    def optics(self) -> Optics:
+        """Those that it is about."""
+        return self.problem.model.optics
 
-    def newton(self, precision: float, pull: float = 0.0) -> tuple[Floats, Floats]:
-        """(p,) the step to the optimum and (p, p) the covariance there; precision, pull: of what else is known of ln N."""
-        at = self.state.waves.size
+    @property
+    def shape(self) -> slice:
+        """Where `Optics.shape` stands among the parameters, (p,)."""
+        modes = self.state.waves.size
+        return slice(modes, modes + self.optics.shape.size)
+
+    def newton(self, precision: Floats, pull: Floats | float = 0.0) -> tuple[Floats, Floats]:
+        """(p,) the step to the optimum and (p, p) the covariance there; precision, pull: (shape,) of what else is known."""
+        at = np.arange(self.shape.start, self.shape.stop)
         information, gradient = self.information.copy(), self.gradient.copy()
         information[at, at] += precision
         gradient[at] += pull
@@ -108,81 +120,89 @@ class Expansion:
 
     def moved(self, step: Floats) -> State:
         """The state after a step (p,)."""
-        return self.state.moved(np.delete(step, self.state.waves.size))
+        return self.state.moved(np.delete(step, self.shape))
 
-    def f_number_after(self, step: Floats) -> float:
-        """Of the cone after a step (p,)."""
-        return self.f_number * float(np.exp(step[self.state.waves.size]))
+    def optics_after(self, step: Floats) -> Optics:
+        """Those after a step (p,)."""
+        return self.optics.shaped(self.optics.shape + step[self.shape])
 
     def foreseen(self, step: Floats) -> list[Floats]:
         """Relative images (pixels,) of the frames after a short step (p,)."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
     def measured(self) -> Measured:
-        """The Gaussian of modes, ln N and scale."""
-        step, covariance = self.newton(OPEN_STD**-2)
+        """The Gaussian of modes, shape and scale."""
+        step, covariance = self.newton(self.optics.usual_shape**-2)
         pulled = self.picked @ covariance
         values = self.here + self.picked @ step
-        at = self.state.waves.size + 1 + np.arange(POSE_SIZE)
+        at = self.shape.stop + np.arange(POSE_SIZE)
         return Measured(
-            self.problem.model.blur.pupil.noll,
+            self.optics.noll,
             values,
             pulled @ self.picked.T,
             pulled @ self.flats @ pulled.T,
             _shortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
+            self.optics.shape_labels,
         )
 
-    def at(self, values: Floats) -> tuple[State, float]:
-        """The state, and the f-number, that are likeliest where modes, ln N and ln scale are given, (modes + 2,)."""
-        step, covariance = self.newton(OPEN_STD**-2)
+    def at(self, values: Floats) -> tuple[State, Optics]:
+        """The state, and the optics, that are likeliest where modes, shape and ln scale are given, (modes + shape + 1,)."""
+        step, covariance = self.newton(self.optics.usual_shape**-2)
         pulled = self.picked @ covariance
         step = step + pulled.T @ np.linalg.solve(pulled @ self.picked.T, values - self.here - self.picked @ step)
-        return self.moved(step), self.f_number_after(step)
+        return self.moved(step), self.optics_after(step)
 
 
 def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
-    """Climb by Newton's steps, undamped, to an optimum that is near, and to the cone that its frames call for.
+    """Climb by Newton's steps, undamped, to an optimum that is near, and to the cone, and the camera's parts, that its frames
+    call for.
 
-    f_number_std: relative, of the cone that the problem has. The first step goes by rough slopes, those after it by exact ones;
-    the last is not drawn, its picture lies on the slopes. Where they do not settle, `Freed.solution.converged` says so.
+    f_number_std: relative, of the cone that the problem has; the parts' numbers are known to lie about 0, as they usually do.
+    The first step goes by rough slopes, those after it by exact ones; the last is not drawn, its picture lies on the slopes.
+    Where they do not settle, `Freed.solution.converged` says so.
     """
     problem, start = _wide_enough(problem, start)
-    given, precision = problem.model.blur.pupil.f_number, max(f_number_std, EXACT) ** -2
+    given, precision = _known_shape(problem.model.optics, f_number_std)
     modes, before = start.state.waves.size, -np.inf
     for rounds in range(1, ROUNDS + 1):
         expansion = expand(problem, start, exact=rounds > 1)
-        step, covariance = expansion.newton(precision, -np.log(expansion.f_number / given) * precision)
+        step, covariance = expansion.newton(precision, (given - expansion.optics.shape) * precision)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
-        near = length < SETTLED_LENGTH
-        settled = (
-            rounds > 1 and near and abs(step[modes]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[modes, modes]))
-        )
+        near, cone = length < SETTLED_LENGTH, expansion.shape.stop - 1
+        settled = rounds > 1 and near and abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))
         height = expansion.objective
         if settled or rounds == ROUNDS or not (height > before - FALLEN and sane(expansion.moved(step), start.state)):
             break
         before = height
         start = Start(expansion.moved(step))
-        problem = replace(problem, model=at_f_number(problem.model, expansion.f_number_after(step), start.state))
+        problem = replace(problem, model=reshaped(problem.model, expansion.optics_after(step), start.state))
     step = step if near else np.zeros_like(step)
     state, relative = expansion.moved(step), expansion.foreseen(step)
     solution = Solution(
         state,
         problem.objective(state, relative),
-        np.delete(np.delete(expansion.information, modes, 0), modes, 1),
+        np.delete(np.delete(expansion.information, expansion.shape, 0), expansion.shape, 1),
         relative,
         problem.chi2_per_pixel(state, relative),
         rounds,
         settled,
     )
-    return Freed(problem, solution, expansion.f_number_after(step), covariance[:modes, :modes], expansion.measured())
+    return Freed(problem, solution, expansion.optics_after(step), covariance[:modes, :modes], expansion.measured())
 
 
-def at_f_number(model: ForwardModel, f_number: float, state: State) -> ForwardModel:
-    """The same model with another cone, built anew about a state where it does not spare enough."""
+def _known_shape(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
+    """What is known of a shape beforehand, and how precisely, 1/variance: (shape,) each."""
+    given, stds = np.zeros_like(optics.shape), optics.usual_shape
+    given[-1], stds[-1] = optics.shape[-1], max(f_number_std, EXACT)
+    return given, stds**-2
+
+
+def reshaped(model: ForwardModel, optics: Optics, state: State) -> ForwardModel:
+    """The same model of another shape, built anew about a state where it does not spare enough of the cone."""
     try:
-        return model.at_f_number(f_number)
+        return model.shaped(optics)
     except ValueError:
-        return model.again(replace(model.optics, f_number=f_number), state.poses[0], waves=state.waves, spare=SPARE)
+        return model.again(optics, state.poses[0], waves=state.waves, spare=SPARE)
 
 
 def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
@@ -195,10 +215,10 @@ def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
 
 
 def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
-    """The log-likelihood about a state, the cone free. exact: as in `ForwardModel.evaluate`."""
+    """The log-likelihood about a state, the shape free. exact: as in `ForwardModel.evaluate`."""
     state, used = start.state, [f.used for f in problem.frames]
     drawing = start.drawing or problem.draw(state)
-    evaluations = problem.model.evaluate(state.waves, drawing, used, by_cone=True, exact=exact, means=start.relative)
+    evaluations = problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative)
     gradient, information, _ = problem.assembled(state, evaluations)
     here, picked = _picked(problem, state, len(gradient))
     flats = _flats_noise(problem, state, evaluations)
@@ -206,8 +226,8 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
 
 
 def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Floats:
-    """(p, p) covariance of the gradient, over modes, ln N, and so on, that the flats' relative errors make."""
-    modes, even, frames = state.waves.size + 1, state.unevenness.size, len(state.poses)
+    """(p, p) covariance of the gradient, over modes, shape, and so on, that the flats' relative errors make."""
+    modes, even, frames = len(evaluations[0].by_waves), state.unevenness.size, len(state.poses)
     size = modes + PER_FRAME * frames + even + NOISE
     total = np.zeros((size, size))
     for k, (evaluation, frame, detector) in enumerate(zip(evaluations, problem.frames, state.detectors(), strict=True)):
@@ -231,16 +251,16 @@ def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
 
 
 def _picked(problem: Problem, state: State, size: int) -> tuple[Floats, Floats]:
-    """Modes, ln N and ln scale, (modes + 2,), the last a mean over the frames; and their slopes (modes + 2, size)."""
-    modes, frames = state.waves.size, len(state.poses)
-    picked = np.zeros((modes + 2, size))
-    picked[: modes + 1, : modes + 1] = np.eye(modes + 1)
+    """Modes, shape and ln scale, (modes + shape + 1,), the last a mean over the frames; and their slopes, by all (size,)."""
+    shape, frames = problem.model.optics.shape, len(state.poses)
+    first = state.waves.size + shape.size
+    picked = np.zeros((first + 1, size))
+    picked[:first, :first] = np.eye(first)
     scales = []
     for k, pose in enumerate(state.poses):
         scale, slope = pose.log_scale()
         scales.append(scale)
-        at = modes + 1 + k * PER_FRAME
+        at = first + k * PER_FRAME
         picked[-1, at : at + POSE_SIZE] = slope / frames
     pitch_mm = problem.model.scene.torus.pitch_um * 1e-3
-    log_f_number = np.log(problem.model.blur.pupil.f_number)
-    return np.concatenate([state.waves, [log_f_number, np.mean(scales) + np.log(pitch_mm)]]), picked
+    return np.concatenate([state.waves, shape, [np.mean(scales) + np.log(pitch_mm)]]), picked

@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.parts import Part
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
@@ -14,6 +15,7 @@ from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
 from labkit.inference.search import Record, Search
 from labkit.inference.sketch import Sketches
+from labkit.optics.spectrum import Spectrum
 from labkit.optics.zernike import is_even
 from labkit.target import Target
 from labkit.types import Floats
@@ -32,15 +34,15 @@ class WavefrontFit:
     """The wavefront of one channel at one range.
 
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance, the error of the
-    given f-number in it; f_number: where the cone ended; measured: what the frames alone say; state: all parameters; starts:
-    made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used pixels of
-    each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted.
+    given f-number in it; optics: where cone and parts ended; measured: what the frames alone say; state: all parameters;
+    starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
+    pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted.
     """
 
     noll: tuple[int, ...]
     state: State
     covariance: Floats
-    f_number: float
+    optics: Optics
     measured: Measured
     objective: float
     chi2_per_pixel: float
@@ -54,6 +56,11 @@ class WavefrontFit:
     @property
     def waves(self) -> Floats:
         return self.state.waves
+
+    @property
+    def f_number(self) -> float:
+        """Of the cone."""
+        return self.optics.f_number
 
     @property
     def std(self) -> Floats:
@@ -91,6 +98,7 @@ def fit_wavefront(
     alike: Sequence[Floats] = (),
     max_starts: int = 40,
     patience_s: float = np.inf,
+    missing: tuple[Part, ...] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
@@ -98,7 +106,8 @@ def fit_wavefront(
     poses: of the target in each frame, right to about a pixel. f_number_std: relative standard error of the optics' f-number,
     0: exact. starts: wavefronts (modes,) that other frames of the lens predict; alike: such whose first mode, defocus, is not
     known. rng: for further starts, made while no optimum is accepted. max_starts: of the whole likelihood far from focus,
-    before the best is returned, rejected; patience_s: after so long no further start is made.
+    before the best is returned, rejected; patience_s: after so long no further start is made. missing: parts of the camera,
+    to be tried where the model does not explain the frames without them.
     What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
@@ -108,8 +117,8 @@ def fit_wavefront(
         noise,
     )
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
-    sketches = Sketches(optics, target, frames[0], poses[0], noise)
-    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, progress)
+    sketches = Sketches(replace(optics, spectrum=Spectrum()), target, frames[0], poses[0], noise)
+    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
     return _as_fit(record, optics.noll, perf_counter() - began, search.late and not record.accepted)
@@ -124,7 +133,7 @@ def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bo
         noll,
         solution.state,
         freed.covariance,
-        freed.f_number,
+        freed.optics,
         freed.measured,
         solution.objective,
         solution.chi2_per_pixel,

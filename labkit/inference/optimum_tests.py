@@ -107,7 +107,7 @@ class PsfBasis:
         return [
             torus.half_spectrum_of_window(map_coordinates(d, np.meshgrid(at, at, indexing="ij"), order=3))
             * centre
-            * model.blur.pixel
+            * model.blur.beyond
             for d in self.directions
         ]
 
@@ -211,7 +211,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     torus, pupil = model.blur.torus, model.blur.pupil
     (frame,) = problem.frames
     (spectrum,) = problem.draw(state).spectra
-    spectrum = spectrum * model.blur.pixel * state.scales[0]
+    spectrum = spectrum * model.blur.beyond * state.scales[0]
     step_um = SPACING_AIRY * pupil.wavelength_um * pupil.f_number
     places = np.arange(-half_width, half_width + 1) * step_um
     down = [np.exp(-2j * np.pi * torus.row_frequency * y) for y in places]

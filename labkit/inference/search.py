@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from labkit.imaging.model import Optics
+from labkit.imaging.parts import Part
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import Freed, free_cone
 from labkit.inference.fisher_scoring import Problem, Solution, Start, State, maximize
@@ -29,6 +30,7 @@ ALIKE = 2  # the same where the other modes are known
 # starts that come back to the best optimum: then it is returned, accepted or not. A better one to which as many starts lead
 # has escaped that many with a chance of 1 in 2^8
 ENOUGH = 8
+CALLED_FOR = 10.0  # log-likelihood that parts of a camera must gain: chance gains as much once in 20 000 pictures
 SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less, which is one standard error, belong to one optimum
 
 
@@ -71,7 +73,8 @@ class Record:
 class Search:
     """What does not change in a search. whole: the problem of all frames; f_number_std: relative error of its cone; poses: as
     first known, one a frame; first: a state of the first frame without wavefront; rng: for random starts; max_starts: about
-    so many, where the best is rejected; ends_at: no start is made after this time of `perf_counter`."""
+    so many, where the best is rejected; ends_at: no start is made after this time of `perf_counter`; missing: parts of a
+    camera that are tried where residuals reject an optimum, so that a poor model is not taken for a wrong optimum."""
 
     whole: Problem
     f_number_std: float
@@ -81,6 +84,7 @@ class Search:
     rng: np.random.Generator
     max_starts: int
     ends_at: float
+    missing: tuple[Part, ...]
     progress: Callable[[str], None]
 
     def run(self, given: Sequence[State], alike: Sequence[State] = ()) -> Record:
@@ -199,14 +203,29 @@ class Search:
         if len(self.poses) > 1:
             rough = self.sketches.problem(candidate, self.sketches.band)
             state = settle(replace(rough, frames=self.whole.frames), state)
-        freed = free_cone(self.whole, Start(state), self.f_number_std)
-        if not freed.solution.converged:
-            near = maximize(self.whole, state, exact=False)
-            freed = free_cone(self.whole, near.begun or Start(near.state), self.f_number_std)
-        if record.best is not None and freed.solution.objective <= record.best.freed.solution.objective:
+        outcome = self._freed(self.whole, state)
+        if not outcome.verdict.accepted and self.missing:
+            outcome = self._with_missing(outcome)
+        if record.best is not None and outcome.freed.solution.objective <= record.best.freed.solution.objective:
             return record
-        verdict = judge(freed.problem, freed.solution.state, freed.solution.relative)
-        return replace(record, best=Outcome(freed, verdict))
+        return replace(record, best=outcome)
+
+    def _freed(self, problem: Problem, state: State) -> Outcome:
+        """The maximum near a state, judged."""
+        freed = free_cone(problem, Start(state), self.f_number_std)
+        if not freed.solution.converged:
+            near = maximize(problem, state, exact=False)
+            freed = free_cone(problem, near.begun or Start(near.state), self.f_number_std)
+        return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
+
+    def _with_missing(self, plain: Outcome) -> Outcome:
+        """The maximum with the missing parts free, where they gain by it."""
+        self.progress("with the camera's parts")
+        model, state = self.whole.model, plain.freed.solution.state
+        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=self.missing)))
+        outcome = self._freed(problem, state)
+        gained = outcome.freed.solution.objective - plain.freed.solution.objective
+        return outcome if gained > CALLED_FOR else plain
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:

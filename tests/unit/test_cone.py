@@ -9,7 +9,7 @@ import pytest
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.cone import SPARE, at_f_number, expand, free_cone
+from labkit.inference.cone import SPARE, expand, free_cone, reshaped
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
 from labkit.inference.likelihood import FrameData
 from labkit.target import CellTarget
@@ -47,12 +47,12 @@ def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: F
     assert freed.solution.converged
     assert np.abs((freed.solution.state.waves - climbed.state.waves) / std).max() < 0.02
     assert freed.solution.objective == pytest.approx(climbed.objective, abs=1e-3)
-    assert freed.f_number == pytest.approx(OPTICS.f_number, rel=1e-6)
+    assert freed.optics.f_number == pytest.approx(OPTICS.f_number, rel=1e-6)
 
 
 def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -> None:
     problem = photographed(model)
-    off = Problem(at_f_number(model, 1.03 * OPTICS.f_number, TRUTH), problem.frames, PRIOR)
+    off = Problem(reshaped(model, replace(OPTICS, f_number=1.03 * OPTICS.f_number), TRUTH), problem.frames, PRIOR)
     freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
     std = np.sqrt(freed.measured.covariance[-2, -2])
     assert std < 0.02

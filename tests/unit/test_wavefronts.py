@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,19 @@ def as_found(task: Task, settled: bool) -> WavefrontFit:
     measured = Measured((4,), values, spread, np.zeros((3, 3)))
     verdict = Verdict(0.5 if settled else 0.0, settled, 0.0, 0.0)
     return WavefrontFit(
-        (4,), state, spread[:1, :1], 2.8, measured, 0.0, 1.0, verdict, 1, (), (np.ones(1),), 0.0, cut_short=not settled
+        (4,),
+        state,
+        spread[:1, :1],
+        replace(task.optics, f_number=2.8),
+        measured,
+        0.0,
+        1.0,
+        verdict,
+        1,
+        (),
+        (np.ones(1),),
+        0.0,
+        cut_short=not settled,
     )
 
 

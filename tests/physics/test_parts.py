@@ -1,0 +1,137 @@
+"""What a camera adds, against kernels drawn in space and against finite differences; spectra against their moments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.imaging.blur import Blur
+from labkit.imaging.grid import Torus
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.optics.psf import Pupil
+from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.types import Floats
+from tests.unit.test_cone import CARPET, OPTICS, POSE, TRUTH
+
+ROWS, COLUMNS = np.linspace(0.0, 1.3, 7)[:, None], np.linspace(-1.2, 1.1, 8)[None, :]
+EVERY = (
+    LowPass(0.3, 0.5),
+    LowPass(0.6, 0.1, turned=True),
+    LowPass(-0.1, 0.2),
+    Diffusion(0.04),
+    Smear(0.02, 0.01, 0.008),
+    Veil(0.03),
+)
+
+
+def named(part: Part) -> str:
+    return part.name
+
+
+def spots(*places: tuple[float, float]) -> Floats:
+    """Transfer function of equal points at (row, column), pixels."""
+    return np.asarray(np.mean([np.cos(2 * np.pi * (r * ROWS + c * COLUMNS)) for r, c in places], axis=0))
+
+
+def sampled(density: Floats, at: Floats) -> Floats:
+    """Transfer function of a kernel (n, n) sampled at `at` (n,) along both axes, by summing."""
+    down, across = np.exp(-2j * np.pi * ROWS * at[None, :]), np.exp(-2j * np.pi * COLUMNS.T * at[None, :])
+    return np.asarray((down @ density @ across.T).real / density.sum())
+
+
+def test_a_low_pass_filter_makes_four_spots_of_a_point() -> None:
+    s, t = np.sqrt([0.3, 0.5]) / 2
+    expected = spots((s, t), (s, -t), (-s, t), (-s, -t))
+    assert LowPass(0.3, 0.5).transfer(ROWS, COLUMNS) == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_turned_one_has_its_spots_on_the_axes() -> None:
+    s = np.sqrt(0.5) * 0.7
+    expected = spots((s, 0), (-s, 0), (0, s), (0, -s))
+    assert LowPass(0.49, 0.49, turned=True).transfer(ROWS, COLUMNS) == pytest.approx(expected, abs=1e-14)
+
+
+def test_diffusion_smear_and_veil_are_the_transforms_of_their_kernels() -> None:
+    at = np.linspace(-2, 2, 401)
+    y, x = np.meshgrid(at, at, indexing="ij")
+    assert Diffusion(0.04).transfer(ROWS, COLUMNS) == pytest.approx(
+        sampled(np.exp(-(y**2 + x**2) / 0.08), at), abs=1e-12
+    )
+    inverse = np.linalg.inv([[0.05, 0.02], [0.02, 0.04]])
+    tilted = np.exp(-0.5 * (inverse[0, 0] * y**2 + 2 * inverse[0, 1] * y * x + inverse[1, 1] * x**2))
+    assert Smear(0.05, 0.04, 0.02).transfer(ROWS, COLUMNS) == pytest.approx(sampled(tilted, at), abs=1e-12)
+    narrow = sampled(np.exp(-(y**2 + x**2) / (2 * 0.3**2)), at)
+    assert Veil(0.1, scale_px=0.3).transfer(ROWS, COLUMNS) == pytest.approx(0.9 + 0.1 * narrow, abs=1e-10)
+
+
+@pytest.mark.parametrize("part", EVERY, ids=named)
+def test_slopes_of_a_part_are_its_differences(part: Part) -> None:
+    for k, slope in enumerate(part.slopes(ROWS, COLUMNS)):
+        step = 1e-5 * np.eye(len(part.values))[k]
+        up, down = (part.at(np.array(part.values) + sign * step).transfer(ROWS, COLUMNS) for sign in (1, -1))
+        assert slope == pytest.approx((up - down) / 2e-5, rel=1e-7, abs=1e-9)
+
+
+@pytest.mark.parametrize("part", [LowPass(), LowPass(turned=True), Diffusion(), Smear(), Veil()], ids=named)
+def test_a_part_of_nothing_does_nothing(part: Part) -> None:
+    assert part.transfer(ROWS, COLUMNS) == pytest.approx(np.ones((7, 8)), abs=1e-15)
+    # and has slopes there, which an estimate that begins there goes by
+    assert all(np.abs(slope).max() > 0.1 for slope in part.slopes(ROWS, COLUMNS))
+
+
+def test_a_few_wavelengths_have_a_spectrums_moments() -> None:
+    nm, weights = np.linspace(500, 580, 9), np.array([0.0, 1, 2, 5, 9, 7, 3, 1, 0.5])
+    spectrum = Spectrum.of_samples(nm.tolist(), weights.tolist(), 540.0)
+    assert len(spectrum.nodes) == 3
+    for power in range(6):
+        moment = np.average((nm / 540) ** power, weights=weights)
+        assert np.dot(spectrum.weights, np.power(spectrum.nodes, power)) == pytest.approx(moment, rel=1e-12)
+
+
+def test_a_spectrum_of_one_or_two_wavelengths_is_itself() -> None:
+    assert Spectrum.of_samples([560.0], [3.0], 550.0).nodes == pytest.approx((560 / 550,))
+    two = Spectrum.of_samples([540.0, 560.0, 700.0], [1.0, 3.0, 0.0], 550.0)
+    assert two.nodes == pytest.approx((540 / 550, 560 / 550))
+    assert two.weights == pytest.approx((0.25, 0.75))
+
+
+@pytest.mark.parametrize("weights", [[0.0, 0.0], [1.0, -0.1]])
+def test_a_spectrum_without_light_is_refused(weights: list[float]) -> None:
+    with pytest.raises(ValueError, match="weights"):
+        Spectrum.of_samples([540.0, 560.0], weights, 550.0)
+
+
+def test_a_spectrum_of_a_width_has_it() -> None:
+    spectrum = Spectrum.of_width(0.03**2)
+    nodes, weights = np.array(spectrum.nodes), np.array(spectrum.weights)
+    assert [weights.sum(), weights @ nodes, weights @ (nodes - 1) ** 2] == pytest.approx([1, 1, 0.03**2])
+    assert min(nodes) > spectrum.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+
+
+def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
+    torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
+    pupil = Pupil(0.55, 0.45, 4.0, 5.0 / 5, 96, (4, 7))
+    blur = Blur(torus, pupil, 5.0, Spectrum.of_samples([540.0, 560.0], [1.0, 3.0], 550.0))
+    each = [replace(pupil, wavelength_um=um).psf(waves) for um in (0.54, 0.56)]
+    assert blur.psf(waves) == pytest.approx(0.25 * each[0] + 0.75 * each[1], abs=1e-12)
+
+
+@pytest.mark.parametrize("variance", [None, 0.03**2, 0.01**2, 0.0])
+def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None) -> None:
+    light = Spectrum() if variance is None else Spectrum.of_width(variance)
+    optics = replace(OPTICS, parts=EVERY[1:2] + EVERY[3:], spectrum=light)
+    model = ForwardModel.build(optics, CARPET, (58, 60), POSE, spare=0.02)
+    used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
+    slopes = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]
+    steps = np.array([1e-3] * 7 + [4e-4] * (variance is not None) + [1e-3])
+    limits = [1.2e-5] * 7 + [0.3] * (variance is not None) + [8e-4]
+    for k, (step, limit) in enumerate(zip(np.diag(steps), limits, strict=True)):
+        up, down = (
+            model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0]
+            for sign in (1, -1)
+        )
+        difference = (up - down) / (2 * step[k])
+        assert np.abs(slopes[k] - difference).max() < limit * np.abs(difference).max(), optics.shape_labels[k : k + 1]
