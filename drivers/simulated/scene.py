@@ -18,6 +18,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
+from labkit.drivers.simulated.parts import Lit
 from labkit.types import Floats, Floats32
 
 Value = TypeVar("Value", np.int16, np.float32)
@@ -35,12 +36,14 @@ class Glass:
     """What the panel shows, as the scene sees it.
 
     codes: (rows, cols) picture values, equal where neighbours shine alike but for the backlight; radiance: (rows, cols)
-    relative to white; pitch_mm: side of a panel pixel. Coordinates: x right, y down, origin at the panel's centre.
+    relative to white, mean over a panel pixel; pitch_mm: its side. Coordinates: x right, y down, origin at the panel's centre.
+    lit: the part of each panel pixel that shines; None for all of it.
     """
 
     codes: NDArray[np.int16]
     radiance: Floats32
     pitch_mm: float
+    lit: Lit | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +99,13 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     x_corner = np.append(x - half, x[-1] + half)[None, :]
     for start in range(0, y.size, ROWS_AT_ONCE):
         y_here = y[start : start + ROWS_AT_ONCE]
-        corner = _look_up(codes, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None])
+        corner = _zones(codes, glass.lit, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None])
         edge = (corner[:-1, :-1] != corner[1:, 1:]) | (corner[:-1, 1:] != corner[1:, :-1])
         edge |= corner[:-1, :-1] != corner[:-1, 1:]
-        block = _look_up(radiance, to_panel, x[None, :], y_here[:, None])
+        block = _shining(radiance, glass.lit, to_panel, x[None, :], y_here[:, None])
         i, j = np.nonzero(edge)
         dx, dy = _lattice(i + start, j)
-        points = _look_up(radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
+        points = _shining(radiance, glass.lit, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
         block[i, j] = points.mean(axis=1)
         scene[start : start + ROWS_AT_ONCE] = block
     return scene
@@ -115,6 +118,22 @@ def _look_up(table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats) -> N
     row = np.clip(down, 0, table.shape[0] - 1).astype(np.intp)
     seen: NDArray[Value] = table.ravel()[row * table.shape[1] + col]
     return seen
+
+
+def _zones(
+    codes: NDArray[np.int16], lit: Lit | None, to_panel: Floats, x: Floats, y: Floats
+) -> NDArray[np.int16] | NDArray[np.int64]:
+    """Numbers of the pixels (x, y) that differ where the panel's radiance may."""
+    if lit is None:
+        return _look_up(codes, to_panel, x, y)
+    right, down = carry(to_panel, x, y)
+    return lit.zones(np.clip(right, 1, codes.shape[1] - 1), np.clip(down, 1, codes.shape[0] - 1))
+
+
+def _shining(radiance: Floats32, lit: Lit | None, to_panel: Floats, x: Floats, y: Floats) -> Floats32:
+    """The panel's radiance where the pixels (x, y) see it."""
+    seen = _look_up(radiance, to_panel, x, y)
+    return seen if lit is None else (seen * lit.shine(*carry(to_panel, x, y))).astype(np.float32)
 
 
 def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -167,11 +186,19 @@ def photograph(
     squares = fine.reshape(grid.rows, grid.samples, grid.cols, grid.samples)
     pixels: Floats32 = np.einsum("isjt,s,t->ij", squares, weights, weights, optimize=True).astype(np.float32)
     if halo is not None:
-        rim, far = grid.reach // grid.samples, halo.shape[0] // 2
-        wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
-        inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
-        pixels += scipy.signal.fftconvolve(wide[inner, inner], halo, mode="valid").astype(np.float32)
+        pixels += from_pixel_to_pixel(scene, halo)
     return pixels
+
+
+def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
+    """(rows, cols) mean radiance over each pixel after a coarse blur, (2 n + 1, 2 n + 1) shares of light from pixel to pixel.
+
+    Beyond the rim the scene goes on as it ends.
+    """
+    rim, far = scene.grid.reach // scene.grid.samples, kernel.shape[0] // 2
+    wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
+    inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
+    return np.asarray(scipy.signal.fftconvolve(wide[inner, inner], kernel, mode="valid"), dtype=np.float32)
 
 
 def _active(samples: int, fill_factor: float) -> Floats32:
