@@ -6,12 +6,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labkit.types import Floats
 
 LEAST_VEIL_PX = 2.0
 """A veil is laid from pixel to pixel, and a narrower one would alias: a Gaussian of two pixels keeps 3e-9 at half a cycle."""
+
+LEAST_SIDE = 1e-6
+"""Of a parallelogram, in panel pixels: a narrower one is taken to be as wide as that, lest 0 be divided by 0."""
+
+Sides = tuple[Floats, Floats, Floats]
+"""Along one direction of the panel: a parallelogram's middle, and how far each of its two sides reaches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,21 +122,26 @@ class Lit:
             if not 0 <= low < high <= 1 + 1e-12:
                 raise ValueError(f"a panel pixel is lit from {low:g} to {high:g} of its side, outside 0..1")
 
-    def shine(self, right: Floats, down: Floats) -> Floats:
-        """Brightness relative to a pixel that is lit all over, at places counted in panel pixels from a pixel's corner."""
-        inside = np.ones(np.broadcast_shapes(right.shape, down.shape), dtype=bool)
-        area = 1.0
-        for place, (low, high) in ((right, self.across), (down, self.down)):
-            part = place - np.floor(place)
-            inside &= (low <= part) & (part < high)
-            area *= high - low
-        return inside / area
+    def brightness(self, right: Sides, down: Sides) -> Floats:
+        """Mean over a parallelogram, relative to a pixel that is lit all over.
 
-    def zones(self, right: Floats, down: Floats) -> NDArray[np.int64]:
-        """A number of each place for the oblong, lit or dark, that it is in: convex, so corners tell of all between them."""
-        crossed = np.zeros(np.broadcast_shapes(right.shape, down.shape), dtype=np.int64)
-        for place, (low, high) in ((right, self.across), (down, self.down)):
-            whole = np.floor(place)
-            edges = 2 * whole.astype(np.int64) + (place - whole >= low) + (place - whole >= high)
-            crossed = crossed * 2**20 + edges
-        return crossed
+        right, down: its middle, counted in panel pixels from a pixel's corner, and what its two sides span of that. Exact but
+        where edges of both directions meet in a slanting parallelogram, whose corners' errors have both signs: samples a sixth
+        of a pixel wide draw white as one sees it within 3e-4 RMS at a few degrees, within 0.6 % at 40.
+        """
+        return _lit_share(*right, *self.across) * _lit_share(*down, *self.down)
+
+
+def _lit_share(middle: Floats, first: Floats, second: Floats, low: float, high: float) -> Floats:
+    """Mean of 1 / (high - low) within low..high of each unit and 0 elsewhere, over two boxes of these widths convolved."""
+    a, b = (np.maximum(np.abs(width), LEAST_SIDE) / 2 for width in (first, second))
+    beyond = np.zeros(np.shape(middle))
+    for sign, place in ((1, a + b), (-1, a - b), (-1, b - a), (1, -a - b)):
+        beyond += sign * (_twice_integrated(middle + place - high) - _twice_integrated(middle + place - low))
+    return 1 + beyond / (4 * a * b * (high - low))
+
+
+def _twice_integrated(place: Floats) -> Floats:
+    """The periodic sawtooth x - 1/2 on 0..1, integrated twice: Bernoulli's polynomial of the third degree over 6."""
+    x = place - np.floor(place)
+    return np.asarray(((x / 6 - 0.25) * x + 1 / 12) * x)

@@ -99,13 +99,19 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     x_corner = np.append(x - half, x[-1] + half)[None, :]
     for start in range(0, y.size, ROWS_AT_ONCE):
         y_here = y[start : start + ROWS_AT_ONCE]
-        corner = _zones(codes, glass.lit, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None])
+        corner = _look_up(codes, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None])
         edge = (corner[:-1, :-1] != corner[1:, 1:]) | (corner[:-1, 1:] != corner[1:, :-1])
         edge |= corner[:-1, :-1] != corner[:-1, 1:]
-        block = _shining(radiance, glass.lit, to_panel, x[None, :], y_here[:, None])
+        block = _look_up(radiance, to_panel, x[None, :], y_here[:, None])
         i, j = np.nonzero(edge)
         dx, dy = _lattice(i + start, j)
-        points = _shining(radiance, glass.lit, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
+        points = _look_up(radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
+        if glass.lit is not None:
+            block *= _brightness(glass.lit, to_panel, x[None, :], y_here[:, None], 2 * half)
+            apart = 2 * half / np.sqrt(POINTS_PER_EDGE_SAMPLE)
+            points *= _brightness(
+                glass.lit, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half, apart
+            )
         block[i, j] = points.mean(axis=1)
         scene[start : start + ROWS_AT_ONCE] = block
     return scene
@@ -120,20 +126,14 @@ def _look_up(table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats) -> N
     return seen
 
 
-def _zones(
-    codes: NDArray[np.int16], lit: Lit | None, to_panel: Floats, x: Floats, y: Floats
-) -> NDArray[np.int16] | NDArray[np.int64]:
-    """Numbers of the pixels (x, y) that differ where the panel's radiance may."""
-    if lit is None:
-        return _look_up(codes, to_panel, x, y)
-    right, down = carry(to_panel, x, y)
-    return lit.zones(np.clip(right, 1, codes.shape[1] - 1), np.clip(down, 1, codes.shape[0] - 1))
-
-
-def _shining(radiance: Floats32, lit: Lit | None, to_panel: Floats, x: Floats, y: Floats) -> Floats32:
-    """The panel's radiance where the pixels (x, y) see it."""
-    seen = _look_up(radiance, to_panel, x, y)
-    return seen if lit is None else (seen * lit.shine(*carry(to_panel, x, y))).astype(np.float32)
+def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -> Floats32:
+    """What squares of this side about the pixels (x, y) see of the lit parts of panel pixels, a whole pixel's light being 1."""
+    middle = carry(to_panel, x, y)
+    ends = [
+        carry(to_panel, x + dx, y + dy) for dx, dy in ((-side / 2, 0), (side / 2, 0), (0, -side / 2), (0, side / 2))
+    ]
+    right, down = ((middle[k], ends[1][k] - ends[0][k], ends[3][k] - ends[2][k]) for k in (0, 1))
+    return lit.brightness(right, down).astype(np.float32)
 
 
 def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
