@@ -19,6 +19,7 @@ from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.optics import defocus_waves, entrance_pupil_to_target_mm, image_per_tangent_mm
+from labkit.drivers.simulated.parts import LowPassFilter, Smear, Spectrum, Veil
 from labkit.drivers.simulated.world import (
     REFERENCE_NM,
     BenchSettings,
@@ -53,6 +54,9 @@ PANEL_PIXELS = 320
 WAVELENGTHS_NM = {"R": (600, 650), "G": (525, 555), "B": (450, 475)}
 ENCODER_STD_MM = 0.005 / 12**0.5
 """Of a range: the encoder counts in steps of 0.005 mm."""
+
+PARTS_STREAM = 1
+"""Sets what draws a session's parts apart from what draws the session."""
 
 EXPOSURE_S, WHITE_COUNTS = 0.02, 10_350.0
 ADDRESS = "simulated:"
@@ -95,7 +99,28 @@ def draw_many_modes(seed: int, index: int) -> Drawn:
     return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, MANY_MODES[-1])}))
 
 
-KINDS = {"any": draw, "many-modes": draw_many_modes}
+def draw_with_parts(seed: int, index: int) -> Drawn:
+    """The session that `draw` has of that number, with parts of real cameras and light that its plan says nothing of.
+
+    Drawn.kind["parts"] tells those that it has: low_pass_px (rows, columns), spectrum (colour: lines of nm and share, whose
+    mean is the wavelength drawn), diffusion_px, smear (pixels, degrees from right towards down), veil (share, scale in pixels).
+    """
+    drawn = draw(seed, index)
+    rng = np.random.default_rng([seed, index, PARTS_STREAM])
+    likely, rare = rng.random(3) < 0.5, rng.random(2) < 0.2
+    wavelengths = drawn.settings.lens.wavelength_nm
+    every: dict[str, Any] = {
+        "low_pass_px": rng.uniform(0.3, 0.9, 2).tolist(),
+        "spectrum": {colour: _lines(nm, rng) for colour, nm in wavelengths.items()},
+        "diffusion_px": float(rng.uniform(0.1, 0.3)),
+        "smear": [float(rng.uniform(0.1, 0.5)), float(rng.uniform(0, 180))],
+        "veil": [float(rng.uniform(0.005, 0.03)), _even_in_log(rng, 10, 100)],
+    }
+    parts = {name: part for (name, part), has in zip(every.items(), [*likely, *rare], strict=True) if has}
+    return replace(drawn, settings=_with_parts(drawn.settings, parts), kind={**drawn.kind, "parts": parts})
+
+
+KINDS = {"any": draw, "many-modes": draw_many_modes, "with-parts": draw_with_parts}
 
 
 def make(drawn: Drawn, folder: Path) -> Truth:
@@ -125,6 +150,31 @@ def _lens(colours: list[str], rng: np.random.Generator) -> TrueLens:
     apart = [0.0, *rng.uniform(-0.2, 0.2, len(colours) - 1)]
     focus_mm = {colour: best_mm + waves * wave_mm for colour, waves in zip(colours, apart, strict=True)}
     return replace(lens, best_focus_mm=focus_mm)
+
+
+def _lines(nm: float, rng: np.random.Generator) -> list[list[float]]:
+    """Five lines of a leaning bell of 5 to 60 nm (FWHM), with their shares; their mean is the wavelength given."""
+    at, lean = np.linspace(-1, 1, 5), rng.uniform(-0.6, 0.6)
+    shares = np.exp(-4 * np.log(2) * at**2) * (1 + lean * at)
+    shares /= shares.sum()
+    lines = nm + rng.uniform(5, 60) * (at - at @ shares)
+    return [[float(line), float(share)] for line, share in zip(lines, shares, strict=True)]
+
+
+def _with_parts(settings: BenchSettings, parts: dict[str, Any]) -> BenchSettings:
+    """A world with the parts that `draw_with_parts` tells of."""
+    lens, sensor, rail = settings.lens, settings.sensor, settings.rail
+    spectra = {
+        colour: Spectrum(tuple((nm, share) for nm, share in lines))
+        for colour, lines in parts.get("spectrum", {}).items()
+    }
+    low_pass = LowPassFilter(*parts.get("low_pass_px", (0.0, 0.0)))
+    return replace(
+        settings,
+        lens=replace(lens, spectrum=spectra, veil=Veil(*parts["veil"]) if "veil" in parts else lens.veil),
+        sensor=replace(sensor, low_pass=low_pass, diffusion_px=parts.get("diffusion_px", 0.0)),
+        rail=replace(rail, smear=Smear(*parts.get("smear", (0.0, 0.0)))),
+    )
 
 
 def _even_in_log(rng: np.random.Generator, low: float, high: float) -> float:

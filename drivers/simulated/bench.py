@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from labkit.drivers.simulated.optics import (
     defocus_waves,
     entrance_pupil_to_target_mm,
-    halo_beyond,
     image_per_tangent_mm,
-    point_spread,
-    working_f_number,
 )
+from labkit.drivers.simulated.parts import Lit
 from labkit.drivers.simulated.scene import (
     FineGrid,
     Glass,
@@ -35,6 +33,7 @@ from labkit.drivers.simulated.scene import (
     render,
     transform,
 )
+from labkit.drivers.simulated.spread import psf_and_halo, veiled
 from labkit.drivers.simulated.world import REFERENCE_NM, BenchSettings, Fault, Truth, Visit
 from labkit.types import Floats, Floats32
 
@@ -163,7 +162,7 @@ class Bench:
 
     def irradiance(self, colour: str, samples: int | None = None, halo_um: float | None = None) -> Floats32:
         """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
-        return self._photograph(colour, self._scene(self._lateral(colour), samples, halo_um))
+        return self._photograph(colour, self._scene(*self._look(colour), samples, halo_um))
 
     def _draw(self) -> None:
         """Everything that stays as it is while the bench lives."""
@@ -236,6 +235,10 @@ class Bench:
         """Size of a colour's picture, relative."""
         return 1 + self.settings.lens.lateral_colour.get(colour, 0.0)
 
+    def _look(self, colour: str) -> tuple[float, Lit | None]:
+        """What sets a colour's scene apart from others': its size, and which part of the panel's pixels shines in it."""
+        return self._lateral(colour), self.settings.panel.lit(colour)
+
     def _to_pixels(self, lateral: float = 1.0) -> Floats:
         """(3, 3): panel mm to pixels, by the camera's true pose at this stop: perspective from the entrance pupil."""
         lens, sensor = self.settings.lens, self.settings.sensor
@@ -254,28 +257,25 @@ class Bench:
 
     def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
         lens, sensor = self.settings.lens, self.settings.sensor
-        nyquist_um = min(lens.wavelength_nm.values()) * 1e-3 * lens.f_number / 2
+        nyquist_um = lens.shortest_nm * 1e-3 * lens.f_number / 2
         per_pixel = samples or max(self.settings.samples_per_pixel, int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)))
         reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um)) * per_pixel
         return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
 
-    def _scene(self, lateral: float = 1.0, samples: int | None = None, halo_um: float | None = None) -> SceneTransform:
+    def _scene(
+        self, lateral: float, lit: Lit | None, samples: int | None = None, halo_um: float | None = None
+    ) -> SceneTransform:
         grid = self._grid(samples, halo_um)
-        glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm)
+        glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm, lit)
         return transform(render(glass, self._to_pixels(lateral), grid), grid)
 
     def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
         """A scene through the lens in one colour, all of its light counted."""
-        lens, sensor, grid = self.settings.lens, self.settings.sensor, scene.grid
         waves = {4: self._defocus(colour), **self._modes[colour]}
-        f_number, focal_mm = lens.f_number_in(colour), lens.focal_length_in(colour)
-        cone = working_f_number(f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification)
-        spacing_um, wavelength_nm = sensor.pitch_um / grid.samples, lens.wavelength_nm[colour]
-        psf = point_spread(waves, wavelength_nm, cone, spacing_um, grid.reach, REFERENCE_NM)
-        farthest = max(sensor.rows, sensor.cols)
-        halo = halo_beyond(wavelength_nm, cone, spacing_um, grid.reach, grid.samples, farthest)
+        psf, halo = psf_and_halo(self.settings, colour, waves, scene.grid)
         total = psf.sum(dtype=float) + halo.sum(dtype=float)  # what lands farther than the frame is wide is no loss
-        return photograph(scene, psf, sensor.fill_factor, halo) / np.float32(total)
+        seen = photograph(scene, psf, self.settings.sensor.fill_factor, halo) / np.float32(total)
+        return veiled(seen, scene, self.settings.lens.veil)
 
     def _defocus(self, colour: str) -> float:
         lens = self.settings.lens
@@ -293,24 +293,33 @@ class Bench:
         key = self._to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
         if key not in self._seen:
             self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
-            self._seen[key] = self._uniform() if self._fills_the_view() else self._mosaic()
+            if not self._fills_the_view():
+                self._note_visit()
+                self._seen[key] = self._mosaic()
+            elif self.settings.panel.layout == "none":
+                self._seen[key] = self._uniform()
+            else:
+                self._seen[key] = self._mosaic()  # whoever sees a panel's own pixels sees them in white too
         return self._seen[key]
 
     def _mosaic(self) -> Floats32:
-        """Each pixel through its own colour; the stop is noted in the truth."""
-        colours, scenes = self._colours(), dict[float, SceneTransform]()
+        """Each pixel through its own colour."""
+        colours, scenes = self._colours(), dict[tuple[float, Lit | None], SceneTransform]()
         seen = np.zeros(colours.shape, dtype=np.float32)
         for colour in np.unique(colours):
-            here, lateral = colours == colour, self._lateral(str(colour))
-            scene = scenes[lateral] = scenes.get(lateral) or self._scene(lateral)
+            here, look = colours == colour, self._look(str(colour))
+            scene = scenes[look] = scenes.get(look) or self._scene(*look)
             seen[here] = self._photograph(str(colour), scene)[here]
+        return seen
+
+    def _note_visit(self) -> None:
+        """The truth of this stop."""
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
         defocus = {colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm}
         pose = tuple(tuple(row) for row in self._to_pixels().tolist())
         zero_mm = rail.tape_error_mm + rail.direction * self._homing_mm
         self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
-        return seen
 
     def _fills_the_view(self) -> bool:
         """Whether all the glass is one grey and reaches beyond everything the camera can see, its halo included."""

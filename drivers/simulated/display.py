@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
@@ -18,13 +20,14 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> SimulatedD
 
 
 class SimulatedDisplay(SimulatedDevice):
-    """A Display whose pixels are squares of one grey each."""
+    """A Display whose pixels are squares of one grey each, or of three stripes."""
 
     @property
     def panel(self) -> PanelInfo:
         """The glass, as its maker describes it."""
         panel = self._bench.settings.panel
-        return PanelInfo(panel.pixels, panel.pitch_mm, subpixels="none")
+        stripes: Literal["rgb", "none"] = "none" if panel.layout == "none" else "rgb"
+        return PanelInfo(panel.pixels, panel.pitch_mm, subpixels=stripes)
 
     def show(self, picture: Picture) -> Shown:
         """Show it. Raises DisplayError if it is too large or the display has gone to sleep."""

@@ -18,6 +18,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
+from labkit.drivers.simulated.parts import Lit
 from labkit.types import Floats, Floats32
 
 Value = TypeVar("Value", np.int16, np.float32)
@@ -35,12 +36,14 @@ class Glass:
     """What the panel shows, as the scene sees it.
 
     codes: (rows, cols) picture values, equal where neighbours shine alike but for the backlight; radiance: (rows, cols)
-    relative to white; pitch_mm: side of a panel pixel. Coordinates: x right, y down, origin at the panel's centre.
+    relative to white, mean over a panel pixel; pitch_mm: its side. Coordinates: x right, y down, origin at the panel's centre.
+    lit: the part of each panel pixel that shines; None for all of it.
     """
 
     codes: NDArray[np.int16]
     radiance: Floats32
     pitch_mm: float
+    lit: Lit | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +106,12 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
         i, j = np.nonzero(edge)
         dx, dy = _lattice(i + start, j)
         points = _look_up(radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
+        if glass.lit is not None:
+            block *= _brightness(glass.lit, to_panel, x[None, :], y_here[:, None], 2 * half)
+            apart = 2 * half / np.sqrt(POINTS_PER_EDGE_SAMPLE)
+            points *= _brightness(
+                glass.lit, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half, apart
+            )
         block[i, j] = points.mean(axis=1)
         scene[start : start + ROWS_AT_ONCE] = block
     return scene
@@ -115,6 +124,16 @@ def _look_up(table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats) -> N
     row = np.clip(down, 0, table.shape[0] - 1).astype(np.intp)
     seen: NDArray[Value] = table.ravel()[row * table.shape[1] + col]
     return seen
+
+
+def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -> Floats32:
+    """What squares of this side about the pixels (x, y) see of the lit parts of panel pixels, a whole pixel's light being 1."""
+    middle = carry(to_panel, x, y)
+    ends = [
+        carry(to_panel, x + dx, y + dy) for dx, dy in ((-side / 2, 0), (side / 2, 0), (0, -side / 2), (0, side / 2))
+    ]
+    right, down = ((middle[k], ends[1][k] - ends[0][k], ends[3][k] - ends[2][k]) for k in (0, 1))
+    return lit.brightness(right, down).astype(np.float32)
 
 
 def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -167,11 +186,19 @@ def photograph(
     squares = fine.reshape(grid.rows, grid.samples, grid.cols, grid.samples)
     pixels: Floats32 = np.einsum("isjt,s,t->ij", squares, weights, weights, optimize=True).astype(np.float32)
     if halo is not None:
-        rim, far = grid.reach // grid.samples, halo.shape[0] // 2
-        wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
-        inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
-        pixels += scipy.signal.fftconvolve(wide[inner, inner], halo, mode="valid").astype(np.float32)
+        pixels += from_pixel_to_pixel(scene, halo)
     return pixels
+
+
+def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
+    """(rows, cols) mean radiance over each pixel after a coarse blur, (2 n + 1, 2 n + 1) shares of light from pixel to pixel.
+
+    Beyond the rim the scene goes on as it ends.
+    """
+    rim, far = scene.grid.reach // scene.grid.samples, kernel.shape[0] // 2
+    wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
+    inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
+    return np.asarray(scipy.signal.fftconvolve(wide[inner, inner], kernel, mode="valid"), dtype=np.float32)
 
 
 def _active(samples: int, fill_factor: float) -> Floats32:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from labkit.drivers.simulated.parts import Lit, LowPassFilter, Smear, Spectrum, Veil
+
 REFERENCE_NM = 450.0
 """Wavelength in whose waves the truth counts optical paths."""
 
@@ -37,6 +39,10 @@ class TrueLens:
     """By how much a colour's picture is larger than the others', relative; 0 of those left out."""
     vignetting: float = 0.10
     """Light lost in the frame's corner."""
+    spectrum: Mapping[str, Spectrum] = field(default_factory=dict)
+    """Of colours that are more than one wavelength."""
+    veil: Veil = field(default_factory=Veil)
+    """Stray light, as vignetted as all light is."""
 
     @property
     def focused_mm(self) -> float:
@@ -51,6 +57,20 @@ class TrueLens:
     def f_number_in(self, colour: str) -> float:
         """Of a colour, at infinity."""
         return self.focal_length_in(colour) * self.f_number / self.focal_length_mm
+
+    def lines_in(self, colour: str) -> tuple[tuple[float, float], ...]:
+        """A colour's wavelengths, nm, and their shares of its light, which sum to one."""
+        return self.spectrum[colour].shares if colour in self.spectrum else ((self.wavelength_nm[colour], 1.0),)
+
+    def defocus_within(self, colour: str, nm: float) -> float:
+        """Defocus of one of a colour's wavelengths beyond the colour's own, waves RMS at REFERENCE_NM."""
+        spectrum = self.spectrum.get(colour)
+        return spectrum.defocus_waves_per_nm * (nm - self.wavelength_nm[colour]) if spectrum else 0.0
+
+    @property
+    def shortest_nm(self) -> float:
+        """The shortest wavelength of all colours."""
+        return min(nm for colour in self.wavelength_nm for nm, _ in self.lines_in(colour))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +93,36 @@ class TrueSensor:
     white_electrons_per_s: float = 1.15e6
     """From the white panel, in the middle of the frame; other colours have the shares below."""
     colour_response: Mapping[str, float] = field(default_factory=lambda: {"R": 0.85, "B": 0.75})
+    low_pass: LowPassFilter = field(default_factory=LowPassFilter)
+    diffusion_px: float = 0.0
+    """Charge that wanders before it is caught: sigma of a Gaussian, pixel pitches."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruePanel:
-    """The glass: (height, width) in pixels, pitch, gamma, contrast, RMS of its smooth unevenness."""
+    """The glass: (height, width) in pixels, pitch, gamma, contrast, RMS of its smooth unevenness.
+
+    layout: "rgb-stripes" lights a third of each pixel in each colour, red, green, blue from left to right, over a share
+    lit_across of its third and lit_down of its height; a pixel's mean radiance stays what it was. Black around them.
+    """
 
     pixels: tuple[int, int] = (1536, 2048)
     pitch_mm: float = 46.8 / 486
     gamma: float = 2.2
     contrast: float = 800.0
     unevenness: float = 0.02
+    layout: Literal["none", "rgb-stripes"] = "none"
+    lit_across: float = 0.82
+    lit_down: float = 0.88
+
+    def lit(self, colour: str) -> Lit | None:
+        """The part of each pixel that shines in a colour; None for all of it. Raises ValueError for a colour of no stripe."""
+        if self.layout == "none":
+            return None
+        if colour not in ("R", "G", "B"):
+            raise ValueError(f'a panel of stripes shines in R, G and B: none is for "{colour}"')
+        middle, half = ("RGB".index(colour) + 0.5) / 3, self.lit_across / 6
+        return Lit((middle - half, middle + half), (0.5 - self.lit_down / 2, 0.5 + self.lit_down / 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +143,8 @@ class TrueRail:
     homing_scatter_mm: float = 0.0
     """Standard deviation of where the home switch trips; the encoder counts from there and does not see it."""
     direction: int = 1
+    smear: Smear = field(default_factory=Smear)
+    """By vibration, while the shutter is open."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.random_sessions import Drawn, draw, draw_many_modes
+from benchmarks.random_sessions import Drawn, draw, draw_many_modes, draw_with_parts
 from benchmarks.sessions import compared, read, table
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
 from labkit.drivers.simulated.scene import carry
 from labkit.drivers.simulated.world import Truth, Visit
 from labkit.types import Floats
@@ -41,6 +43,52 @@ def test_sessions_of_many_modes_go_through_focus(index: int) -> None:
     assert abs(about) < min(-near, far) / 2
     assert one.plan.fit.zernike_noll == (4, 22)
     assert [*Bench(one.settings).truth.modes_waves["G"]] == [*range(5, 23)]
+
+
+@pytest.fixture(scope="module")
+def with_parts() -> list[Drawn]:
+    return [draw_with_parts(1, index) for index in range(SESSIONS)]
+
+
+def test_sessions_with_parts_are_those_without_them_and_their_plans_say_nothing(
+    drawn: list[Drawn], with_parts: list[Drawn]
+) -> None:
+    assert draw_with_parts(1, 7) == with_parts[7]
+    for plain, real in zip(drawn, with_parts, strict=True):
+        assert real.plan == plain.plan
+        lens, sensor, rail = real.settings.lens, real.settings.sensor, real.settings.rail
+        bare = replace(
+            real.settings,
+            lens=replace(lens, spectrum={}, veil=Veil()),
+            sensor=replace(sensor, low_pass=LowPassFilter(), diffusion_px=0.0),
+            rail=replace(rail, smear=Smear()),
+        )
+        assert bare == plain.settings
+
+
+def test_about_half_have_each_part_and_few_a_smear_or_a_veil(with_parts: list[Drawn]) -> None:
+    for part, share in {"low_pass_px": 0.5, "spectrum": 0.5, "diffusion_px": 0.5, "smear": 0.2, "veil": 0.2}.items():
+        having = sum(part in one.kind["parts"] for one in with_parts)
+        # four standard deviations of a binomial
+        assert having == pytest.approx(share * SESSIONS, abs=4 * (share * (1 - share) * SESSIONS) ** 0.5)
+
+
+def test_what_is_told_of_parts_is_what_the_world_has(with_parts: list[Drawn]) -> None:
+    for one in with_parts:
+        parts, settings = json.loads(json.dumps(one.kind["parts"])), one.settings
+        lens, sensor, smear = settings.lens, settings.sensor, settings.rail.smear
+        assert [sensor.low_pass.rows_px, sensor.low_pass.cols_px] == parts.get("low_pass_px", [0, 0])
+        assert sensor.diffusion_px == parts.get("diffusion_px", 0)
+        assert [smear.length_px, smear.direction_deg] == parts.get("smear", [0, 0])
+        assert lens.veil.fraction == parts.get("veil", [0])[0]
+        assert set(lens.spectrum) == set(parts.get("spectrum", {}))
+        for colour, lines in parts.get("spectrum", {}).items():
+            assert [list(line) for line in lens.spectrum[colour].lines] == lines
+            nm, share = np.transpose(lines)
+            assert nm @ share == pytest.approx(lens.wavelength_nm[colour], rel=1e-12)
+            # a bell's standard deviation is its FWHM over 2.35, that of five lines of a leaning one 0.99 to 0.95 of it
+            deviation = np.sqrt(((nm - nm @ share) ** 2) @ share)
+            assert 0.95 * 5 / 2.355 < deviation < 60 / 2.355
 
 
 def test_plans_are_off_by_the_errors_that_they_state(drawn: list[Drawn]) -> None:
