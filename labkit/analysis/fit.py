@@ -9,10 +9,12 @@ from pathlib import Path
 
 from labkit.analysis.joint import Joint, climb
 from labkit.analysis.lens_model import Stated
+from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import observe
+from labkit.analysis.session_parts import model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
-from labkit.analysis.wavefronts import PATIENCE_S, SessionFits, fit_session
+from labkit.analysis.wavefronts import SessionFits, fit_session
 from labkit.errors import DataError, SessionError
 from labkit.execute import Workers, default_workers
 from labkit.plan import Plan
@@ -43,6 +45,7 @@ def fit(
     patience_s: float = PATIENCE_S,
     joint: bool = False,
     split: bool = False,
+    plain: bool = False,
     progress: Progress = no_progress,
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
@@ -50,7 +53,8 @@ def fit(
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
     only these. patience_s: after so long the search for a wavefront makes no further start.
     joint: climb over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and
-    NAME-after besides. name: "latest" by default; of a fit of only some ranges or channels, their names.
+    NAME-after besides. plain: the model is as the plan states it, even where the photographs call for parts of the camera
+    that it lacks. name: "latest" by default; of a fit of only some ranges or channels, their names.
     Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
     more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -60,7 +64,7 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     with Workers(workers or default_workers()) as run:
-        fits = fit_session(observations, plan, target, run, progress, patience_s)
+        fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
     common = (plan, _checksum(session, plan), [*session.warnings, *assumed, *map(str, filter(None, [change]))])
@@ -79,7 +83,8 @@ def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, n
 
 def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
     """Of fits, all or a part of a session's. wanted: whether they were to tell best focus."""
-    wavefronts, lens, warnings = as_wavefronts(fits), fits.lens, warnings_of(fits)
+    wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
+    warnings = [*words_of_parts(fits, found), *warnings_of(fits)]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
@@ -89,6 +94,8 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
         focus=focus,
         lens=None if lens is None else as_lens(lens),
         budget={} if lens is None else budget(lens),
+        model_parts=found,
+        parts_tried=parts_tried(fits),
         warnings=(*noted, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join(warnings) if wanted and focus is None else None,
     )

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labkit.analysis.local_fits import LocalFit, Task, fit_task
 from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, Observation, cut_around, sees_target_only
 from labkit.analysis.session_results import as_wavefront
-from labkit.analysis.wavefronts import LocalFit, Task, fit_task
 from labkit.arrays import mask_array, positive, real_array
 from labkit.errors import DataError
 from labkit.finder.find_target import find_target, grey_image

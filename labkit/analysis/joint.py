@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit, fit_lens
-from labkit.analysis.wavefronts import SessionFits, Task
+from labkit.analysis.local_fits import Task, problem_at
+from labkit.analysis.wavefronts import SessionFits
 from labkit.execute import Workers
-from labkit.imaging.model import ForwardModel, Optics
-from labkit.imaging.window import WINDOW_AIRY
+from labkit.imaging.model import Optics
 from labkit.inference.cone import Measured, expand
-from labkit.inference.fisher_scoring import Problem, Start, State
+from labkit.inference.fisher_scoring import Start, State
 from labkit.types import Floats, Progress
 
 ROUNDS = 6
@@ -86,17 +86,10 @@ def _all_reached(legs: Sequence[Leg], run: Workers) -> list[Reached]:
 
 def reach(leg: Leg) -> Reached:
     """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
-    state, optics = expand(_problem(leg.task, leg.optics, leg.state), Start(leg.state)).at(leg.values)
-    problem = _problem(leg.task, optics, state)
+    state, optics = expand(problem_at(leg.task, leg.optics, leg.state), Start(leg.state)).at(leg.values)
+    problem = problem_at(leg.task, optics, state)
     objective = problem.objective(state, problem.relative(state))
     return Reached(state, optics, expand(problem, Start(state)).measured(), objective)
-
-
-def _problem(task: Task, optics: Optics, state: State) -> Problem:
-    observation = task.observation
-    window_airy = max(WINDOW_AIRY, optics.window_airy(state.waves))
-    model = ForwardModel.build(optics, task.target, observation.shape, state.poses[0], window_airy=window_airy)
-    return Problem(model, observation.frames, observation.noise)
 
 
 def _prior_chi2(lens: LensFit) -> float:

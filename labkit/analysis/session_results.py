@@ -8,7 +8,8 @@ import numpy as np
 
 from labkit.analysis.lens_fit import LEAST_MAGNIFICATION, MOST_MAGNIFICATION, LensFit
 from labkit.analysis.lens_model import GEOMETRY
-from labkit.analysis.wavefronts import LocalFit, SessionFits
+from labkit.analysis.local_fits import LocalFit
+from labkit.analysis.wavefronts import SessionFits
 from labkit.inference.fit import residuals
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
 from labkit.types import Floats

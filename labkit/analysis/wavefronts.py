@@ -7,81 +7,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from labkit.analysis.diagnosis import Tried, called_for, idle, lacks, together, worth
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
-from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member, Stated
+from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
+from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
 from labkit.execute import Workers
 from labkit.imaging.model import Optics
-from labkit.imaging.parts import LowPass, Part
-from labkit.inference.cone import Measured
-from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront
+from labkit.imaging.parts import LowPass
+from labkit.inference.fit import canonical
+from labkit.inference.missing_parts import with_part
+from labkit.inference.search import CALLED_FOR
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
 
-SEED = 1  # of the further starts: a session fitted twice gives the same results
-PATIENCE_S = 120.0
 ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
-
-
-@dataclass(frozen=True)
-class Task:
-    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing: as `fit_wavefront` takes them."""
-
-    optics: Optics
-    target: Target
-    observation: Observation
-    f_number_std: float = 0.0
-    starts: tuple[Floats, ...] = ()
-    alike: tuple[Floats, ...] = ()
-    patience_s: float = PATIENCE_S
-    missing: tuple[Part, ...] = ()
-
-    @property
-    def ranged(self) -> bool:
-        """Whether it can tell of the lens: its range is known, and defocus is fitted."""
-        return self.observation.measured_range_mm is not None and 4 in self.optics.noll
-
-    def as_member(self, measured: Measured) -> Member:
-        """Of a session, with what was measured. Its range is where the rail was read to stand, or what the plan says."""
-        o = self.observation
-        assert o.measured_range_mm is not None
-        stop = o.measured_range_mm if o.range_mm is None else o.range_mm
-        return Member(o.channel, o.measured_range_mm, stop, measured, o.homings)
-
-    @property
-    def label(self) -> str:
-        """Channel and range."""
-        where = "" if self.observation.range_mm is None else f" at {self.observation.range_mm:g} mm"
-        return f"{self.observation.channel}{where}"
-
-
-@dataclass(frozen=True)
-class LocalFit:
-    """An observation and the fit to it."""
-
-    task: Task
-    fit: WavefrontFit
-
-    @property
-    def channel(self) -> str:
-        """Of the observation."""
-        return self.task.observation.channel
-
-    @property
-    def ranged(self) -> bool:
-        """Whether it can tell of the lens."""
-        return self.task.ranged
-
-    @property
-    def member(self) -> Member:
-        """As a session's estimate takes it."""
-        return self.task.as_member(self.fit.measured)
 
 
 @dataclass(frozen=True)
@@ -90,7 +36,8 @@ class SessionFits:
 
     lens: None where no ranges, or no defocus, are there to tell of one. members: which fits it is made of; the others were
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
-    belong, and then did. open_channels: whose signs the ranges leave open.
+    belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
+    about.
     """
 
     fits: tuple[LocalFit, ...]
@@ -99,6 +46,7 @@ class SessionFits:
     strangers: tuple[int, ...] = ()
     mended: tuple[int, ...] = ()
     open_channels: tuple[str, ...] = ()
+    tried: tuple[Tried, ...] = ()
 
 
 def fit_session(
@@ -108,18 +56,22 @@ def fit_session(
     run: Workers,
     progress: Progress,
     patience_s: float = PATIENCE_S,
+    diagnose: bool = True,
 ) -> SessionFits:
     """Every observation fitted, and the session estimated from all.
 
     Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. One that does not
     show soon is sought again from the other. The rest begin at what these predict. Those that the session finds not to belong
     are made again from what the others predict.
+    diagnose: whether parts of the camera that the fits call for are taken into the model.
     """
-    chain = _Chain(tuple(observations), plan, target, run, progress, patience_s)
+    chain = _Chain(tuple(observations), plan, target, run, progress, patience_s, diagnose)
     anchors = chain.anchors()
     chain.fit(anchors, ANCHOR_S if len(anchors) > 1 else np.inf)
     chain.fit(chain.taken_back())
+    chain.complete_model()
     chain.fit([k for k in range(len(observations)) if k not in chain.fits])
+    chain.complete_model()
     return chain.settled()
 
 
@@ -133,7 +85,9 @@ class _Chain:
     run: Workers
     progress: Progress
     patience_s: float
+    diagnose: bool
     fits: dict[int, LocalFit] = field(default_factory=dict)
+    tried: list[Tried] = field(default_factory=list)
 
     def anchors(self) -> list[int]:
         """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
@@ -164,6 +118,67 @@ class _Chain:
             del self.fits[k]
         return places
 
+    def complete_model(self) -> None:
+        """Take in what parts of the camera the fits so far call for together, one after another.
+
+        The first fits are asked at any rate; once all are there, those that the model does not explain.
+        """
+        places = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
+        if len(self.fits) == len(self.observations) and self.tried:
+            places = [k for k in self.fits if k not in places]
+        elif not places:
+            places = list(self.fits)
+        if not self.diagnose or not places:
+            return
+        self._made_alike()
+        if not self.tried:  # the searches' own
+            found = worth([self.fits[k].fit.measured for k in places])
+            self.tried += [Tried(name, gain, (), True) for name, gain in found.items()]
+        while names := lacks(self.fits[k].fit.optics for k in places):
+            self.progress(len(self.fits), len(self.observations), "what the model lacks")
+            summed = together(
+                [of for _, of in self.run(answer, [Question(self.fits[k], tuple(names)) for k in places])]
+            )
+            name = called_for(summed)
+            gained = name is not None and self._taken_in(name, places)
+            self.tried += [
+                Tried(each, call.gain, tuple(map(float, call.step)), gained and each == name)
+                for each, call in summed.items()
+            ]
+            if not gained:
+                break
+
+    def _made_alike(self) -> None:
+        """Where some fits have parts and others not, the others are made again with them."""
+        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.shape))
+        poorer = [k for k, f in self.fits.items() if f.fit.optics.shape_labels != richest.shape_labels]
+        self._again(poorer, {k: replace(self.fits[k].fit.optics, parts=richest.parts) for k in poorer})
+
+    def _taken_in(self, name: str, places: Sequence[int]) -> bool:
+        """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out."""
+        before = {k: self.fits[k] for k in self.fits}
+        self._again(list(before), {k: with_part(f.fit.optics, name) for k, f in before.items()})
+        if sum(self.fits[k].fit.objective - before[k].fit.objective for k in places) < CALLED_FOR:
+            self.fits = before
+            return False
+        out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part != name]
+        if out:
+            fewer = {
+                k: replace(f.fit.optics, parts=tuple(part for part in f.fit.optics.parts if part.name not in out))
+                for k, f in self.fits.items()
+            }
+            self._again(list(fewer), fewer)
+        return True
+
+    def _again(self, places: Sequence[int], optics: dict[int, Optics]) -> None:
+        """Make fits again, each from its own end, with other parts of the camera."""
+        tasks = [
+            replace(self.fits[k].task, optics=optics[k], starts=(self.fits[k].fit.waves,), alike=(), missing=())
+            for k in places
+        ]
+        for index, fit in self.run(fit_task, tasks):
+            self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
+
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
         before = self._joined()
@@ -176,7 +191,7 @@ class _Chain:
                 self.fits[place] = made
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
-        return replace(after, mended=mended)
+        return replace(after, mended=mended, tried=tuple(self.tried))
 
     def _joined(self) -> SessionFits:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.
@@ -215,7 +230,8 @@ class _Chain:
         observation = self.observations[k]
         optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
         std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
-        task = Task(optics, self.target, observation, std, patience_s=self.patience_s, missing=(LowPass(),))
+        task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
+        task = replace(task, missing=(LowPass(),) if self.diagnose else ())
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = _nearest(observation, accepted)
         if nearest is None:
@@ -265,35 +281,3 @@ def _nearest(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | N
         return fit.channel != observation.channel, abs((there or 0.0) - (here or 0.0))
 
     return min(fits, key=unlike, default=None)
-
-
-def fit_task(task: Task) -> WavefrontFit:
-    """Do one fit."""
-    observation = task.observation
-    return fit_wavefront(
-        task.optics,
-        task.target,
-        observation.frames,
-        observation.poses,
-        observation.noise,
-        f_number_std=task.f_number_std,
-        rng=np.random.default_rng(SEED),
-        starts=task.starts,
-        alike=task.alike,
-        patience_s=task.patience_s,
-        missing=task.missing,
-    )
-
-
-def optics_of(plan: Plan, channel: str) -> Optics:
-    """Light, sensor and lens of a plan's channel, the cone as engraved."""
-    wavelength_nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
-    first, last = plan.fit.zernike_noll
-    return Optics(
-        wavelength_um=wavelength_nm * 1e-3,
-        reference_um=plan.reference_wavelength_nm * 1e-3,
-        f_number=plan.lens.f_number,
-        pitch_um=plan.sensor.pixel_pitch_um,
-        active_um=plan.sensor.active_um,
-        noll=tuple(range(first, last + 1)),
-    )

@@ -85,6 +85,8 @@ Patience = Annotated[
 ]
 Joint = Annotated[bool, typer.Option("--joint", help="Climb over all frames at once in the end.")]
 Split = Annotated[bool, typer.Option("--split", help="Fit apart what came before and after a change of the lens.")]
+Plain = Annotated[bool, typer.Option("--plain", help="Take no part of the camera into the model that the plan lacks.")]
+Diagnose = Annotated[bool, typer.Option("--diagnose", help="Show what parts of the camera were tried.")]
 Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")]
 
 
@@ -101,6 +103,8 @@ def fit(
     patience: Patience = 120.0,
     joint: Joint = False,
     split: Split = False,
+    plain: Plain = False,
+    diagnose: Diagnose = False,
 ) -> None:
     """Flat field, wavefronts, the lens that they have in common."""
     from labkit.analysis.fit import fit as fit_session
@@ -122,8 +126,11 @@ def fit(
             patience_s=patience,
             joint=joint,
             split=split,
+            plain=plain,
             progress=report,
         )
+    if diagnose:
+        console.table(results.part_rows())
     _show(console, results, opened.warnings)
 
 

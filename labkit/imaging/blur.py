@@ -23,8 +23,8 @@ class Blur:
     """Lens, light, pixel, and what the camera adds.
 
     pupil: the torus's sides are whole numbers of its PSF's samples; its wavelength is the one that the spectrum's nodes are
-    relative to. active_um: width of the pixel's active square, whatever the sampling period. parts: of the camera. beyond:
-    half plane of the transfer function of all that lies behind the lens.
+    relative to. active_um: width of the pixel's active square, whatever the sampling period. parts, given: of the camera,
+    to be estimated and known. beyond: half plane of the transfer function of all that lies behind the lens.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
@@ -36,6 +36,7 @@ class Blur:
     active_um: float
     spectrum: Spectrum = field(default_factory=Spectrum)
     parts: tuple[Part, ...] = ()
+    given: tuple[Part, ...] = ()
     beyond: Floats = field(init=False, repr=False, compare=False)
     _finer: float = field(init=False, repr=False, compare=False)
     _centred: Complexes = field(init=False, repr=False, compare=False)
@@ -52,7 +53,7 @@ class Blur:
                 f"{pupil.spacing_um:g} um"
             )
         beyond = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
-        for part in self.parts:
+        for part in (*self.given, *self.parts):
             beyond *= part.transfer(*self._per_pixel)
         shares = zip(self.spectrum.weights, self.spectrum.nodes, strict=True)
         lights = tuple((share, self._of(node)) for share, node in shares)

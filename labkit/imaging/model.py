@@ -49,7 +49,8 @@ class Optics:
 
     wavelength_um: of the light; reference_um: of the waves that wavefronts are counted in. f_number: of the beam that
     reaches the sensor. pitch_um: of the pixels, whatever their colours; active_um: width of a pixel's active square. noll:
-    modes of the wavefront. spectrum: of the light, about its wavelength; parts: what the camera adds. Raises ValueError for a
+    modes of the wavefront. spectrum: of the light, about its wavelength; parts: what the camera adds, to be estimated; given:
+    what else it adds, known. Raises ValueError for a
     length or f-number that is not above 0.
 
     >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
@@ -63,6 +64,7 @@ class Optics:
     noll: tuple[int, ...] = tuple(range(4, 16))
     spectrum: Spectrum = field(default_factory=Spectrum)
     parts: tuple[Part, ...] = ()
+    given: tuple[Part, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
@@ -151,7 +153,7 @@ class ForwardModel:
         fewer = replace(
             torus, oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)), band_limit_per_um=limit
         )
-        blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts)
+        blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts, optics.given)
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
         return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped, window_airy)
 
@@ -180,6 +182,7 @@ class ForwardModel:
             noll=pupil.noll,
             spectrum=self.blur.spectrum,
             parts=self.blur.parts,
+            given=self.blur.given,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:

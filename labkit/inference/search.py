@@ -219,13 +219,13 @@ class Search:
         return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
 
     def _with_missing(self, plain: Outcome) -> Outcome:
-        """The maximum with the missing parts free, where they gain by it."""
+        """The maximum with the missing parts free, if it then is believed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
         problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=self.missing)))
         outcome = self._freed(problem, state)
         gained = outcome.freed.solution.objective - plain.freed.solution.objective
-        return outcome if gained > CALLED_FOR else plain
+        return outcome if gained > CALLED_FOR and outcome.verdict.accepted else plain
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:

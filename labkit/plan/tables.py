@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ValidationError,
@@ -47,6 +48,11 @@ NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "no
 ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02, 0.03, 1e-4, 0.005
 """Relative standard errors of engravings, of a target's size, and of a colour's wavelength, that a plan does not state."""
 
+WITHIN_CHANNEL = 0.05
+"""Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
+
+SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
+SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
 
@@ -100,6 +106,36 @@ class Lens(Table):
         return self
 
 
+USUAL_SPREAD_PX = 0.5
+"""Of a low-pass filter that is to be fitted, where a fit begins: a camera's is 0.4 to 1."""
+
+
+def _spread(given: Any) -> Any:
+    """Of a low-pass filter, as a plan may state it."""
+    spreads = given if isinstance(given, (list, tuple)) else (given, given)
+    numbers = len(spreads) == 2 and all(type(s) in (int, float) and 0 <= s <= 3 for s in spreads)
+    if not (numbers or given == "fit"):
+        raise not_allowed(SPREAD)
+    return tuple(given) if isinstance(given, list) else given
+
+
+class LowPassFilter(Table):
+    """An optical low-pass filter before the sensor: how far apart its spots lie, in pixel pitches of the file.
+
+    spread_px: along rows and columns alike, or [rows, columns], or "fit". turned: by 45 degrees.
+    """
+
+    spread_px: Annotated[float | tuple[float, float] | Literal["fit"], BeforeValidator(_spread)]
+    turned: bool = False
+
+    @property
+    def squares(self) -> tuple[float, float]:
+        """Of the spreads along rows and columns, pixels squared; where a fit is to begin."""
+        spread = USUAL_SPREAD_PX if self.spread_px == "fit" else self.spread_px
+        rows, columns = spread if isinstance(spread, tuple) else (spread, spread)
+        return float(rows) ** 2, float(columns) ** 2
+
+
 class Sensor(Table):
     """Sampling of the file, and what the file does not state of itself.
 
@@ -112,6 +148,7 @@ class Sensor(Table):
     cfa_pattern: Annotated[str, matches("mono|[A-Z]{4}", '"mono" or four letters such as "RGGB"')] | None = None
     black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
     white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
+    low_pass_filter: LowPassFilter | None = None
 
     @property
     def active_um(self) -> float:
@@ -126,11 +163,22 @@ class Sensor(Table):
 
 
 class Channel(Table):
-    """A colour of the filter array and the wavelength that stands for it; 0.5 % is its standard error if none is given."""
+    """A colour of the filter array and the wavelength that stands for it; 0.5 % is its standard error if none is given.
+
+    spectrum: [[nm, weight], ...], of the light times the filter, where it is known.
+    """
 
     name: Name
     wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
     wavelength_std_nm: Error | None = None
+    spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Field(description=SPECTRUM)] = None
+
+    @property
+    def samples(self) -> tuple[list[float], list[float]]:
+        """Wavelengths, nm, and weights of the spectrum. Raises ValueError where there is none."""
+        if self.spectrum is None:
+            raise ValueError(f"channel {self.name} has no spectrum")
+        return [nm for nm, _ in self.spectrum], [weight for _, weight in self.spectrum]
 
     @property
     def stated_wavelength(self) -> Uncertain:
@@ -140,6 +188,16 @@ class Channel(Table):
     @model_validator(mode="after")
     def _possible(self) -> Channel:
         _refuse_larger(self, "wavelength_nm", "wavelength_std_nm")
+        if self.spectrum is not None:
+            nm, weights = self.samples
+            if not weights or min(weights) < 0 or not sum(weights) > 0:
+                raise problem(f"spectrum has no weight or one below 0: allowed is {SPECTRUM}")
+            mean = sum(n * w for n, w in zip(nm, weights, strict=True)) / sum(weights)
+            if abs(mean / self.wavelength_nm - 1) > WITHIN_CHANNEL or min(nm) < 100:
+                raise problem(
+                    f"spectrum lies outside the channel: its mean is {mean:.4g} nm, wavelength_nm is {self.wavelength_nm:g}; "
+                    f"allowed is a mean within {WITHIN_CHANNEL:.0%}"
+                )
         return self
 
 

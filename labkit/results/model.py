@@ -57,6 +57,16 @@ class OptimumTest:
 
 
 @dataclass(frozen=True, slots=True)
+class PartTried:
+    """A part of the camera that the photographs were asked about. gain: log-likelihood that it would gain over the model of
+    the time, by its slope; adopted: whether it was taken into the model."""
+
+    name: str
+    gain: float
+    adopted: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Residuals:
     """(frames, planes, rows, columns) counts of the fitted pixels, their model and its noise; nan where not used."""
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from labkit.plan import Plan
 from labkit.results import storage, tables
-from labkit.results.model import Focus, Lens, Wavefront, same_range
+from labkit.results.model import Focus, Lens, PartTried, Wavefront, same_range
+from labkit.uncertain import Uncertain
 from labkit.version import __version__
 
 if TYPE_CHECKING:
@@ -24,8 +25,9 @@ class Results:
 
     plan: what it was estimated with, plan_sha256 its checksum. lens: None where ranges or defocus are missing. budget: of every
     number that leads the results, its standard error by source, in the number's unit. joint: by how many standard errors each
-    number moved in a climb over all frames at once, where there was one. unanswered: what these frames cannot determine though
-    it was to be estimated; one of the warnings too. folder: where it is kept.
+    number moved in a climb over all frames at once, where there was one. model_parts: what was fitted of the camera, such as
+    ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. unanswered: what these frames
+    cannot determine though it was to be estimated; one of the warnings too. folder: where it is kept.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -39,6 +41,8 @@ class Results:
     lens: Lens | None = None
     budget: dict[str, dict[str, float]] = field(default_factory=dict)
     joint: dict[str, float] = field(default_factory=dict)
+    model_parts: dict[str, Uncertain] = field(default_factory=dict)
+    parts_tried: tuple[PartTried, ...] = ()
     warnings: tuple[str, ...] = ()
     unanswered: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
@@ -111,6 +115,10 @@ class Results:
     def budget_rows(self) -> tables.Rows:
         """A heading, and a row for each number with its standard error by source."""
         return tables.budget_rows(self.budget)
+
+    def part_rows(self) -> tables.Rows:
+        """A heading, and a row for each part of the camera that the photographs were asked about; empty where none was."""
+        return tables.part_rows(self.parts_tried)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""

@@ -16,7 +16,17 @@ import numpy.typing as npt
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically
 from labkit.plan import Plan
-from labkit.results.model import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront, array_key
+from labkit.results.model import (
+    Focus,
+    Lens,
+    OptimumTest,
+    OtherOptimum,
+    PartTried,
+    Placement,
+    Residuals,
+    Wavefront,
+    array_key,
+)
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -45,6 +55,8 @@ FIELDS = (
     "lens",
     "budget",
     "joint",
+    "model_parts",
+    "parts_tried",
     "warnings",
     "unanswered",
     "created",
@@ -114,6 +126,8 @@ def entry(
     lens: Lens | None,
     budget: Mapping[str, Mapping[str, float]],
     joint: Mapping[str, float],
+    model_parts: Mapping[str, Uncertain],
+    parts_tried: Sequence[PartTried],
     warnings: Sequence[str],
     unanswered: str | None,
     created: str,
@@ -133,6 +147,8 @@ def entry(
         "lens": None if lens is None else _lens_json(lens),
         "budget": {name: dict(shares) for name, shares in budget.items()},
         "joint": dict(joint),
+        "model_parts": {name: number.as_json() for name, number in model_parts.items()},
+        "parts_tried": [{"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted} for p in parts_tried],
         "warnings": list(warnings),
         "unanswered": unanswered,
     }
@@ -264,6 +280,12 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
         "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
         "budget": {str(name): dict(shares) for name, shares in entry.get("budget", {}).items()},
         "joint": {str(name): float(moved) for name, moved in entry.get("joint", {}).items()},
+        "model_parts": {
+            str(name): Uncertain.from_json(number, _unit(name)) for name, number in entry.get("model_parts", {}).items()
+        },
+        "parts_tried": tuple(
+            PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"])) for p in entry.get("parts_tried", ())
+        ),
         "warnings": tuple(str(words) for words in entry["warnings"]),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),
@@ -280,6 +302,11 @@ def _plan(entry: Json, folder: Path) -> Plan:
         return Plan.model_validate(entry["plan"], context={"files": "unchecked"})
     except ValueError as error:
         raise PlanError(f"{folder / RESULTS}: the plan in it cannot be read: {error}") from error
+
+
+def _unit(name: str) -> str:
+    """That a number's name ends with."""
+    return next((unit for unit in ("px", "nm") if name.endswith(f"_{unit}")), "")
 
 
 def _optional(value: Any) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from math import sqrt
 
-from labkit.results.model import Focus, Lens, Wavefront
+from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.uncertain import Uncertain, decimals
 
 Rows = list[list[str]]
@@ -47,6 +47,12 @@ def budget_rows(budget: Mapping[str, Mapping[str, float]]) -> Rows:
         digits = decimals(whole)
         rows.append([name, *(f"{shares.get(source, 0.0):.{digits}f}" for source in sources), f"{whole:.{digits}f}"])
     return rows
+
+
+def part_rows(tried: Sequence[PartTried]) -> Rows:
+    """A heading, and a row for each part of the camera that the photographs were asked about; empty where none was."""
+    rows = [[p.name.replace("_", " "), f"{p.gain:.1f}", "taken in" if p.adopted else ""] for p in tried]
+    return [["part of the camera", "log-likelihood gained", ""], *rows] if rows else []
 
 
 def as_html(title: str, *tables: Rows) -> str:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from labkit.analysis.local_fits import Task, fit_task
 from labkit.analysis.observe import Observation
-from labkit.analysis.wavefronts import Task, fit_task
 from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
 from labkit.inference.likelihood import FrameData
 

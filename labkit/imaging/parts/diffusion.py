@@ -17,9 +17,12 @@ class Diffusion:
 
     variance: float = 0.0
 
-    name: ClassVar[str] = "diffusion"
     labels: ClassVar[tuple[str, ...]] = ("variance_px2",)
     usual: ClassVar[tuple[float, ...]] = (0.2,)
+
+    @property
+    def name(self) -> str:
+        return "diffusion"
 
     @property
     def values(self) -> tuple[float, ...]:

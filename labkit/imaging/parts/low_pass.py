@@ -23,9 +23,12 @@ class LowPass:
     columns: float = 0.0
     turned: bool = False
 
-    name: ClassVar[str] = "low_pass_filter"
     labels: ClassVar[tuple[str, ...]] = ("rows_px2", "columns_px2")
     usual: ClassVar[tuple[float, ...]] = (0.5, 0.5)
+
+    @property
+    def name(self) -> str:
+        return "low_pass_filter_turned" if self.turned else "low_pass_filter"
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -11,13 +11,17 @@ from labkit.types import Floats
 class Part(Protocol):
     """A part whose numbers are such that all is regular where they are 0 and the part does nothing: variances, not widths.
 
-    name: in results; labels: of its numbers, which may be below 0 on the way to an estimate; usual: standard deviations of
+    labels: of its numbers, which may be below 0 on the way to an estimate; usual: standard deviations of
     them among cameras, far beyond what a frame leaves open.
     """
 
-    name: ClassVar[str]
     labels: ClassVar[tuple[str, ...]]
     usual: ClassVar[tuple[float, ...]]
+
+    @property
+    def name(self) -> str:
+        """In results."""
+        ...
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -22,9 +22,12 @@ class Smear:
     columns: float = 0.0
     across: float = 0.0
 
-    name: ClassVar[str] = "smear"
     labels: ClassVar[tuple[str, ...]] = ("rows_px2", "columns_px2", "across_px2")
     usual: ClassVar[tuple[float, ...]] = (0.2, 0.2, 0.2)
+
+    @property
+    def name(self) -> str:
+        return "smear"
 
     @property
     def values(self) -> tuple[float, ...]:

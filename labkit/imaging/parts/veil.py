@@ -21,9 +21,12 @@ class Veil:
     share: float = 0.0
     scale_px: float = SCALE_PX
 
-    name: ClassVar[str] = "veil"
     labels: ClassVar[tuple[str, ...]] = ("share",)
     usual: ClassVar[tuple[float, ...]] = (0.2,)
+
+    @property
+    def name(self) -> str:
+        return "veil"
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -1,0 +1,66 @@
+"""Which parts of a camera a session calls for that its model lacks, by its fits together; and what was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from labkit.imaging.model import Optics
+from labkit.inference.cone import Measured
+from labkit.inference.missing_parts import Call, lacking
+from labkit.inference.search import CALLED_FOR
+
+ALIKE = 10.0
+"""Log-likelihood by which one part must be called for more than another that is more common."""
+
+DROPPED = 8.0
+"""Log-likelihood that a part must be worth; below, it is taken out again."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A part that a session was asked about. gain: log-likelihood that it would gain over the model of the time, numbers: that
+    it would have; adopted: whether it was taken in."""
+
+    name: str
+    gain: float
+    numbers: tuple[float, ...]
+    adopted: bool
+
+
+def lacks(optics: Iterable[Optics]) -> list[str]:
+    """Parts that none of some optics have."""
+    names = [lacking(of) for of in optics]
+    return [name for name in names[0] if all(name in others for others in names)]
+
+
+def together(every: Sequence[Mapping[str, Call]]) -> dict[str, Call]:
+    """Of fits that share the camera. A spectrum is each channel's own; fits of one channel are asked."""
+    return {name: reduce(Call.__add__, (of[name] for of in every)) for name in every[0]}
+
+
+def called_for(summed: Mapping[str, Call]) -> str | None:
+    """The part that is called for most, a more common one before another that gains as much; None where none is."""
+    gains = {name: call.gain for name, call in summed.items()}
+    best = max(gains.values(), default=0.0)
+    return next((name for name, gain in gains.items() if gain > max(best - ALIKE, CALLED_FOR)), None)
+
+
+def worth(fits: Sequence[Measured]) -> dict[str, float]:
+    """Of the parts that fits have, by name, the log-likelihood that they would lose without, to second order."""
+    worths = dict[str, float]()
+    for measured in fits:
+        names = [label.split(".")[0] for label in measured.parts]
+        for name in dict.fromkeys(names):
+            at = len(measured.noll) + np.flatnonzero([n == name for n in names])
+            values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
+            worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))
+    return worths
+
+
+def idle(fits: Sequence[Measured]) -> list[str]:
+    """Parts whose numbers are none but for chance, all fits together."""
+    return [name for name, value in worth(fits).items() if value < DROPPED]

@@ -1,0 +1,146 @@
+"""One observation's fit: what travels to a worker, what is done there, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.analysis.lens_model import Member
+from labkit.analysis.observe import Observation
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.parts import LowPass, Part
+from labkit.imaging.window import WINDOW_AIRY
+from labkit.inference.cone import SPARE, Measured
+from labkit.inference.fisher_scoring import Problem, State
+from labkit.inference.fit import WavefrontFit, fit_wavefront
+from labkit.inference.missing_parts import Call, calls
+from labkit.optics.spectrum import Spectrum
+from labkit.plan import Plan
+from labkit.target import Target
+from labkit.types import Floats
+
+SEED = 1  # of the further starts: a session fitted twice gives the same results
+PATIENCE_S = 120.0
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing: as `fit_wavefront` takes them."""
+
+    optics: Optics
+    target: Target
+    observation: Observation
+    f_number_std: float = 0.0
+    starts: tuple[Floats, ...] = ()
+    alike: tuple[Floats, ...] = ()
+    patience_s: float = PATIENCE_S
+    missing: tuple[Part, ...] = ()
+
+    @property
+    def ranged(self) -> bool:
+        """Whether it can tell of the lens: its range is known, and defocus is fitted."""
+        return self.observation.measured_range_mm is not None and 4 in self.optics.noll
+
+    def as_member(self, measured: Measured) -> Member:
+        """Of a session, with what was measured. Its range is where the rail was read to stand, or what the plan says."""
+        o = self.observation
+        assert o.measured_range_mm is not None
+        stop = o.measured_range_mm if o.range_mm is None else o.range_mm
+        return Member(o.channel, o.measured_range_mm, stop, measured, o.homings)
+
+    @property
+    def label(self) -> str:
+        """Channel and range."""
+        where = "" if self.observation.range_mm is None else f" at {self.observation.range_mm:g} mm"
+        return f"{self.observation.channel}{where}"
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """An observation and the fit to it."""
+
+    task: Task
+    fit: WavefrontFit
+
+    @property
+    def channel(self) -> str:
+        """Of the observation."""
+        return self.task.observation.channel
+
+    @property
+    def ranged(self) -> bool:
+        """Whether it can tell of the lens."""
+        return self.task.ranged
+
+    @property
+    def member(self) -> Member:
+        """As a session's estimate takes it."""
+        return self.task.as_member(self.fit.measured)
+
+
+def fit_task(task: Task) -> WavefrontFit:
+    """Do one fit."""
+    observation = task.observation
+    return fit_wavefront(
+        task.optics,
+        task.target,
+        observation.frames,
+        observation.poses,
+        observation.noise,
+        f_number_std=task.f_number_std,
+        rng=np.random.default_rng(SEED),
+        starts=task.starts,
+        alike=task.alike,
+        patience_s=task.patience_s,
+        missing=task.missing,
+    )
+
+
+def optics_of(plan: Plan, channel: str) -> Optics:
+    """Light, sensor and lens of a plan's channel, the cone as engraved."""
+    light = next(c for c in plan.channel if c.name == channel)
+    first, last = plan.fit.zernike_noll
+    low_pass = plan.sensor.low_pass_filter
+    parts: list[Part] = [] if low_pass is None else [LowPass(*low_pass.squares, turned=low_pass.turned)]
+    fitted = low_pass is not None and low_pass.spread_px == "fit"
+    return Optics(
+        wavelength_um=light.wavelength_nm * 1e-3,
+        reference_um=plan.reference_wavelength_nm * 1e-3,
+        f_number=plan.lens.f_number,
+        pitch_um=plan.sensor.pixel_pitch_um,
+        active_um=plan.sensor.active_um,
+        noll=tuple(range(first, last + 1)),
+        spectrum=Spectrum() if light.spectrum is None else Spectrum.of_samples(*light.samples, light.wavelength_nm),
+        parts=tuple(parts) if fitted else (),
+        given=() if fitted else tuple(parts),
+    )
+
+
+def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> Problem:
+    """A task's frames and a model of them about a state, of optics that a fit ended with. spare: as of `ForwardModel`."""
+    observation = task.observation
+    model = ForwardModel.build(
+        optics,
+        task.target,
+        observation.shape,
+        state.poses[0],
+        window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
+        spare=spare,
+    )
+    return Problem(model, observation.frames, observation.noise)
+
+
+@dataclass(frozen=True)
+class Question:
+    """To a fit: what it says of parts of the camera, by name, that its model lacks."""
+
+    local: LocalFit
+    parts: tuple[str, ...]
+
+
+def answer(question: Question) -> dict[str, Call]:
+    """What the fit says."""
+    local = question.local
+    problem = problem_at(local.task, local.fit.optics, local.fit.state, SPARE)
+    return calls(problem, local.fit.state, question.parts, local.task.f_number_std)

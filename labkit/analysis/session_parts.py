@@ -1,0 +1,113 @@
+"""What a session found of its camera, in the units of a data sheet, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from labkit.analysis.lens_fit import LensFit
+from labkit.analysis.wavefronts import SessionFits
+from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.plan import Plan
+from labkit.results.model import PartTried
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+WORDS = {
+    "low_pass_filter": "an optical low-pass filter",
+    "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
+    "diffusion": "charge that diffuses between pixels",
+    "smear": "smear, by a shake or a rolling shutter",
+    "veil": "a veil of stray light",
+    "spectrum": "light of several wavelengths",
+}
+
+
+def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
+    """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
+    diffuses and smears, px, and of spectra, nm; a veil's share of the light."""
+    numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
+    found = dict[str, Uncertain]()
+    for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
+        values = dict(of)
+        if name == "veil":
+            found["veil.share"] = next(iter(values.values()))
+        elif name == "spectrum":
+            for (_, channel), value in values.items():
+                nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
+                width = _root(value)
+                found[f"spectrum.{channel}.width_nm"] = Uncertain(nm * width.value, nm * width.std, "nm")
+        else:
+            squares = {key[0].split(".")[1].removesuffix("_px2"): value for key, value in values.items()}
+            squares.pop("across", None)
+            if name.startswith("low_pass_filter"):
+                found[f"{name}.spread_px"] = _root(_mean([*squares.values()]), "px")
+            found |= {f"{name}.{'sigma' if k == 'variance' else k}_px": _root(v, "px") for k, v in squares.items()}
+    return found
+
+
+def parts_tried(session: SessionFits) -> tuple[PartTried, ...]:
+    """Parts that the session was asked about, as results keep them."""
+    return tuple(PartTried(one.name, one.gain, one.adopted) for one in session.tried)
+
+
+def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[str]:
+    """What was found of the camera and what it changed, a line each."""
+    lines = []
+    for name in dict.fromkeys(key.split(".")[0] for key in found):
+        numbers = ", ".join(
+            f"{key.removeprefix(name + '.').replace('_px', '').replace('_nm', '')} {value}"
+            for key, value in found.items()
+            if key.startswith(name + ".") and not key.endswith("spread_px")
+        )
+        changed = "" if session.lens is None else _changed(session.lens, name)
+        lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
+    return lines
+
+
+def _changed(lens: LensFit, name: str) -> str:
+    """What leaving a part out would do to best focus, as far as the estimate's covariance tells."""
+    at = [k for k, c in enumerate(lens.model.columns) if c.kind == "part" and str(c.of[0]).split(".")[0] == name]
+    moved = -lens.covariance[:, at] @ np.linalg.solve(lens.covariance[np.ix_(at, at)], lens.theta[at])
+    focus = [f"{c} {moved[lens.model.index('best focus', c)]:+.2g} mm" for c in lens.model.channels]
+    return f"; a model without it would move best focus by about {', '.join(focus)}"
+
+
+def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
+    """By label, and channel where each has its own: values and standard errors of all parts."""
+    return {
+        tuple(map(str, c.of)): Uncertain(lens.value(c.kind, *c.of), lens.std(c.kind, *c.of))
+        for c in lens.model.columns
+        if c.kind == "part"
+    }
+
+
+def _of_fits(session: SessionFits) -> dict[tuple[str, ...], Uncertain]:
+    """The same of fits without a lens in common: means weighted by their errors."""
+    seen = dict[tuple[str, ...], list[tuple[float, float]]]()
+    for local in session.fits:
+        measured, modes = local.fit.measured, len(local.fit.noll)
+        for k, label in enumerate(measured.parts, modes):
+            of = (label, local.channel) if label == SPECTRUM_WIDTH else (label,)
+            seen.setdefault(of, []).append((measured.values[k], measured.covariance[k, k]))
+    return {of: _weighted(np.array(pairs)) for of, pairs in seen.items()}
+
+
+def _weighted(pairs: Floats) -> Uncertain:
+    values, variances = pairs.T
+    whole = float(np.sum(1 / variances))
+    return Uncertain(float(np.sum(values / variances)) / whole, whole**-0.5)
+
+
+def _mean(values: Sequence[Uncertain]) -> Uncertain:
+    """Of independent numbers."""
+    many = len(values)
+    return Uncertain(sum(v.value for v in values) / many, float(np.sqrt(sum(v.std**2 for v in values))) / many)
+
+
+def _root(square: Uncertain, unit: str = "") -> Uncertain:
+    """Of a square that may be estimated below 0."""
+    root = float(np.sqrt(max(square.value, 0.0)))
+    return Uncertain(root, square.std / (2 * root) if root**2 > square.std else float(np.sqrt(square.std)), unit)
