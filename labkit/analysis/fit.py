@@ -20,6 +20,7 @@ from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
 from labkit.session.session import Session
+from labkit.session.stated import contradictions
 from labkit.session.verify import altered
 from labkit.target import open_target
 from labkit.types import Progress, no_progress
@@ -63,7 +64,9 @@ def fit(
         fits = fit_session(observations, plan, target, run, progress, patience_s)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    common = (plan, _checksum(session, plan), [*session.warnings, *assumed, *map(str, filter(None, [change]))])
+    stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
+    noted = [*session.warnings, *stated, *assumed, *map(str, filter(None, [change]))]
+    common = (plan, _checksum(session, plan), list(dict.fromkeys(noted)))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     parts = [] if change is None or not split else [("-before", change.before), ("-after", change.after)]
     for end, results in [("", whole), *((end, _results(part, *common, True)) for end, part in parts)]:

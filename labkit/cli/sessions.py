@@ -51,6 +51,8 @@ def import_(
     console: Console = ctx.obj
     with console.progress("importing") as report:
         made = import_frames(frames, plan, session, report)
+    for warning in made.warnings:
+        console.warn(warning)
     kinds = {kind: sum(frame.kind == kind for frame in made.frames) for kind in ("target", "flat", "dark", "bias")}
     console.say(f"{session}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count))
     console.answer({"session": str(session), "frames": len(made.frames), "kinds": kinds})

@@ -12,6 +12,7 @@ import tifffile
 from labkit.errors import InputError, RawError, shown
 from labkit.images.files import check_strips, format_of
 from labkit.images.jpeg import JPEG
+from labkit.raw.exif import read_exif
 
 OTHER_RAW = re.compile(
     rb"IIRO|IIRS|MMOR|IIU\0"  # Olympus, Panasonic
@@ -57,7 +58,8 @@ def recognise(path: Path) -> Container:
             raise RawError(
                 f"is a JPEG, though its name ends in {path.suffix}: give the camera's raw file, or name it .jpg"
             )
-        return Container("jpeg")
+        exif = read_exif(path)
+        return Container("jpeg", exif.camera, exif.exposure_s, exif.iso)
     if not head:
         raise RawError("is empty")
     # LibRaw would go by the file's size alone here, and once took a 14 bit crop for a photograph of another shape

@@ -22,6 +22,7 @@ from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import difference, exposure_problem
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.session.session import Session, refuse_existing
+from labkit.session.stated import contradictions
 from labkit.session.stored_plan import plan_source
 from labkit.target import open_target
 from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
@@ -51,7 +52,8 @@ def import_frames(
 ) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
-    plan: or its path. Returns the session, open to read.
+    plan: or its path. Returns the session, open to read; its `warnings` tell where files contradict the plan, and what was
+    done to processed pictures.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.
 
@@ -61,7 +63,7 @@ def import_frames(
     open_target(source.plan.target)
     refuse_existing(session_folder)
     rows = read_rows(csv_path, source.plan)
-    exposures = _check_photographs(csv_path, rows, source.plan, progress)
+    exposures, notes = _check_photographs(csv_path, rows, source.plan, progress)
     beside = session_folder.parent / f".{session_folder.name}.{os.getpid()}.import"
     try:
         with Session.create(beside, source.text, source.folder) as session:
@@ -77,7 +79,10 @@ def import_frames(
         shutil.rmtree(beside, ignore_errors=True)
         raise
     sync_folder(session_folder.parent)
-    return Session.open(session_folder)
+    made = Session.open(session_folder)
+    stated = contradictions(((row.file, row.kind, row.path) for row in rows), source.plan)
+    made.warnings = tuple(dict.fromkeys([*made.warnings, *stated, *notes]))
+    return made
 
 
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
@@ -180,10 +185,12 @@ def _range(text: str, plan: Plan) -> float | None:
 
 def _check_photographs(
     csv_path: Path, rows: list[Row], plan: Plan, progress: Progress
-) -> list[tuple[float | None, int | None]]:
-    """Decode every photograph; (exposure_s, iso) of each. Raises DataError with every problem in one line."""
+) -> tuple[list[tuple[float | None, int | None]], list[str]]:
+    """Decode every photograph; (exposure_s, iso) of each, and what is to be known of them. Raises DataError with every
+    problem in one line."""
     exposures: list[tuple[float | None, int | None]] = []
     problems: list[str] = []
+    notes: list[str] = []
     first: Mosaic | None = None
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
@@ -200,8 +207,9 @@ def _check_photographs(
         if problem:
             problems.append(f"{row.file} {problem}")
         exposures.append((mosaic.exposure_s, mosaic.iso))
+        notes += mosaic.notes
     _refuse(csv_path, problems)
-    return exposures
+    return exposures, notes
 
 
 def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
