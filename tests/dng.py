@@ -40,9 +40,8 @@ def write_dng(
         (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
         (50778, "H", 1, 21, True),
         *more,
+        *([(50713, "H", 2, (2, 2), True)] if len(blacks) == 4 else []),
     ]
-    if len(blacks) == 4:
-        tags.append((50713, "H", 2, (2, 2), True))
     if cfa != "mono":
         pattern = bytes(COLOURS[colour] for colour in cfa)
         tags += [(33421, "H", 2, (2, 2), True), (33422, "B", 4, pattern, True)]
