@@ -29,7 +29,7 @@ class Mosaic:
     counts: (rows, cols) numbers as in the file, (rows, 3 cols) of a picture in colours; black: (2, 2) level of each place of
     the 2x2 cell, for mono too, (1, 3) in colours; white: the count that means saturated; pattern: the colours of the
     cell's rows, ("RG", "GB"), or ("M",) for mono, or ("RGB",) for a picture in colours. tone: what was undone in counts of a
-    processed picture, None where they are as in the file; notes: what to know of how they came about.
+    processed picture, None where they are as in the file; notes: what to know of how they came about; compressed: as JPEG.
     """
 
     counts: Counts
@@ -41,6 +41,7 @@ class Mosaic:
     iso: int | None = None
     tone: ToneCurve | None = None
     notes: tuple[str, ...] = ()
+    compressed: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:

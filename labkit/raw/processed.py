@@ -71,6 +71,7 @@ def processed_mosaic(path: Path, container: Container, picture: Picture, coarse:
         iso=container.iso,
         tone=curve,
         notes=tuple(_notes(container, picture, coarse, curve)),
+        compressed=container.kind == "jpeg",
     )
 
 
