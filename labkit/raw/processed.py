@@ -95,14 +95,14 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
     if sensor.tone_curve == "linear":
         return None
     if sensor.tone_curve == "sRGB":
-        return tone_curve("sRGB, as the plan states", [srgb], picture.bits)
+        return tone_curve("sRGB, as the plan states", [srgb], picture.white)
     encoding = read_encoding(path)
     if picture.bits == 16 and not encoding.stated:
         raise RawError(
             f"is a {container.kind.upper()} in colours of 16 bit that does not say how its numbers stand to light: "
             'add to [sensor]: tone_curve = "linear" or "sRGB"'
         )
-    curve = stated_curve(encoding, picture.bits)
+    curve = stated_curve(encoding, picture.white)
     if len(curve.levels) not in (1, picture.numbers.shape[-1] if picture.numbers.ndim == 3 else 1):
         raise InputError("has an ICC profile of other colours than its own: give sensor.tone_curve")
     return curve

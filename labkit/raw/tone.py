@@ -48,18 +48,18 @@ class ToneCurve:
         return np.asarray(np.interp(counts, levels, steps**2 / 12))
 
 
-def tone_curve(name: str, curves: Sequence[Curve], bits: int) -> ToneCurve:
-    """Of numbers of so many bits. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
-    stored = np.linspace(0.0, 1.0, 2**bits)
+def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
+    """Of numbers from 0 to white. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
+    stored = np.linspace(0.0, 1.0, white + 1)
     return ToneCurve(name, FULL_COUNTS * np.clip([np.asarray(curve(stored)) for curve in curves], 0.0, 1.0))
 
 
-def stated_curve(encoding: Encoding, bits: int) -> ToneCurve:
+def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
     """What a file states; sRGB where that is nothing. Raises InputError for a profile that cannot be used."""
     if encoding.icc:
         name = profile_name(encoding.icc)
-        return tone_curve(f"the file's ICC profile{f' ({name})' if name else ''}", profile_curves(encoding.icc), bits)
+        return tone_curve(f"the file's ICC profile{f' ({name})' if name else ''}", profile_curves(encoding.icc), white)
     if encoding.power is not None:
         power = encoding.power
-        return tone_curve(f"the file's gamma, {power:.3g}", [lambda stored: stored**power], bits)
-    return tone_curve("sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], bits)
+        return tone_curve(f"the file's gamma, {power:.3g}", [lambda stored: stored**power], white)
+    return tone_curve("sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], white)

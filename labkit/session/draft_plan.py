@@ -124,7 +124,9 @@ def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[tuple[str, str, str
         yield "cfa_pattern", '"mono"', f'{FILL_IN}"mono", or "RGGB" and the like'
         yield "black_level", "0", f"{FILL_IN}the count of no light"
         yield "white_level", str(photograph.white), f"{FILL_IN}the count of saturation"
-    elif photograph.unclear:
+    elif photograph.kind != "raw" and photograph.colours != ("M",):
+        yield "cfa_pattern", '"RGB"', "demosaiced already: every pixel has all colours"
+    if photograph.unclear:
         yield "tone_curve", '"linear"', f'{FILL_IN}"linear" or "sRGB": how the numbers stand to light'
 
 

@@ -49,7 +49,7 @@ def test_the_pixel_pitch_follows_from_the_focal_length_on_35_mm_film(tmp_path: P
     Image.fromarray(np.full((1600, 2400, 3), 99, np.uint8)).save(path, exif=exif)
     plan = Plan.parse(filled(draft_plan(path).text))
     assert plan.sensor.pixel_pitch_um == pytest.approx(10.0, rel=1e-3)
-    assert [channel.name for channel in plan.channel] == ["R", "G", "B"]
+    assert ([channel.name for channel in plan.channel], plan.sensor.cfa_pattern) == (["R", "G", "B"], "RGB")
 
 
 def test_a_picture_made_smaller_has_larger_pixels_than_its_camera(tmp_path: Path) -> None:

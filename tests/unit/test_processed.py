@@ -145,6 +145,15 @@ def test_a_grey_jpeg_is_mono_and_a_grey_png_stays_linear_unless_the_plan_says_so
     np.testing.assert_allclose(undone.counts, 65535 * srgb(grey / 255), atol=0.51)
 
 
+def test_full_scale_is_the_files_own(tmp_path: Path) -> None:
+    numbers = np.array([[0, 1000, 4095]], dtype=">u2")
+    (tmp_path / "a.pgm").write_bytes(b"P5 3 1 4095\n" + numbers.tobytes())
+    Image.fromarray(np.array([[0, 1], [1, 0]], dtype=bool)).save(tmp_path / "b.png")  # of one bit
+    undone = Sensor(pixel_pitch_um=5.0, tone_curve="sRGB")
+    np.testing.assert_allclose(read_raw(tmp_path / "a.pgm", undone).counts, 65535 * srgb(numbers / 4095), atol=0.51)
+    np.testing.assert_array_equal(read_raw(tmp_path / "b.png", undone).counts, [[0, 65535], [65535, 0]])
+
+
 def test_the_rounding_of_8_bit_is_in_the_noise_through_the_curves_slope(tmp_path: Path) -> None:
     # light that is even within each step of 8 bit: what rounding loses is known by simulation, without any formula
     rng, stored = np.random.default_rng(5), np.repeat([[30, 100, 200]], 40, axis=0).astype(np.uint8)
