@@ -24,7 +24,7 @@ class ToneCurve:
     levels: Floats
 
     def __post_init__(self) -> None:
-        if np.any(np.diff(self.levels) < 0) or not np.all(self.levels[:, -1] > self.levels[:, 0]):
+        if not np.all(np.diff(self.levels) >= 0) or not np.all(self.levels[:, -1] > self.levels[:, 0]):
             raise RawError(f"has a tone curve that does not rise ({self.name})")
 
     def linear(self, numbers: Counts | np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> Counts:
@@ -51,7 +51,9 @@ class ToneCurve:
 def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
     """Of numbers from 0 to white. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
     stored = np.linspace(0.0, 1.0, white + 1)
-    return ToneCurve(name, FULL_COUNTS * np.clip([np.asarray(curve(stored)) for curve in curves], 0.0, 1.0))
+    with np.errstate(all="ignore"):  # a damaged profile's numbers may do anything; what does not rise is refused
+        light = [np.asarray(curve(stored)) for curve in curves]
+    return ToneCurve(name, FULL_COUNTS * np.clip(light, 0.0, 1.0))
 
 
 def stated_curve(encoding: Encoding, white: int) -> ToneCurve:

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
 from labkit.calibration.calibrate import Calibration, channel_data
-from labkit.errors import RawError
-from labkit.images.encoding import profile_curves, srgb
+from labkit.errors import InputError, RawError
+from labkit.images.encoding import Encoding, profile_curves, srgb
 from labkit.images.jpeg import read_header
 from labkit.inference.likelihood import Detector, FrameData, predict
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
+from labkit.raw.tone import stated_curve
 from labkit.session.frame import Frame
 
 SILENT = Sensor(pixel_pitch_um=5.0)
@@ -85,6 +86,22 @@ def test_a_table_in_a_profile_is_gone_through_linearly() -> None:
     table = b"curv\0\0\0\0\0\0\0\3" + b"".join(value.to_bytes(2) for value in (0, 13107, 65535))
     (curve, *_) = profile_curves(icc[:at] + table + icc[at + len(table) :])
     np.testing.assert_allclose(curve(np.array([0, 0.25, 0.5, 0.75, 1])), [0, 0.1, 0.2, 0.6, 1], atol=1e-5)
+
+
+def test_damaged_profiles_give_a_rising_curve_or_are_refused() -> None:
+    rng, icc = np.random.default_rng(3), profile_of(None)
+    refused = 0
+    for _ in range(500):
+        damaged = np.frombuffer(icc, np.uint8).copy()
+        damaged[rng.integers(120, len(icc), 5)] = rng.integers(0, 256, 5)
+        try:
+            levels = stated_curve(Encoding(icc=damaged.tobytes()), 255).levels
+        except InputError:
+            refused += 1
+        else:
+            assert np.all(np.diff(levels) >= 0)
+            assert levels.max() <= 65535
+    assert 0 < refused < 500
 
 
 def test_srgbs_curve_is_the_one_of_the_standards_examples() -> None:
