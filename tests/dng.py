@@ -1,5 +1,6 @@
 """Raw files of cameras labkit has never met, written by the DNG specification."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ def write_dng(
     orientation: int = 1,
     model: str = "Acme D1",
     exposure: tuple[int, int] = (1, 50),
+    more: Sequence[tuple[Any, ...]] = (),
 ) -> Path:
-    """A minimal DNG by the Adobe DNG 1.4 specification; cfa "mono" makes it LinearRaw of one sample."""
+    """A minimal DNG by the Adobe DNG 1.4 specification; cfa "mono" makes it LinearRaw of one sample. more: tags."""
     blacks = (black,) if isinstance(black, int) else black
     tags: list[tuple[Any, ...]] = [
         (271, "s", 0, "Acme", True),
@@ -37,14 +39,14 @@ def write_dng(
         (50717, "I", 1, white, True),
         (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
         (50778, "H", 1, 21, True),
+        *more,
+        *([(50713, "H", 2, (2, 2), True)] if len(blacks) == 4 else []),
     ]
-    if len(blacks) == 4:
-        tags.append((50713, "H", 2, (2, 2), True))
     if cfa != "mono":
-        tags.append((33421, "H", 2, (2, 2), True))
-        tags.append((33422, "B", 4, bytes(COLOURS[colour] for colour in cfa), True))
-    photometric = "minisblack" if cfa == "mono" else CFA
+        pattern = bytes(COLOURS[colour] for colour in cfa)
+        tags += [(33421, "H", 2, (2, 2), True), (33422, "B", 4, pattern, True)]
     with tifffile.TiffWriter(path) as writer:
+        photometric = "minisblack" if cfa == "mono" else CFA
         writer.write(counts, photometric=photometric, extratags=tags, metadata=None, rowsperstrip=counts.shape[0])
     if cfa == "mono":
         with tifffile.TiffFile(path, mode="r+") as file:

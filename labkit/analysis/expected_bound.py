@@ -59,7 +59,7 @@ def planes_of(sensor: Sensor, name: str) -> Planes:
             "a mono sensor" if mono else "a Bayer filter array: a quarter of the pixels red, half green, a quarter blue"
         )
         pattern, assumed = "mono" if mono else BAYER, f"sensor.cfa_pattern is left to the files; assumed is {what}"
-    if pattern == "mono":
+    if pattern in ("mono", "RGB"):  # in colours each has every pixel
         return Planes(((0, 0),), 1, assumed)
     return Planes(tuple(divmod(place, 2) for place, colour in enumerate(pattern) if colour == name), 2, assumed)
 

@@ -22,7 +22,8 @@ from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
 from labkit.session.session import Session
-from labkit.session.verify import altered
+from labkit.session.stated import contradictions
+from labkit.session.verify import altered as altered_files
 from labkit.target import open_target
 from labkit.types import Progress, no_progress
 
@@ -67,12 +68,19 @@ def fit(
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    common = (plan, _checksum(session, plan), [*session.warnings, *assumed, *map(str, filter(None, [change]))])
+    noted = [*_noted(session, plan), *assumed, *map(str, filter(None, [change]))]
+    common = (plan, _checksum(session, plan), list(dict.fromkeys(noted)))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     parts = [] if change is None or not split else [("-before", change.before), ("-after", change.after)]
     for end, results in [("", whole), *((end, _results(part, *common, True)) for end, part in parts)]:
         results.write(folder.with_name(folder.name + end))
     return replace(whole, folder=folder)
+
+
+def _noted(session: Session, plan: Plan) -> list[str]:
+    """What the session's files tell: of their damage, against the plan, of programs that have altered them."""
+    stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
+    return [*session.warnings, *stated, *(note for frame in session.frames for note in frame.meta.get("altered", ()))]
 
 
 def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[str]) -> Results:
@@ -107,7 +115,7 @@ def _opened(
     """The session, and the plan to fit it with. Raises SessionError for photographs or a plan that were altered."""
     session = session if isinstance(session, Session) else Session.open(session)
     chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
-    if damage := altered(session):
+    if damage := altered_files(session):
         raise SessionError("; ".join(damage))
     return session, chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from labkit.analysis.plausibility import Sight, refuse_contradictions
-from labkit.calibration.calibrate import Calibration, ChannelData, Cut, by_range, calibrate, channel_data
+from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError, TargetError
 from labkit.finder.carpet_squares import central_square
@@ -18,7 +18,7 @@ from labkit.inference.likelihood import FrameData, low_orders
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import MONO, Mosaic
+from labkit.raw.mosaic import IN_COLOURS, MONO, Cut, Mosaic
 from labkit.results.model import same_range
 from labkit.session.frame import Frame
 from labkit.session.session import Session
@@ -180,7 +180,7 @@ def _observation(
 ) -> tuple[Observation, tuple[str, ...]]:
     """Of one range and channel; and what was assumed."""
     first, group = shots[0].mosaic, [shot.frame for shot in shots]
-    rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.counts.shape)
+    rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
     outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
     data = [channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots]
@@ -188,7 +188,7 @@ def _observation(
         _frame_data(calibration, target, part, pose, f"{frame.file}: only {{}} usable pixels of channel {channel}")
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
-    mono = first.pattern == MONO
+    whole = first.pattern in (MONO, IN_COLOURS)  # every pixel has the channel
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),
@@ -197,8 +197,8 @@ def _observation(
         frames=frames,
         poses=poses,
         noise=_noise(data[0], first),
-        places=((0, 0),) if mono else first.places(channel),  # the cut begins on an even row and column
-        period=1 if mono else 2,
+        places=((0, 0),) if whole else first.places(channel),  # the cut begins on an even row and column
+        period=1 if whole else 2,
         origin_px=(rows.start, columns.start),
         homings=tuple(int(frame.meta["homing"]) for frame in group if "homing" in frame.meta),
     )
@@ -211,7 +211,7 @@ def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pos
         used = used & sees_target_only(pose, used.shape)
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
-    frame = FrameData(data.counts, used, data.illumination, data.relative_std)
+    frame = FrameData(data.counts, used, data.illumination, data.relative_std, rounding=data.rounding)
     return frame if calibration.illumination else replace(frame, departures=low_orders(*used.shape))
 
 

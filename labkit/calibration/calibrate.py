@@ -7,7 +7,7 @@ out of the data would falsify its noise (thesis §4.5.2).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,12 +17,9 @@ from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
 from labkit.plan import Plan
-from labkit.raw.mosaic import Mosaic
+from labkit.raw.mosaic import Cut, Mosaic
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32
-
-Cut = tuple[slice, slice]
-"""Rows and columns of a frame."""
 
 WHOLE: Cut = (slice(0, None), slice(0, None))
 
@@ -51,13 +48,15 @@ class ChannelData:
 
     counts: (rows, cols) with the dark level taken off; mask: usable pixels of this channel; illumination: relative
     illumination (mean about 1) times pixel response, by which the model is multiplied; relative_std: standard deviation
-    of that factor, relative. noise: gain and read noise as measured. warnings: what was assumed.
+    of that factor, relative. rounding: counts², of the rounding to stored numbers where that is known beside the read noise, as
+    behind a tone curve; else 0. noise: gain and read noise as measured. warnings: what was assumed.
     """
 
     counts: Floats
     mask: Bools
     illumination: Floats
     relative_std: Floats
+    rounding: Floats
     noise: NoiseEstimate
     warnings: tuple[str, ...]
 
@@ -110,25 +109,25 @@ def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
 def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel: str, cut: Cut = WHOLE) -> ChannelData:
     """A photograph's channel with everything that belongs to it.
 
-    mosaic: the photograph, decoded; cut: only these rows and columns, both from an even one on.
+    mosaic: the photograph, decoded; cut: only these rows and columns of its pixels, both from an even one on.
     Raises RawError if it lacks the channel, DataError if it is of another sensor than the calibration frames or has no
     usable pixel.
     """
     _refuse_other_sensor(calibration, frame, mosaic)
-    part = replace(mosaic, counts=mosaic.counts[cut])
-    offset = part.black_map() if calibration.offset is None else calibration.offset[cut]
+    part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
+    offset = part.black_map() if calibration.offset is None else calibration.offset[where]
     factor, factor_std = np.ones(part.counts.shape), np.zeros(part.counts.shape)
-    warnings = list(calibration.warnings)
+    warnings = [*mosaic.notes, *calibration.warnings]
     mask = part.channel_mask(channel) & ~saturated(part)
     if calibration.illumination:
         range_mm, warning = _nearest(frame, calibration.illumination)
         warnings += warning
-        factor *= calibration.illumination[range_mm][cut]
+        factor *= calibration.illumination[range_mm][where]
     if calibration.response is not None and calibration.response_std is not None:
-        factor *= calibration.response[cut]
-        factor_std += calibration.response_std[cut]
+        factor *= calibration.response[where]
+        factor_std += calibration.response_std[where]
     if calibration.usable is not None:
-        mask &= calibration.usable[cut]
+        mask &= calibration.usable[where]
     mask &= np.isfinite(factor)
     if not mask.any():
         raise DataError(f"{frame.file}: channel {channel} has no usable pixel: all are saturated or unlit in the flats")
@@ -137,6 +136,7 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
         mask=mask,
         illumination=np.nan_to_num(factor, nan=1.0),
         relative_std=factor_std,
+        rounding=np.zeros(part.counts.shape) if part.tone is None else part.tone.rounding_variance(part.counts),
         noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
         warnings=tuple(dict.fromkeys(warnings)),
     )
@@ -144,8 +144,8 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
 
 def _refuse_other_sensor(calibration: Calibration, frame: Frame, mosaic: Mosaic) -> None:
     masters = [calibration.offset, calibration.response, *calibration.illumination.values()]
-    rows, cols = mosaic.counts.shape
-    if any(master is not None and master.shape != (rows, cols) for master in masters):
+    rows, cols = mosaic.shape
+    if any(master is not None and master.shape != mosaic.counts.shape for master in masters):
         raise DataError(f"{frame.file} has {rows}×{cols} pixels, other than the session's darks and flats")
 
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import Dark
-from labkit.calibration.masters import Plane, clipped_mean, outliers, planes_of, shrunk, smooth_illumination
+from labkit.calibration.masters import Plane, clipped_mean, outliers, shrunk, smooth_illumination
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
-from labkit.raw.mosaic import Mosaic
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05
@@ -55,7 +54,7 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
     places, levels = {}, {}
     for name in names:
-        places[name] = _planes(stack.first, name)
+        places[name] = stack.first.planes(name)
         smooth = [smooth_illumination(mean[plane], good[plane]) for plane in places[name]]
         levels[name] = float(np.mean([part.level for part in smooth]))
         for plane, part in zip(places[name], smooth, strict=True):
@@ -106,13 +105,6 @@ def flat_warnings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseE
 def at_range(range_mm: float | None) -> str:
     """A range as words of a sentence."""
     return " without a range" if range_mm is None else f" at {range_mm:g} mm"
-
-
-def _planes(mosaic: Mosaic, name: str) -> tuple[Plane, ...]:
-    """The slices of the full grid that hold a channel."""
-    if len(mosaic.pattern) == 1:
-        return planes_of(mosaic.pattern)
-    return tuple((slice(row, None, 2), slice(col, None, 2)) for row, col in mosaic.places(name))
 
 
 def _mean_ratio(flats: Sequence[Flat], plane: Plane, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:

@@ -37,7 +37,12 @@ class Stack:
         if len(self.counts) > 1 and chosen.size:
             chosen = chosen[:: -(-chosen.size // NOISE_PIXELS)]
             counts = self.counts.reshape(len(self.counts), -1)[:, chosen]
-            yield scatter_of(counts - offset.ravel()[chosen].astype(np.float64), lit=lit)
+            found = scatter_of(counts - offset.ravel()[chosen].astype(np.float64), lit=lit)
+            if (tone := self.first.tone) is None:
+                yield found
+            else:  # what rounding adds is known, pixel by pixel, and is no photon's
+                rounding = tone.of(int(chosen[0]) % 3).rounding_variance(counts.mean(axis=0))
+                yield replace(found, variance=found.variance - rounding)
 
 
 def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
@@ -51,7 +56,7 @@ def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
     for place, frame in enumerate(frames[1:], start=1):
         mosaic = read_raw(frame.path, sensor)
         if mosaic.counts.shape != first.counts.shape or mosaic.pattern != first.pattern:
-            size = "×".join(map(str, mosaic.counts.shape))
+            size = "×".join(map(str, mosaic.shape))
             raise DataError(f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}")
         counts[place] = mosaic.counts
         saturated_pixels |= saturated(mosaic)

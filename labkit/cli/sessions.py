@@ -1,4 +1,4 @@
-"""Commands for sessions and plans: demo, import, verify, fit, report, advise, study."""
+"""Commands for sessions and plans: demo, import, plan, verify, fit, report, advise, study."""
 
 from __future__ import annotations
 
@@ -51,9 +51,29 @@ def import_(
     console: Console = ctx.obj
     with console.progress("importing") as report:
         made = import_frames(frames, plan, session, report)
+    for warning in made.warnings:
+        console.warn(warning)
     kinds = {kind: sum(frame.kind == kind for frame in made.frames) for kind in ("target", "flat", "dark", "bias")}
     console.say(f"{session}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count))
     console.answer({"session": str(session), "frames": len(made.frames), "kinds": kinds})
+
+
+@app.command("plan")
+def plan_(
+    ctx: typer.Context,
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="a photograph: raw, JPEG, TIFF, PNG, PGM")],
+    out: Annotated[Path, typer.Option(metavar="PLAN.toml", help="What to write; nothing is overwritten.")] = Path(
+        "plan.toml"
+    ),
+) -> None:
+    """A plan made from a photograph, with what its file does not say left to fill in."""
+    from labkit.session.draft_plan import draft_plan, write_draft
+
+    console: Console = ctx.obj
+    draft = draft_plan(image)
+    write_draft(draft, out)
+    console.say(f"{out}: fill in {', '.join(draft.fill_in)}")
+    console.answer({"plan": str(out), "fill_in": list(draft.fill_in)})
 
 
 @app.command()

@@ -18,6 +18,7 @@ from labkit.errors import TargetError
 from labkit.finder.carpet_squares import central_square, square_hypotheses
 from labkit.finder.registration import Agreement, parent_agreement, quick_agreement, register
 from labkit.finder.template_search import SCALE_STEP, swept_hypotheses
+from labkit.raw.mosaic import IN_COLOURS
 from labkit.target import Target
 from labkit.types import Floats
 
@@ -81,7 +82,8 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
 
     counts: (rows, cols), black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane
     of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,
-    and shifts nothing. Raises TargetError for a picture that is nearly even.
+    and shifts nothing. A picture in colours, ("RGB",) with counts (rows, 3 cols), becomes the mean of each pixel's three.
+    Raises TargetError for a picture that is nearly even.
     """
     mosaic = _picture("counts", counts)
     height, width = len(pattern), len(pattern[0])
@@ -104,6 +106,8 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
         )
     if height * width == 1:
         return grey
+    if pattern == IN_COLOURS:
+        return np.asarray(grey.reshape(grey.shape[0], -1, width).mean(axis=2))
     kernel = np.array([0.25, 0.5, 0.25])
     return np.asarray(cv2.sepFilter2D(grey, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
 

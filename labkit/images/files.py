@@ -1,4 +1,4 @@
-"""Grey pictures in PNG, PGM and TIFF files: the numbers as they are stored.
+"""Pictures in PNG, PGM and TIFF files: the numbers as they are stored.
 
 The format is that of a file's first bytes, whatever its name. Declared sizes are looked at first. Numbers that stand in a file
 as they are, are read here; what has to be decompressed is decoded in a process of its own (`labkit.images.decoder`),
@@ -33,6 +33,11 @@ MOST_PER_SIDE = 2**16
 
 DECODER_MEMORY_BYTES = 2**29
 """Allowed to the decoder beside four times what the picture itself takes; Python and Pillow take 0.1 GB of it."""
+
+OPENCV = "OpenCV"
+"""What decodes colours of 16 bit; its libraries take more memory."""
+
+OPENCV_MEMORY_BYTES = 3 * 2**30
 
 DECODER_SECONDS = 5
 """Allowed to the decoder beside a second for each 2 million pixels; it takes 20 to 50 ms for a million."""
@@ -75,8 +80,8 @@ def format_of(head: bytes) -> Format | None:
     return "tiff" if head.startswith(TIFF) else None
 
 
-def read_picture(path: Path, most_pixels: int = MOST_PIXELS) -> Picture:
-    """The picture in a PNG, PGM or TIFF file.
+def read_picture(path: Path, most_pixels: int = MOST_PIXELS, *, deep_colours: bool = False) -> Picture:
+    """The picture in a PNG, PGM or TIFF file. deep_colours: colours of 16 bit are allowed.
 
     Raises OSError where it cannot be read, and InputError, whose message leaves out the file's name, for one that is
     damaged, that declares more than `most_pixels`, or that is no picture of 8 or 16 bit in grey, or of 8 bit in colours.
@@ -85,11 +90,11 @@ def read_picture(path: Path, most_pixels: int = MOST_PIXELS) -> Picture:
         head = file.read(len(PNG))
     match format_of(head):
         case "png":
-            return _read_png(path.read_bytes(), most_pixels)
+            return _read_png(path.read_bytes(), most_pixels, deep_colours)
         case "pgm":
             return _read_pgm(path.read_bytes(), most_pixels)
         case "tiff":
-            return _read_tiff(path, most_pixels)
+            return _read_tiff(path, most_pixels, deep_colours)
     raise InputError("is no PNG, PGM or TIFF" if head else "is empty")
 
 
@@ -103,7 +108,7 @@ def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
             raise InputError(f"is truncated: {size} bytes, but its tags state at least {end}")
 
 
-def _check_size(shape: tuple[int, ...], most_pixels: int) -> None:
+def check_size(shape: tuple[int, ...], most_pixels: int) -> None:
     """Raise InputError for a declared size, (rows, columns) or more, that is not allowed."""
     words = " × ".join(map(str, shape))
     if not all(1 <= side <= MOST_PER_SIDE for side in shape[:2]):
@@ -112,23 +117,25 @@ def _check_size(shape: tuple[int, ...], most_pixels: int) -> None:
         raise InputError(f"declares {words} pixels: allowed are {most_pixels / 1e6:.0f} million in all")
 
 
-def _read_png(content: bytes, most_pixels: int) -> Picture:
-    chunks = _png_chunks(content)
+def _read_png(content: bytes, most_pixels: int, deep_colours: bool) -> Picture:
+    chunks = png_chunks(content)
     header = chunks[0][1]
     cols, rows, bits, colours = int.from_bytes(header[:4]), int.from_bytes(header[4:8]), header[8], header[9]
-    _check_size((rows, cols), most_pixels)
+    check_size((rows, cols), most_pixels)
     if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(name == b"tRNS" for name, _, _ in chunks):
         raise InputError("has colours or transparency that cannot be used: allowed is grey")
-    if colours != GREY and bits > 8:
+    deep = colours == TRUE_COLOUR and bits == 16
+    if deep and not deep_colours:
         raise InputError(f"has colours of {bits} bit: allowed is grey")
     _check_pixels(header, b"".join(data for name, data, _ in chunks if name == b"IDAT"))
     needed = b"".join(whole for name, _, whole in chunks if name in PNG_NEEDED)
-    numbers = _decode("PNG", PNG + needed, (rows, cols) if colours == GREY else (rows, cols, 3), max(bits, 8))
+    shape = (rows, cols) if colours == GREY else (rows, cols, 3)
+    numbers = decode(OPENCV if deep else "PNG", PNG + needed, shape, max(bits, 8))
     return Picture(numbers, bits, int(np.iinfo(numbers.dtype).max))
 
 
-def _png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
-    """(name, data, whole) of each chunk. Raises InputError unless all are there and fit their checksums."""
+def png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
+    """(name, data, whole) of each chunk of a PNG. Raises InputError unless all are there and fit their checksums."""
     at, name = len(PNG), b""
     chunks: list[tuple[bytes, bytes, bytes]] = []
     while name != b"IEND":
@@ -164,7 +171,7 @@ def _read_pgm(content: bytes, most_pixels: int) -> Picture:
     if not header:
         raise InputError("is a damaged PGM: its header cannot be read")
     cols, rows, most = (int(number) for number in header.groups()[1:])
-    _check_size((rows, cols), most_pixels)
+    check_size((rows, cols), most_pixels)
     if not 1 <= most <= 65535:
         raise InputError(f"has a largest number of {most}: allowed is 1 to 65535")
     dtype = np.dtype(np.uint8 if most < 256 else np.uint16)
@@ -190,14 +197,15 @@ def _plain_numbers(text: bytes, needed: int) -> NDArray[np.float64]:
     return numbers[:needed]
 
 
-def _read_tiff(path: Path, most_pixels: int) -> Picture:
+def _read_tiff(path: Path, most_pixels: int, deep_colours: bool) -> Picture:
     try:
         with tifffile.TiffFile(path) as tiff:
             page = tiff.pages.first
-            _check_tiff(tiff, page, most_pixels)
+            _check_tiff(tiff, page, most_pixels, deep_colours)
             bits = int(page.bitspersample)
             if page.compression != UNCOMPRESSED:
-                return Picture(_decode("TIFF", path.read_bytes(), page.shape, bits), bits, 2**bits - 1)
+                by = OPENCV if page.ndim == 3 and bits == 16 else "TIFF"
+                return Picture(decode(by, path.read_bytes(), page.shape, bits), bits, 2**bits - 1)
             check_strips(tiff, path.stat().st_size)
             if sum(page.databytecounts) < page.nbytes:
                 raise InputError(f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there")
@@ -208,11 +216,11 @@ def _read_tiff(path: Path, most_pixels: int) -> Picture:
         raise InputError(f"{DAMAGED} ({shown(str(error))})") from error
 
 
-def _check_tiff(tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int) -> None:
+def _check_tiff(tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, deep_colours: bool) -> None:
     """Raise InputError for what a TIFF declares, as far as it is not allowed."""
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
-    _check_size(page.shape, most_pixels)
+    check_size(page.shape, most_pixels)
     if page.photometric == MIN_IS_WHITE:
         raise InputError("counts darkness (MinIsWhite): allowed are numbers that grow with light")
     if len(tiff.pages) > 1:
@@ -220,14 +228,14 @@ def _check_tiff(tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: i
     if page.dtype not in (np.uint8, np.uint16) or page.bitspersample not in (8, 16):
         what = f"{page.bitspersample} bit" if page.dtype in (np.uint8, np.uint16) else str(page.dtype)
         raise InputError(f"holds {what} numbers: allowed are 8 and 16 bit integers")
-    if page.shape[2:] not in ((), (3,)) or (page.ndim == 3 and page.bitspersample != 8):
+    if page.shape[2:] not in ((), (3,)) or (page.ndim == 3 and page.bitspersample != 8 and not deep_colours):
         raise InputError(f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey")
 
 
-def _decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
+def decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
     """The numbers of a picture that the decoder is sure to end with. Raises InputError."""
     expected = prod(shape) * bits // 8
-    memory = DECODER_MEMORY_BYTES + 4 * expected + 2 * len(content)
+    memory = (OPENCV_MEMORY_BYTES if name == OPENCV else DECODER_MEMORY_BYTES) + 4 * expected + 2 * len(content)
     seconds = DECODER_SECONDS + prod(shape) // 2_000_000
     command = [sys.executable, "-P", decoder.__file__, name, str(memory), str(seconds)]
     try:

@@ -2,12 +2,13 @@
 
 Counts d with the black level removed are N(mu, Sigma), independent over pixels,
 
-    mu = V (1 + sum_k c_k P_k) (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2,
+    mu = V (1 + sum_k c_k P_k) (scale u + ambient),    Sigma = gain mu + read_noise^2 + (s mu)^2 + q,
 
-u the relative image of `labkit.imaging`, V the relative illumination and s its relative standard deviation; the low orders
-P_k with their unknown c_k stand for what no flat frame determined of the illumination. Of the five
-detector numbers of thesis (3.4) only four can be estimated from frames (the information matrix over all five is exactly
-singular), so the black level is fixed from the raw file and dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
+u the relative image of `labkit.imaging`, V the relative illumination, s its relative standard deviation, and q the variance
+of rounding where that is known for each pixel, as behind a tone curve; the low orders P_k with their unknown c_k stand for
+what no flat frame determined of the illumination. Of the five detector numbers of thesis (3.4) only four can be estimated
+from frames (the information matrix over all five is exactly singular), so the black level is fixed from the raw file and
+dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +25,8 @@ class FrameData:
     """One frame's data of one channel.
 
     counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s;
-    departures: (k, rows, columns) P, see `low_orders`; none where flats determine V.
+    departures: (k, rows, columns) P, see `low_orders`; none where flats determine V. rounding: (rows, columns) q, counts^2;
+    none where the read noise holds it.
     Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
     """
 
@@ -33,6 +35,7 @@ class FrameData:
     illumination: Floats
     relative_std: Floats
     departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
+    rounding: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
         if np.ndim(self.counts) != 2:
@@ -46,6 +49,8 @@ class FrameData:
             real_array(name, np.where(self.used, value, np.zeros_like(value)) if same else value, self.used.shape, unit)
         if len(self.departures):
             real_array("departures", self.departures, (None, *self.used.shape), "relative")
+        if len(self.rounding):
+            real_array("rounding", self.rounding, self.used.shape, "counts^2")
 
     def light(self, unevenness: Floats) -> Floats:
         """Relative illumination (pixels,) of the used pixels. unevenness: (k,) c, none of them for none."""
@@ -95,7 +100,8 @@ def predict(relative: Floats, data: FrameData, detector: Detector) -> tuple[Floa
         raise ValueError(f"relative has shape {np.shape(relative)}; {light.shape} is needed (of the target's radiance)")
     mean = light * (detector.scale * relative + detector.ambient)
     spread = data.relative_std[data.used] * mean
-    return mean, detector.gain * np.maximum(mean, 0.0) + detector.read_variance + spread**2
+    variance = detector.gain * np.maximum(mean, 0.0) + detector.read_variance + spread**2
+    return mean, variance + data.rounding[data.used] if len(data.rounding) else variance
 
 
 def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> float:

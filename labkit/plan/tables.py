@@ -54,6 +54,7 @@ WITHIN_CHANNEL = 0.05
 SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
+CFA = '"mono", "RGB" or four letters such as "RGGB"'
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
 
 
@@ -140,15 +141,18 @@ class Sensor(Table):
     """Sampling of the file, and what the file does not state of itself.
 
     pixel_pitch_um is between neighbouring samples of the file; fill_factor is active area over pitch squared;
-    cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono".
+    cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono", or "RGB" of pictures in colours, demosaiced already.
+    tone_curve: what pictures that are no raw files went through, to be undone; "file": what each one states, sRGB where
+    it is in colours and states nothing.
     """
 
     pixel_pitch_um: Annotated[Number, AfterValidator(Allowed(0.1, 1000))]
     fill_factor: Annotated[Number, AfterValidator(Allowed(0.001, 1))] = 1.0
-    cfa_pattern: Annotated[str, matches("mono|[A-Z]{4}", '"mono" or four letters such as "RGGB"')] | None = None
+    cfa_pattern: Annotated[str, matches("mono|RGB|[A-Z]{4}", CFA)] | None = None
     black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
     white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
     low_pass_filter: LowPassFilter | None = None
+    tone_curve: Literal["file", "linear", "sRGB"] = "file"
 
     @property
     def active_um(self) -> float:

@@ -1,7 +1,8 @@
 """Photographs read from files. Nothing is demosaiced.
 
-Raw files go through LibRaw and state their filter pattern, black and white level. TIFF, PNG and PGM files hold bare numbers:
-the plan states these. The type of a file is recognised by its content, not by its name.
+Raw files go through LibRaw and state their filter pattern, black and white level. Grey TIFF, PNG and PGM files hold bare
+numbers: the plan states these. What a program has processed, JPEG and pictures in colours, goes through `raw.processed`.
+The type of a file is recognised by its content, not by its name.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import rawpy
 from labkit.errors import RawError
 from labkit.plan import Sensor
 from labkit.raw.captured_stderr import captured_stderr
-from labkit.raw.formats import Container, read_numbers, recognise
+from labkit.raw.formats import Container, recognise
 from labkit.raw.mosaic import MONO, Mosaic, pattern_of
+from labkit.raw.processed import is_processed, processed_mosaic, read_file
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 
@@ -24,7 +26,7 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
     """The mosaic in a file.
 
     sensor: what the file does not state. Raises RawError, naming file and cause, for a file that is missing, truncated,
-    no photograph, already in colours, or states otherwise than `sensor`.
+    no photograph, or states otherwise than `sensor`.
     """
     try:
         container = recognise(path)
@@ -77,7 +79,12 @@ def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
 
 
 def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
-    counts = read_numbers(path)
+    picture, coarse = read_file(path, container)
+    if is_processed(picture, container, sensor):
+        return processed_mosaic(path, container, picture, coarse, sensor)
+    counts = picture.numbers
+    if picture.bits not in (8, 16):
+        raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
     needed = {
         "cfa_pattern": '"RGGB" or "mono"',
         "black_level": "the count of no light",

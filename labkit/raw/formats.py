@@ -1,4 +1,4 @@
-"""File formats below the mosaic: recognised by their content, checked for being whole, bare numbers read."""
+"""File formats below the mosaic: recognised by their content, checked for being whole."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any, Literal
 import tifffile
 
 from labkit.errors import InputError, RawError, shown
-from labkit.images.files import Numbers, check_strips, format_of, read_picture
+from labkit.images.files import check_strips, format_of
+from labkit.images.jpeg import JPEG
+from labkit.raw.exif import read_exif
 
 OTHER_RAW = re.compile(
     rb"IIRO|IIRS|MMOR|IIU\0"  # Olympus, Panasonic
@@ -18,6 +20,11 @@ OTHER_RAW = re.compile(
     rb"|.{4}ftypcrx|.{6}HEAPCCDR",  # Canon CR3, CRW
     re.DOTALL,
 )
+RAW_SUFFIXES = re.compile(
+    r"\.(3fr|ar[iw]|cr[23w]|dcr|dng|erf|fff|iiq|kdc|mos|mrw|n[er][fw]|orf|pef|ra[fw]|rw2|sr[2fw]|x3f)", re.IGNORECASE
+)
+"""What cameras' raw files are called."""
+
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
 MAKE, MODEL, EXPOSURE_S, ISO, DNG_VERSION, DNG_MODEL = 271, 272, 33434, 34855, 50706, 50708
 
@@ -26,7 +33,7 @@ MAKE, MODEL, EXPOSURE_S, ISO, DNG_VERSION, DNG_MODEL = 271, 272, 33434, 34855, 5
 class Container:
     """What a file is, and what its tags state of camera and exposure."""
 
-    kind: Literal["raw", "tiff", "png", "pgm"]
+    kind: Literal["raw", "tiff", "png", "pgm", "jpeg"]
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None
@@ -46,27 +53,17 @@ def recognise(path: Path) -> Container:
             return _recognise_tiff(path)
     if OTHER_RAW.match(head):
         return Container("raw")
-    if head.startswith(b"\xff\xd8"):
-        raise RawError("is a JPEG: its numbers are no longer proportional to light; use the raw file")
+    if head.startswith(JPEG):
+        if RAW_SUFFIXES.fullmatch(path.suffix):
+            raise RawError(
+                f"is a JPEG, though its name ends in {path.suffix}: give the camera's raw file, or name it .jpg"
+            )
+        exif = read_exif(path)
+        return Container("jpeg", exif.camera, exif.exposure_s, exif.iso)
     if not head:
         raise RawError("is empty")
     # LibRaw would go by the file's size alone here, and once took a 14 bit crop for a photograph of another shape
-    raise RawError("is no photograph: allowed are raw files, and 8 or 16 bit TIFF, PNG and PGM")
-
-
-def read_numbers(path: Path) -> Numbers:
-    """(rows, cols) numbers of a TIFF, PNG or PGM file, in the order they are stored. Raises RawError."""
-    try:
-        picture = read_picture(path)
-    except InputError as error:
-        raise RawError(str(error)) from error
-    except OSError as error:
-        raise RawError(str(error.strerror)) from error
-    if picture.numbers.ndim != 2:
-        raise RawError(f"has {picture.numbers.shape[-1]} colours a pixel: labkit needs the mosaic, one number a pixel")
-    if picture.bits not in (8, 16):
-        raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
-    return picture.numbers
+    raise RawError("is no photograph: allowed are raw files, JPEG, and 8 or 16 bit TIFF, PNG and PGM")
 
 
 def _recognise_tiff(path: Path) -> Container:

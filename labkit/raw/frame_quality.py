@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-from labkit.raw.mosaic import Mosaic
+from labkit.raw.mosaic import Cut, Mosaic
 from labkit.types import Counts, FrameKind
 
 SATURATED_SHARE = 0.2
@@ -33,12 +33,14 @@ TILES, TILE_PX = 16, 16
 
 def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
     """How a photograph's sensor differs from that of the first one of its session; None if it does not."""
-    size, first_size = ("×".join(map(str, m.counts.shape)) for m in (mosaic, first))
+    size, first_size = ("×".join(map(str, m.shape)) for m in (mosaic, first))
+    tone, first_tone = ("none" if m.tone is None else m.tone.name for m in (mosaic, first))
     for what, this, that in (
         ("camera", mosaic.camera or "unknown", first.camera or "unknown"),
         ("size", size, first_size),
         ("filter array", mosaic.cfa, first.cfa),
         ("white level", f"{mosaic.white:g}", f"{first.white:g}"),
+        ("tone curve", tone, first_tone),
     ):
         if this != that:
             return f"is of another {what} than the first photograph: {this}, not {that}"
@@ -48,18 +50,16 @@ def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
 def exposure_problem(mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]) -> str | None:
     """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
-        places = mosaic.places(name)
-        for row, col in places if mosaic.cfa != "mono" else places[:1]:
-            problem = _plane_problem(mosaic, kind, row, col)
-            if problem:
+        for (row, col), plane in zip(
+            mosaic.places(name), mosaic.planes(name), strict=False
+        ):  # mono: one for four places
+            if problem := _plane_problem(mosaic, kind, plane, float(mosaic.black[row, col])):
                 return problem if mosaic.cfa == "mono" else f"{problem}, in channel {name}"
     return None
 
 
-def _plane_problem(mosaic: Mosaic, kind: FrameKind, row: int, col: int) -> str | None:
-    step = 1 if mosaic.cfa == "mono" else 2
-    plane = np.ascontiguousarray(mosaic.counts[row % step :: step, col % step :: step])
-    black, white = float(mosaic.black[row, col]), mosaic.white
+def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut, black: float) -> str | None:
+    plane, white = np.ascontiguousarray(mosaic.counts[where]), mosaic.white
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None

@@ -1,24 +1,35 @@
-"""A photograph as a mosaic: raw numbers, black and white levels, and where the colours lie. Nothing is demosaiced."""
+"""A photograph as a mosaic: raw numbers, black and white levels, and where the colours lie. Nothing is demosaiced.
+
+A picture that was demosaiced by others has all its colours at every pixel: one beside the other, as in its file, they are a
+mosaic too, whose cell is one row high and three columns wide and stands for one pixel.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import RawError
+from labkit.raw.tone import ToneCurve
 from labkit.types import Counts
 
 MONO = ("M",)
+IN_COLOURS = ("RGB",)
+
+Cut = tuple[slice, slice]
+"""Rows and columns of a frame, in pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mosaic:
     """One photograph as the sensor saw it, in the sensor's orientation whatever the camera's.
 
-    counts: (rows, cols) numbers as in the file; black: (2, 2) level of each place of the 2x2 cell, for mono too;
-    white: the count that means saturated; pattern: the colours of the cell's rows, ("RG", "GB"), or ("M",) for mono.
+    counts: (rows, cols) numbers as in the file, (rows, 3 cols) of a picture in colours; black: (2, 2) level of each place of
+    the 2x2 cell, for mono too, (1, 3) in colours; white: the count that means saturated; pattern: the colours of the
+    cell's rows, ("RG", "GB"), or ("M",) for mono, or ("RGB",) for a picture in colours. tone: what was undone in counts of a
+    processed picture, None where they are as in the file; notes: what to know of how they came about; compressed: as JPEG.
     """
 
     counts: Counts
@@ -28,43 +39,78 @@ class Mosaic:
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None
+    tone: ToneCurve | None = None
+    notes: tuple[str, ...] = ()
+    compressed: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of pixels."""
+        rows, cols = self.counts.shape
+        return rows, cols // len(IN_COLOURS[0]) if self.pattern == IN_COLOURS else cols
 
     @property
     def cfa(self) -> str:
-        """The pattern as a plan writes it: "RGGB" or "mono"."""
+        """The pattern as a plan writes it: "RGGB", "mono" or "RGB"."""
         return "mono" if self.pattern == MONO else "".join(self.pattern)
 
     def black_map(self) -> NDArray[np.float64]:
         """(rows, cols) black level of each pixel."""
-        rows, cols = self.counts.shape
-        return np.tile(self.black, (-(-rows // 2), -(-cols // 2)))[:rows, :cols]
+        (rows, cols), (high, wide) = self.counts.shape, self.black.shape
+        return np.tile(self.black, (-(-rows // high), -(-cols // wide)))[:rows, :cols]
 
     def channel_mask(self, name: str) -> NDArray[np.bool_]:
-        """(rows, cols) True where the filter is of that colour; everywhere on a mono sensor.
+        """Of counts' shape, True where the filter is of that colour; everywhere on a mono sensor.
 
         Raises RawError for a colour that the filter array lacks.
         """
-        mask = np.zeros(self.counts.shape, dtype=np.bool_)
+        mask, (high, wide) = np.zeros(self.counts.shape, dtype=np.bool_), self.black.shape
         for row, col in self.places(name):
-            mask[row::2, col::2] = True
+            mask[row::high, col::wide] = True
         return mask
 
+    def planes(self, name: str) -> tuple[Cut, ...]:
+        """Slices of counts, one for each plane of a colour: two for G of a Bayer cell, one for everything on a mono sensor."""
+        if self.pattern == MONO:
+            return ((slice(0, None), slice(0, None)),)
+        high, wide = self.black.shape
+        return tuple((slice(row, None, high), slice(col, None, wide)) for row, col in self.places(name))
+
+    def where(self, name: str, cut: Cut) -> Cut:
+        """Slices of counts for a colour in a cut of pixels: of a picture in colours its plane, else all of the cut."""
+        if self.pattern != IN_COLOURS:
+            return cut
+        (_, col), (rows, cols), wide = self.places(name)[0], cut, len(IN_COLOURS[0])
+        stop = None if cols.stop is None else wide * cols.stop
+        return rows, slice(wide * (cols.start or 0) + col, stop, wide)
+
+    def part(self, name: str, cut: Cut) -> Mosaic:
+        """A cut of pixels, from an even row and column on; of a picture in colours only that colour, as mono.
+
+        Raises RawError for a colour that the filter array lacks.
+        """
+        counts = self.counts[self.where(name, cut)]
+        if self.pattern != IN_COLOURS:
+            return replace(self, counts=counts)
+        plane = self.places(name)[0][1]
+        black, tone = np.full((2, 2), self.black[0, plane]), self.tone.of(plane) if self.tone else None
+        return replace(self, counts=counts, black=black, pattern=MONO, tone=tone)
+
     def places(self, name: str) -> tuple[tuple[int, int], ...]:
-        """(row, col) of a colour in the 2x2 cell: two for G of a Bayer cell, all four on a mono sensor."""
+        """(row, col) of a colour in the cell: two for G of a Bayer cell, all four on a mono sensor."""
         return places_of(self.pattern, name)
 
 
 def pattern_of(cfa: str) -> tuple[str, ...]:
-    """A filter array as a plan writes it, "RGGB" or "mono", as the colours of its cell's rows."""
-    return MONO if cfa == "mono" else (cfa[:2], cfa[2:])
+    """A filter array as a plan writes it, "RGGB", "mono" or "RGB", as the colours of its cell's rows."""
+    return {"mono": MONO, "RGB": IN_COLOURS}.get(cfa, (cfa[:2], cfa[2:]))
 
 
 def places_of(pattern: tuple[str, ...], name: str) -> tuple[tuple[int, int], ...]:
     """(row, col) of a colour in a filter array's cell, all four of mono. Raises RawError for a colour that it lacks."""
-    cell = tuple((row, col) for row in range(2) for col in range(2))
     if pattern == MONO:
-        return cell
-    places = tuple((row, col) for row, col in cell if pattern[row][col] == name)
+        return tuple((row, col) for row in range(2) for col in range(2))
+    places = tuple((row, col) for row, line in enumerate(pattern) for col, colour in enumerate(line) if colour == name)
     if not places:
         raise RawError(f"no channel {name} in this filter array: {''.join(pattern)}")
     return places

@@ -85,6 +85,7 @@ ALLOWED: Mapping[str, Callable[[Any], bool]] = {
     "measured_range_mm": _is_number,
     "homing": lambda value: isinstance(value, int) and value is not True and value > 0,
     "exposure_s": _is_number_or_none,
+    "altered": lambda value: isinstance(value, list) and all(map(_is_text, value)),
     "sha256": _is_text,
     "plan_sha256": _is_text,
     "target_file": is_name,

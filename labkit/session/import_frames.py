@@ -18,10 +18,12 @@ from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import sync_folder
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
+from labkit.raw.altered_picture import Alterations, alterations
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import difference, exposure_problem
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.session.session import Session, refuse_existing
+from labkit.session.stated import contradictions
 from labkit.session.stored_plan import plan_source
 from labkit.target import open_target
 from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
@@ -46,12 +48,23 @@ class Row:
     further: dict[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class _Checked:
+    """What a photograph that can be used says; notes: how its numbers came about; altered: what a program has done to it."""
+
+    exposure_s: float | None
+    iso: int | None
+    notes: tuple[str, ...]
+    altered: tuple[str, ...]
+
+
 def import_frames(
     csv_path: Path | str, plan: Plan | Path | str, session_folder: Path | str, progress: Progress = no_progress
 ) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
-    plan: or its path. Returns the session, open to read.
+    plan: or its path. Returns the session, open to read; its `warnings` tell where files contradict the plan, and what was
+    done to processed pictures.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.
 
@@ -61,14 +74,16 @@ def import_frames(
     open_target(source.plan.target)
     refuse_existing(session_folder)
     rows = read_rows(csv_path, source.plan)
-    exposures = _check_photographs(csv_path, rows, source.plan, progress)
+    checked = _check_photographs(csv_path, rows, source.plan, progress)
     beside = session_folder.parent / f".{session_folder.name}.{os.getpid()}.import"
     try:
         with Session.create(beside, source.text, source.folder) as session:
             names = _names(rows)
-            for done, (row, name, (exposure_s, iso)) in enumerate(zip(rows, names, exposures, strict=True)):
+            for done, (row, name, found) in enumerate(zip(rows, names, checked, strict=True)):
                 progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
-                meta: dict[str, Any] = {"exposure_s": exposure_s, "iso": iso, "origin": row.file}
+                meta: dict[str, Any] = {"exposure_s": found.exposure_s, "iso": found.iso, "origin": row.file}
+                if found.altered:
+                    meta["altered"] = list(found.altered)
                 if row.further:
                     meta["columns"] = row.further
                 session.add_frame(row.path, name, row.kind, row.range_mm, **meta)
@@ -77,7 +92,11 @@ def import_frames(
         shutil.rmtree(beside, ignore_errors=True)
         raise
     sync_folder(session_folder.parent)
-    return Session.open(session_folder)
+    made = Session.open(session_folder)
+    stated = contradictions(((row.file, row.kind, row.path) for row in rows), source.plan)
+    notes = [note for found in checked for note in (*found.notes, *found.altered)]
+    made.warnings = tuple(dict.fromkeys([*made.warnings, *stated, *notes]))
+    return made
 
 
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
@@ -178,11 +197,9 @@ def _range(text: str, plan: Plan) -> float | None:
     return range_mm
 
 
-def _check_photographs(
-    csv_path: Path, rows: list[Row], plan: Plan, progress: Progress
-) -> list[tuple[float | None, int | None]]:
-    """Decode every photograph; (exposure_s, iso) of each. Raises DataError with every problem in one line."""
-    exposures: list[tuple[float | None, int | None]] = []
+def _check_photographs(csv_path: Path, rows: list[Row], plan: Plan, progress: Progress) -> list[_Checked]:
+    """Decode every photograph. Raises DataError with every problem in one line."""
+    checked: list[_Checked] = []
     problems: list[str] = []
     first: Mosaic | None = None
     for done, row in enumerate(rows):
@@ -196,12 +213,14 @@ def _check_photographs(
             first = mosaic
             if wrong := _channel_problem(mosaic, plan):
                 raise DataError(f"{csv_path}: {row.file}: {wrong}")
+        lit = row.kind in ("target", "flat")
+        altered = alterations(mosaic) if lit else Alterations()
         problem = difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
-        if problem:
+        if problem := problem or altered.refusal:
             problems.append(f"{row.file} {problem}")
-        exposures.append((mosaic.exposure_s, mosaic.iso))
+        checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))
     _refuse(csv_path, problems)
-    return exposures
+    return checked
 
 
 def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:

@@ -1,0 +1,206 @@
+"""Whether a program has enlarged, smoothed or sharpened a picture: its noise and its edges show it.
+
+Noise of neighbouring pixels is independent where the sensor sampled the light. Enlarging makes new pixels between the old ones,
+so that noise ends at a frequency below Nyquist's, and its strength repeats with the old pixels (Gallagher, CRV 2005). Light's
+point spread is nowhere negative and makes no edge overshoot; sharpening does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.types import Counts, Floats
+
+TILE_PX = 32
+MOST_TILES = 4096
+LEAST_TILES = 32
+SEEN = 8.0
+"""Noise is seen where it has this many times the variance of rounding."""
+
+SLOW, MIDDLE, UPPER = (0.04, 0.10), (0.10, 0.20), (0.42, 0.50)
+"""Bands, cycles per pixel: noise in the upper one is compared with that in the middle."""
+
+SMOOTH = 3.0
+"""A part is smooth whose slow band has no more than this times its middle one's power: structure has far more."""
+
+EMPTY, ENLARGED = 0.06, 0.1
+"""Noise above over noise in the middle: 1 of a sensor, 0.3 of demosaiced green, 0.08 of JPEGs of low quality, 0.05 of what was
+enlarged 1.25 times, 0.01 of 1.5 times. It must be below the second one where its strength is periodic, else below the first."""
+
+AMPLIFIED = 1.25
+PERIODIC = 100.0
+"""Power over the median of all periods: of 4,000 random ones the largest is 12, of JPEGs it is 46, of what was enlarged 120 and
+far more."""
+
+FLAT_PX, HALO_PX = (8, 14), 7
+"""From an edge: where it must be flat on both sides, and how far a halo reaches."""
+
+EVEN = 0.03
+"""Of an edge's contrast: how much the mean of all edges may vary there."""
+
+LEAST_PROFILES, MOST_PROFILES, MOST_ROWS = 40, 20_000, 512
+OVERSHOOT = 0.05
+"""Of an edge's contrast."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alterations:
+    """What a program has done. refusal: why the picture cannot be used, as the end of a sentence, or None; notes: what else to
+    know of it, a line each."""
+
+    refusal: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Of the smooth parts of a picture. upper: power near Nyquist's frequency over that in the middle, along rows and
+    columns; periodic: power of the strongest period of its strength over the median's."""
+
+    upper: tuple[float, float]
+    periodic: float
+
+
+def alterations(mosaic: Mosaic) -> Alterations:
+    """What a program has done to a picture. A mosaic was never altered: nothing is looked for there."""
+    if mosaic.pattern not in (MONO, IN_COLOURS):
+        return Alterations()
+    plane = mosaic.part("G", (slice(0, None), slice(0, None)))  # green is interpolated least
+    noise, overshoot = noise_of(plane), edge_overshoot(plane.counts)
+    notes: list[str] = []
+    if noise is not None and max(noise.upper) < (ENLARGED if noise.periodic > PERIODIC else EMPTY):
+        percent = f"{100 * max(noise.upper):.1f} % near Nyquist's frequency of what it is below"
+        if noise.periodic > PERIODIC:
+            return Alterations(
+                f"has been enlarged by a program: its noise is {percent}, and its strength repeats with the pixels that were "
+                "there before; give the picture as the camera made it"
+            )
+        if not mosaic.compressed:  # which empties a spectrum by itself
+            notes.append(
+                f"the photographs were smoothed by noise reduction or by a program, noise is {percent}: that is part of the PSF"
+            )
+    if overshoot > OVERSHOOT or (noise is not None and min(noise.upper) > AMPLIFIED):
+        how = f"edges overshoot by {100 * overshoot:.0f} %" if overshoot > OVERSHOOT else "noise grows with frequency"
+        notes.append(
+            f"the photographs were sharpened, {how}: that is part of the PSF, and no wavefront makes it; develop them again "
+            "without sharpening"
+        )
+    return Alterations(None, tuple(notes))
+
+
+def noise_of(mosaic: Mosaic) -> Noise | None:
+    """Of a picture of one colour; None where its noise cannot be seen beside structure and rounding."""
+    plane = mosaic.counts
+    if min(plane.shape) < 2 * TILE_PX:
+        return None
+    rows, cols = (size // TILE_PX for size in plane.shape)
+    places = np.argwhere(np.ones((rows, cols), bool))
+    places = places[:: -(-len(places) // MOST_TILES)]
+    tiles = plane[: rows * TILE_PX, : cols * TILE_PX].reshape(rows, TILE_PX, cols, TILE_PX).swapaxes(1, 2)
+    chosen = tiles[places[:, 0], places[:, 1]].astype(np.float64)
+    power, rounding = _spectra(chosen), _rounding(mosaic, chosen.mean(axis=(1, 2)))
+    middle = _band(power, MIDDLE, MIDDLE)
+    seen = (middle > SEEN * rounding) & (_band(power, SLOW, SLOW) < SMOOTH * middle)
+    if np.count_nonzero(seen) < LEAST_TILES:
+        return None
+    noise = np.mean((middle - rounding)[seen])
+    along_rows, along_cols = (
+        float(np.mean((_band(turned, UPPER, (0.0, MIDDLE[1])) - rounding)[seen]) / noise)
+        for turned in (power, power.swapaxes(1, 2))
+    )
+    return Noise((max(0.0, along_rows), max(0.0, along_cols)), _periodic(plane, places[seen], mosaic.compressed))
+
+
+def edge_overshoot(plane: ArrayLike) -> float:
+    """By how much upright and lying edges between even parts overshoot, as a share of their contrast; 0 without such edges.
+
+    plane: (rows, cols), any scale. The mean over edges of each direction, the larger of both.
+    """
+    picture = np.asarray(plane, dtype=np.float64)
+    return max(_overshoot_along_rows(picture), _overshoot_along_rows(picture.T))
+
+
+def _rounding(mosaic: Mosaic, level: Floats) -> Floats:
+    """(tiles,) variance of rounding at those levels."""
+    return np.full(level.shape, 1 / 12) if mosaic.tone is None else mosaic.tone.rounding_variance(level)
+
+
+def _spectra(tiles: Floats) -> Floats:
+    """(tiles, size, size) power, so that white noise has its variance at every frequency; a tile's slope is taken off."""
+    size = tiles.shape[-1]
+    ramp = np.broadcast_to(np.linspace(-1.0, 1.0, size), (size, size))
+    level = tiles - tiles.mean(axis=(1, 2), keepdims=True)
+    for slope in (ramp, ramp.T):
+        level = level - np.einsum("tij,ij->t", level, slope)[:, None, None] / np.sum(slope**2) * slope
+    window = np.outer(np.hanning(size), np.hanning(size))
+    return np.asarray(np.abs(np.fft.fft2(level * window)) ** 2 / np.sum(window**2))
+
+
+def _band(power: Floats, first: tuple[float, float], second: tuple[float, float]) -> Floats:
+    """(tiles,) mean power where the frequencies along rows and along columns lie in these bands, cycles per pixel."""
+    frequency = np.abs(np.fft.fftfreq(power.shape[-1]))
+    along, across = ((frequency >= low) & (frequency <= high) for low, high in (first, second))
+    return np.asarray(power[:, along][:, :, across].mean(axis=(1, 2)))
+
+
+def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> float:
+    """How much the strength of differences in these tiles repeats from column to column, or from row to row.
+
+    Second differences of pixels that were made at the same places between old ones are as strong; where those places lie
+    symmetrically, as in twice as many pixels, first differences tell.
+    """
+    strongest = 0.0
+    for picture, turned in ((plane, places), (plane.T, places[:, ::-1])):
+        for order in (1, 2):
+            strength = np.zeros(picture.shape[1])
+            for row, col in turned * TILE_PX:
+                part = picture[row : row + TILE_PX, col : col + TILE_PX].astype(np.float64)
+                steps = np.abs(np.diff(part, order, axis=1))
+                strength[col + 1 : col + 1 + steps.shape[1]] += (steps / max(float(steps.mean()), 1e-12) - 1).sum(
+                    axis=0
+                )
+            strongest = max(strongest, _strongest_period(strength, compressed))
+    return strongest
+
+
+def _strongest_period(strength: Floats, compressed: bool) -> float:
+    """Power of the strongest period of 10 or fewer pixels over the median's.
+
+    compressed: without those of JPEG's blocks of eight, seen through tiles.
+    """
+    power, cycles = np.abs(np.fft.rfft(strength)) ** 2, TILE_PX * np.fft.rfftfreq(len(strength))
+    kept = cycles > 0.1 * TILE_PX
+    if compressed:
+        kept &= np.abs(cycles - np.round(cycles)) > 0.15
+    return float(power[kept].max() / max(np.median(power[kept]), 1e-12))
+
+
+def _overshoot_along_rows(plane: Floats) -> float:
+    """Of edges that rows cross."""
+    (near, far), (rows, cols) = FLAT_PX, plane.shape
+    if cols < 4 * far:
+        return 0.0
+    picture = plane[:: -(-rows // MOST_ROWS)]
+    low, high = np.percentile(picture, (2, 98))
+    slope = np.abs(picture[:, 2:] - picture[:, :-2])[:, far : -far - 2]
+    steep = np.argwhere(slope > 0.1 * (high - low))
+    steep = steep[:: -(-len(steep) // MOST_PROFILES) or 1]
+    profiles = picture[steep[:, :1], steep[:, 1:] + far + 1 + np.arange(-far, far + 1)]
+    steps = np.abs(profiles[:, 2:] - profiles[:, :-2])[:, far - HALO_PX : far + HALO_PX - 1]
+    before, after = profiles[:, : far - near + 1], profiles[:, near - far - 1 :]
+    contrast = after.mean(axis=1) - before.mean(axis=1)
+    flat = np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1)) < 0.25 * np.abs(contrast)
+    middle = steps.argmax(axis=1) == HALO_PX - 1  # the edge stands where it is steepest
+    chosen = flat & middle & (np.abs(contrast) > 0.4 * (high - low))
+    if np.count_nonzero(chosen) < LEAST_PROFILES:
+        return 0.0
+    mean = np.where(contrast[chosen, None] > 0, profiles[chosen], profiles[chosen, ::-1]).mean(axis=0)
+    dark, bright = mean[: far - near + 1].mean(), mean[near - far - 1 :].mean()
+    overshoot = float((mean[far : far + HALO_PX + 1].max() - bright) / (bright - dark))
+    # structure nearby, out of focus, looks like a halo; a wide halo reaches there too, but less than at the edge
+    uneven = np.ptp(mean[near - far - 1 :]) / (bright - dark)
+    return 0.0 if uneven > max(EVEN, overshoot / 3) else overshoot

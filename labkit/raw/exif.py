@@ -1,0 +1,137 @@
+"""What a photograph's file says of lens, body and exposure: EXIF tags, whatever the file's type."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import rawpy
+from PIL import Image
+from PIL.ExifTags import IFD, Base
+
+from labkit.errors import InputError
+from labkit.images.files import PNG, TIFF, png_chunks
+from labkit.images.jpeg import JPEG, read_header
+from labkit.raw.captured_stderr import captured_stderr
+
+UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
+"""Of FocalPlaneResolutionUnit."""
+
+DIAGONAL_35MM_MM = math.hypot(36.0, 24.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Exif:
+    """What a file states; empty or None where it states nothing.
+
+    focal_length_35mm: of the same angle of view on 24 × 36 mm; pixel_pitch_um: as the focal plane's resolution has it;
+    size_px: (rows, cols) that the camera wrote; taken: as "2026:11:22 09:08:07".
+    """
+
+    camera: str = ""
+    camera_serial: str = ""
+    lens: str = ""
+    lens_serial: str = ""
+    focal_length_mm: float | None = None
+    focal_length_35mm: float | None = None
+    f_number: float | None = None
+    exposure_s: float | None = None
+    iso: int | None = None
+    pixel_pitch_um: float | None = None
+    size_px: tuple[int, int] | None = None
+    taken: str = ""
+
+
+def read_exif(path: Path) -> Exif:
+    """Of a JPEG, TIFF, PNG or raw file. What is damaged counts as not stated. Raises OSError where it cannot be read."""
+    with path.open("rb") as file:
+        head = file.read(len(PNG))
+        file.seek(0)
+        try:
+            if head.startswith(JPEG):
+                return of_tags(_tags(BytesIO(read_header(file.read()).exif)))
+            if head.startswith(PNG):
+                chunks = {name: data for name, data, _ in png_chunks(file.read())}
+                return of_tags(_tags(BytesIO(chunks.get(b"eXIf", b""))))
+            return of_tags(_tags(file)) if head.startswith(TIFF) else _of_raw(path)
+        except InputError:
+            return Exif()
+
+
+def of_tags(tags: Mapping[int, Any]) -> Exif:
+    """Of EXIF tags by their numbers."""
+    unit = UNIT_UM.get(_whole(tags.get(Base.FocalPlaneResolutionUnit)) or 2)
+    resolution = _positive(tags.get(Base.FocalPlaneXResolution))
+    rows, cols = _whole(tags.get(Base.ExifImageHeight)), _whole(tags.get(Base.ExifImageWidth))
+    return Exif(
+        camera=_joined(tags, Base.Make, Base.Model) or _text(tags.get(Base.UniqueCameraModel)),
+        camera_serial=_text(tags.get(Base.BodySerialNumber)),
+        lens=_joined(tags, Base.LensMake, Base.LensModel),
+        lens_serial=_text(tags.get(Base.LensSerialNumber)),
+        focal_length_mm=_positive(tags.get(Base.FocalLength)),
+        focal_length_35mm=_positive(tags.get(Base.FocalLengthIn35mmFilm)),
+        f_number=_positive(tags.get(Base.FNumber)),
+        exposure_s=_positive(tags.get(Base.ExposureTime)),
+        iso=_whole(tags.get(Base.ISOSpeedRatings)),
+        pixel_pitch_um=unit / resolution if unit and resolution else None,
+        size_px=(rows, cols) if rows and cols else None,
+        taken=_text(tags.get(Base.DateTimeOriginal) or tags.get(Base.DateTime)),
+    )
+
+
+def _tags(file: BinaryIO) -> dict[int, Any]:
+    """The first directory of a TIFF structure and the Exif directory that it names; nothing of a damaged one."""
+    exif = Image.Exif()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow warns of each tag that it cannot read: it is not stated then
+        try:
+            exif.load_from_fp(file)
+            return {**exif, **exif.get_ifd(IFD.Exif)}
+        except Exception:  # of whatever a damaged tag breaks
+            return {}
+
+
+def _of_raw(path: Path) -> Exif:
+    """Of raw files that are no TIFF, as LibRaw has it."""
+    with captured_stderr():
+        try:
+            with rawpy.imread(str(path)) as raw:
+                other, lens = raw.other, raw.lens
+        except rawpy.LibRawError:
+            return Exif()
+    return Exif(
+        lens=_text(lens.model),
+        focal_length_mm=_positive(other.focal_length),
+        f_number=_positive(other.aperture),
+        exposure_s=_positive(other.shutter_speed),
+        iso=_whole(other.iso_speed),
+    )
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def _whole(value: Any) -> int | None:
+    number = _positive(value[0] if isinstance(value, tuple) and value else value)
+    return None if number is None else round(number)
+
+
+def _text(value: Any) -> str:
+    text = value.decode("ascii", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+
+
+def _joined(tags: Mapping[int, Any], maker: int, model: int) -> str:
+    """A maker before a model, unless the model's name begins with it."""
+    made, name = _text(tags.get(maker)), _text(tags.get(model))
+    return name if made and name.lower().startswith(made.split()[0].lower()) else f"{made} {name}".strip()

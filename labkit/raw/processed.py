@@ -1,0 +1,120 @@
+"""Pictures that are no mosaic: JPEG, and TIFF and PNG in colours. Their tone curve is undone; what else was done stays.
+
+Each colour is a plane of its own at full resolution. Demosaicing, sharpening and noise reduction cannot be undone: they are
+part of the point spread that is measured then, and the results say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from labkit.errors import InputError, RawError
+from labkit.images.encoding import read_encoding, srgb
+from labkit.images.files import Picture, read_picture
+from labkit.images.jpeg import read_jpeg
+from labkit.plan import Sensor
+from labkit.raw.formats import Container
+from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.raw.tone import FULL_COUNTS, ToneCurve, stated_curve, tone_curve
+
+COARSE = (
+    "JPEG stores its colours at half resolution: R and B are blurred by that; take channel G alone, or JPEGs without "
+    "subsampling (4:4:4)"
+)
+
+
+def read_file(path: Path, container: Container) -> tuple[Picture, bool]:
+    """The numbers in a JPEG, PNG, PGM or TIFF, and whether its colours are coarser than its brightness. Raises RawError."""
+    try:
+        if container.kind == "jpeg":
+            picture, header = read_jpeg(path)
+            return picture, header.coarse_colours
+        return read_picture(path, deep_colours=True), False
+    except InputError as error:
+        raise RawError(str(error)) from error
+    except OSError as error:
+        raise RawError(str(error.strerror)) from error
+
+
+def is_processed(picture: Picture, container: Container, sensor: Sensor) -> bool:
+    """Whether a picture is no mosaic of bare linear numbers."""
+    return picture.numbers.ndim == 3 or container.kind == "jpeg" or sensor.tone_curve not in ("file", "linear")
+
+
+def processed_mosaic(path: Path, container: Container, picture: Picture, coarse: bool, sensor: Sensor) -> Mosaic:
+    """A processed picture, in counts that are proportional to light. coarse: as `read_file` says.
+
+    Raises RawError where the plan declares it raw, where nothing says what its tone curve is, or for a profile that
+    cannot be used.
+    """
+    in_colours = picture.numbers.ndim == 3
+    _refuse_raw(container, in_colours, sensor)
+    try:
+        curve = _curve(path, container, picture, sensor)
+    except InputError as error:
+        raise RawError(str(error)) from error
+    numbers = picture.numbers if curve is None else curve.linear(picture.numbers)
+    black, white = 0.0, FULL_COUNTS
+    if curve is None:
+        black = sensor.black_level or 0.0
+        white = sensor.white_level or float(picture.white)
+    return Mosaic(
+        counts=numbers.astype(np.uint16).reshape(numbers.shape[0], -1),
+        black=np.full((1, 3) if in_colours else (2, 2), black),
+        white=white,
+        pattern=IN_COLOURS if in_colours else MONO,
+        camera=container.camera,
+        exposure_s=container.exposure_s,
+        iso=container.iso,
+        tone=curve,
+        notes=tuple(_notes(container, picture, coarse, curve)),
+        compressed=container.kind == "jpeg",
+    )
+
+
+def _refuse_raw(container: Container, in_colours: bool, sensor: Sensor) -> None:
+    fitting = "RGB" if in_colours else "mono"
+    if sensor.cfa_pattern in (None, fitting):
+        return
+    what = (
+        "a JPEG"
+        if container.kind == "jpeg"
+        else f"a {container.kind.upper()} {'in' if in_colours else 'without'} colours"
+    )
+    raise RawError(
+        f'is {what}, but the plan\'s sensor.cfa_pattern = "{sensor.cfa_pattern}" declares raw numbers: give the raw file, or '
+        f"leave out cfa_pattern, black_level and white_level"
+    )
+
+
+def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -> ToneCurve | None:
+    """What is to be undone; None for numbers that are linear."""
+    if sensor.tone_curve == "linear":
+        return None
+    if sensor.tone_curve == "sRGB":
+        return tone_curve("sRGB, as the plan states", [srgb], picture.white)
+    encoding = read_encoding(path)
+    if picture.bits == 16 and not encoding.stated:
+        raise RawError(
+            f"is a {container.kind.upper()} in colours of 16 bit that does not say how its numbers stand to light: "
+            'add to [sensor]: tone_curve = "linear" or "sRGB"'
+        )
+    curve = stated_curve(encoding, picture.white)
+    if len(curve.levels) not in (1, picture.numbers.shape[-1] if picture.numbers.ndim == 3 else 1):
+        raise InputError("has an ICC profile of other colours than its own: give sensor.tone_curve")
+    return curve
+
+
+def _notes(container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None) -> Iterator[str]:
+    """What to know of how the numbers came about, a line each."""
+    undone = "taken as linear, as the plan states" if curve is None else f"tone curve undone by {curve.name}"
+    yield (
+        f"processed pictures ({container.kind.upper()}, {picture.bits} bit), {undone}: demosaicing, sharpening and noise "
+        "reduction are part of the PSF that is reported, and errors are larger than stated, for neighbouring pixels share "
+        "their noise; use raw files where there are any"
+    )
+    if coarse:
+        yield COARSE

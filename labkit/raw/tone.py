@@ -1,0 +1,67 @@
+"""Tone curves of pictures that a program has processed, and what undoing them does to the rounding of their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.errors import RawError
+from labkit.images.encoding import Curve, Encoding, profile_curves, profile_name, srgb
+from labkit.types import Counts, Floats
+
+FULL_COUNTS = 65535.0
+"""Counts of the brightest number: fine enough that rounding to whole counts adds nothing to what 8 bit have lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneCurve:
+    """How a picture's numbers stand to light. name: by what it is undone; levels: (planes, codes) counts of each number,
+    0 to 65535, never falling; a plane for each colour, or one for all of them."""
+
+    name: str
+    levels: Floats
+
+    def __post_init__(self) -> None:
+        if not np.all(np.diff(self.levels) >= 0) or not np.all(self.levels[:, -1] > self.levels[:, 0]):
+            raise RawError(f"has a tone curve that does not rise ({self.name})")
+
+    def linear(self, numbers: Counts | np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> Counts:
+        """Counts proportional to light, of the numbers' shape; the last axis is the colours' where each has a curve."""
+        tables = np.rint(self.levels).astype(np.uint16)
+        if len(tables) == 1:
+            return np.asarray(tables[0][numbers])
+        return np.stack([table[numbers[..., plane]] for plane, table in enumerate(tables)], axis=-1)
+
+    def of(self, plane: int) -> ToneCurve:
+        """Of one colour alone."""
+        return ToneCurve(self.name, self.levels[plane % len(self.levels)][None])
+
+    def rounding_variance(self, counts: Counts | Floats) -> Floats:
+        """Counts², of the shape of the counts: of the rounding to stored numbers, seen through the curve's slope.
+
+        A number stands for all light from halfway to the one below to halfway to the one above. Of a curve of one colour.
+        """
+        levels = self.levels[0]
+        steps = np.gradient(levels)
+        return np.asarray(np.interp(counts, levels, steps**2 / 12))
+
+
+def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
+    """Of numbers from 0 to white. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
+    stored = np.linspace(0.0, 1.0, white + 1)
+    with np.errstate(all="ignore"):  # a damaged profile's numbers may do anything; what does not rise is refused
+        light = [np.asarray(curve(stored)) for curve in curves]
+    return ToneCurve(name, FULL_COUNTS * np.clip(light, 0.0, 1.0))
+
+
+def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
+    """What a file states; sRGB where that is nothing. Raises InputError for a profile that cannot be used."""
+    if encoding.icc:
+        name = profile_name(encoding.icc)
+        return tone_curve(f"the file's ICC profile{f' ({name})' if name else ''}", profile_curves(encoding.icc), white)
+    if encoding.power is not None:
+        power = encoding.power
+        return tone_curve(f"the file's gamma, {power:.3g}", [lambda stored: stored**power], white)
+    return tone_curve("sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], white)

@@ -1,0 +1,97 @@
+"""A session of processed pictures beside the session of the raw files that they were made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from labkit.acquisition.capture import run_plan
+from labkit.analysis.fit import fit
+from labkit.calibration.calibrate import calibrate
+from labkit.devices.registry import open_devices
+from labkit.raw.decode import read_raw
+from labkit.results import Results
+from labkit.session.import_frames import import_frames
+from labkit.session.session import Session
+from labkit.types import Floats
+from tests.plans import SMALL, plan_text, simulated
+
+from .conftest import ADDRESS
+
+FEW = {"camera": {"frames_per_range": 2, "flats_per_range": 4, "darks": 2}, "fit": {"zernike_noll": [4, 6]}}
+MONO = {
+    "sensor": {"cfa_pattern": "mono", "black_level": 600, "white_level": 16383},
+    "target": {"order": 3, "size_mm": 18.9},
+}
+PLAN = plan_text(SMALL, {"target": MONO["target"], "fit": FEW["fit"]})
+AT_2000 = simulated([2000], 1950.0, ADDRESS)
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """The results of raw files of a sensor without filters, which need no demosaicing."""
+    folder = tmp_path_factory.mktemp("raw")
+    text = plan_text(SMALL, AT_2000, FEW, MONO)
+    with Session.create(folder / "session", text, folder) as opened, open_devices(opened.plan) as devices:
+        run_plan(opened, devices, check=False)
+    fit(folder / "session", workers=1)
+    return Results.load(folder / "session")
+
+
+def stored(light: Floats) -> Floats:
+    """sRGB's numbers of light, by the standard's formula."""
+    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055))
+
+
+def session_of(results: Results) -> Path:
+    assert results.folder is not None
+    return results.folder.parents[1]
+
+
+def developed(raw: Results, folder: Path, suffix: str, **how: object) -> Path:
+    """FRAMES.csv of the session's photographs but its darks, as pictures in colours of 8 bit."""
+    session = Session.open(session_of(raw))
+    lines = ["file,kind,range_mm"]
+    for frame in session.frames:
+        if frame.kind == "dark":
+            continue  # a program has taken the black level off
+        mosaic = read_raw(frame.path, session.plan.sensor)
+        light = (mosaic.counts - mosaic.black_map()) / (mosaic.white - mosaic.black[0, 0])
+        grey = np.rint(255 * stored(light)).clip(0, 255).astype(np.uint8)
+        name = frame.file.replace(".tif", suffix)
+        Image.fromarray(np.dstack([grey] * 3)).save(folder / name, **how)  # type: ignore[arg-type]
+        lines.append(f"{name},{frame.kind},{frame.range_mm:g}")
+    (folder / "frames.csv").write_text("\n".join(lines))
+    return folder / "frames.csv"
+
+
+def test_photon_transfer_finds_the_raw_files_gain_behind_the_rounding_to_8_bit(raw: Results, tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    made = import_frames(developed(raw, tmp_path, ".png"), tmp_path / "plan.toml", tmp_path / "session")
+    session = Session.open(session_of(raw))
+    of_raw = calibrate(session.frames, session.plan).noise["G"]
+    found = calibrate(made.frames, made.plan).noise["G"]
+    assert found.gain is not None
+    assert found.gain_std is not None
+    assert of_raw.gain is not None
+    # counts of the pictures are 65535 where the raw's are 16383 - 600; without the rounding's part it would be 15 % more
+    assert found.gain == pytest.approx(of_raw.gain * 65535 / 15783, abs=3 * found.gain_std)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("suffix", "how"), [(".png", {}), (".jpg", {"quality": 100, "subsampling": 0})])
+def test_pictures_of_8_bit_give_the_raw_files_wavefront(
+    raw: Results, tmp_path: Path, suffix: str, how: dict[str, object]
+) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    csv = developed(raw, tmp_path, suffix, **how)
+    import_frames(csv, tmp_path / "plan.toml", tmp_path / "session")
+    results = fit(tmp_path / "session", workers=1)
+    (expected,), (found,) = list(raw), list(results)
+    std = np.sqrt(np.diag(found.covariance) + np.diag(expected.covariance))
+    # the same photons: what differs is the rounding's alone, well below the photons' noise
+    assert np.all(np.abs(found.waves - expected.waves) < 1.5 * std)
+    assert any("sRGB" in warning and "PSF" in warning for warning in results.warnings)
