@@ -38,9 +38,9 @@ class Console:
         if self.json:
             print(json.dumps(data, indent=1, ensure_ascii=False))
 
-    def warn(self, text: str) -> None:
-        """A line on stderr that does not stop anything: not with --quiet."""
-        if not self.quiet:
+    def warn(self, *texts: str) -> None:
+        """Lines on stderr that do not stop anything: not with --quiet."""
+        for text in () if self.quiet else texts:
             print(f"labkit: warning: {printable(text)}", file=sys.stderr)
 
     def link(self, what: str, url: str) -> None:

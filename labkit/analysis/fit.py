@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,8 +56,8 @@ def fit(
     joint: climb over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and
     NAME-after besides. plain: the model is as the plan states it, even where the photographs call for parts of the camera
     that it lacks. name: "latest" by default; of a fit of only some ranges or channels, their names.
-    Raises SessionError for photographs or a plan that were altered, DataError for frames that cannot be fitted and where
-    more results would be lost than made, TargetError. Too few ranges for a focus are no error: `Results.unanswered`.
+    Raises SessionError for photographs or a plan that were altered, TargetError, DataError for frames that cannot be fitted
+    and where more results would be lost than made. Too few ranges for a focus are no error: `Results.unanswered`.
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
@@ -71,10 +71,15 @@ def fit(
     noted = [*_noted(session, plan), *assumed, *map(str, filter(None, [change]))]
     common = (plan, _checksum(session, plan), list(dict.fromkeys(noted)))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
-    parts = [] if change is None or not split else [("-before", change.before), ("-after", change.after)]
-    for end, results in [("", whole), *((end, _results(part, *common, True)) for end, part in parts)]:
-        results.write(folder.with_name(folder.name + end))
+    parts = {} if change is None or not split else {"-before": change.before, "-after": change.after}
+    _written(folder, {"": whole, **{end: _results(part, *common, True) for end, part in parts.items()}})
     return replace(whole, folder=folder)
+
+
+def _written(folder: Path, every: Mapping[str, Results]) -> None:
+    """every: by what is to stand behind the folder's name."""
+    for end, results in every.items():
+        results.write(folder.with_name(folder.name + end))
 
 
 def _noted(session: Session, plan: Plan) -> list[str]:

@@ -132,8 +132,7 @@ def fit(
 
     console: Console = ctx.obj
     opened = Session.open(session)
-    for warning in opened.warnings:
-        console.warn(warning)
+    console.warn(*opened.warnings)
     with console.progress("fitting") as report:
         results = fit_session(
             opened,
@@ -149,16 +148,19 @@ def fit(
             plain=plain,
             progress=report,
         )
-    if diagnose:
-        console.table(results.part_rows())
-    _show(console, results, opened.warnings)
+    _show(console, results, opened.warnings, diagnose)
 
 
-def _show(console: Console, results: Results, told: Sequence[str]) -> None:
-    """What a fit found. told: warnings that were shown before. Raises DataError for what it was to find and could not."""
+def _show(console: Console, results: Results, told: Sequence[str], diagnose: bool) -> None:
+    """What a fit found, and with diagnose what parts of the camera were tried. told: warnings that were shown before.
+
+    Raises DataError for what it was to find and could not.
+    """
     for warning in results.warnings:
         if warning not in (*told, results.unanswered):
             console.warn(warning)
+    if diagnose and results.parts_tried:
+        console.table(results.part_rows())
     console.table(results.wavefront_rows())
     console.table(results.focus_rows())
     if results.budget:
