@@ -5,17 +5,17 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal.windows import tukey
 
 from labkit.imaging.grid import Torus
-from labkit.imaging.halo import perfect_lens
+from labkit.imaging.halo import perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import Spectrum
 from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 
-CONE_STEP = 2e-3  # of ln N in its differences
-# of a spectrum's variance in its differences: a share of itself, and far above what sampling pupils of other sizes errs by
-WIDTH_STEP, LEAST_STEP = 0.2, 3e-4
+FADING = 0.2  # of the window, both borders together, along rows and columns
+WIDTH_STEP, LEAST_STEP = 0.1, 1e-6  # of a spectrum's variance in its differences: a share of itself, and at least
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,8 @@ class Blur:
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
-    and compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.)
+    and compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) Towards its window's borders the difference
+    is faded out: rings that a border cuts would enter and leave as cone or wavelength change.
     """
 
     torus: Torus
@@ -39,8 +40,8 @@ class Blur:
     given: tuple[Part, ...] = ()
     beyond: Floats = field(init=False, repr=False, compare=False)
     _finer: float = field(init=False, repr=False, compare=False)
+    _fading: Floats = field(init=False, repr=False, compare=False)
     _centred: Complexes = field(init=False, repr=False, compare=False)
-    _lights: tuple[tuple[float, Pupil], ...] = field(init=False, repr=False, compare=False)
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
@@ -55,16 +56,15 @@ class Blur:
         beyond = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
         for part in (*self.given, *self.parts):
             beyond *= part.transfer(*self._per_pixel)
-        shares = zip(self.spectrum.weights, self.spectrum.nodes, strict=True)
-        lights = tuple((share, self._of(node)) for share, node in shares)
-        perfect = sum(share * perfect_lens(torus, light.wavelength_um * light.f_number) for share, light in lights)
+        airy_um = pupil.wavelength_um * pupil.f_number
+        perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
         for name, value in (
             ("beyond", beyond),
             ("_finer", finer),
+            ("_fading", tukey(pupil.size, FADING)),
             ("_centred", beyond * torus.shift(pupil.size // 2 * pupil.spacing_um)),
-            ("_lights", lights),
             ("_perfect", perfect * beyond),
-            ("_perfect_psf", sum(share * light.psf(np.zeros(len(pupil.noll))) for share, light in lights)),
+            ("_perfect_psf", self.psf(np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)
 
@@ -73,50 +73,61 @@ class Blur:
         """Frequencies of the half plane along rows and columns, cycles a pixel."""
         return self.torus.row_frequency * self.torus.pitch_um, self.torus.column_frequency * self.torus.pitch_um
 
-    def _of(self, node: float) -> Pupil:
-        """The pupil in another light."""
-        return self.pupil if node == 1 else replace(self.pupil, wavelength_um=node * self.pupil.wavelength_um)
-
     @property
     def simple(self) -> "Blur":
         """In light of the nominal wavelength alone: quicker, and near enough for the slopes that a climb goes by."""
-        return self if len(self._lights) == 1 else replace(self, spectrum=Spectrum())
+        return self if len(self.spectrum.nodes) == 1 else replace(self, spectrum=Spectrum())
 
     def psf(self, waves: Floats) -> Floats:
         """(size, size) the lens's PSF as `Pupil.psf` gives it, in all light. waves: (modes,) waves RMS at the reference."""
-        return np.asarray(sum(share * light.psf(waves) for share, light in self._lights))
+        psf = np.zeros((self.pupil.size, self.pupil.size))
+        for share, node in self.spectrum.shares:
+            psf += share * (self.pupil.psf(waves) if node == 1 else self.pupil.stretched(waves / node, node))
+        return psf
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
         """Its derivatives by each mode, or only some, as `Pupil.psf_slopes` gives them."""
-        if len(self._lights) == 1:
-            yield from self.pupil.psf_slopes(waves, only)
+        if len(self.spectrum.nodes) == 1:
+            yield from self._in_light(self.spectrum.nodes[0]).psf_slopes(waves, only)
             return
-        shares = [np.float32(share) for share, _ in self._lights]
-        for of_mode in zip(*(light.psf_slopes(waves, only) for _, light in self._lights), strict=True):
+        shares = [np.float32(share) for share in self.spectrum.weights]
+        every = zip(*(self._in_light(node).psf_slopes(waves, only) for node in self.spectrum.nodes), strict=True)
+        for of_mode in every:
             yield np.asarray(sum(share * slope for share, slope in zip(shares, of_mode, strict=True)))
+
+    def _in_light(self, node: float) -> Pupil:
+        """The pupil in one of the spectrum's wavelengths."""
+        return self.pupil if node == 1 else replace(self.pupil, wavelength_um=node * self.pupil.wavelength_um)
 
     def transfer(self, waves: Floats, precision: type[np.floating] = np.float64) -> AnyComplexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        departure = (self.psf(waves) - self._perfect_psf).astype(precision)
-        transfer = self.torus.half_spectrum_of_window(departure, self._finer)
-        np.multiply(transfer, self._centred, out=transfer, casting="same_kind")
+        transfer = self._spectrum_of((self.psf(waves) - self._perfect_psf).astype(precision))
         transfer += self._perfect
         return transfer
 
-    def by_cone(self, waves: Floats) -> Complexes:
-        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held.
+    def _spectrum_of(self, departure: Floats | Floats32) -> AnyComplexes:
+        """Half plane of the transfer function of a departure of the PSF from the perfect one, pixel and camera with it."""
+        transfer = self._spectrum_of_window(departure)
+        return np.multiply(transfer, self._centred, out=transfer, casting="same_kind")
 
-        By differences towards larger N, where the PSF is sampled well enough: right to about CONE_STEP^2.
-        """
-        here = self.pupil.f_number
-        cones = [replace(self.pupil, f_number=here * np.exp(k * CONE_STEP)) for k in (1, 2)]
-        a, b, c = (blur.transfer(waves) for blur in (self, *(replace(self, pupil=pupil) for pupil in cones)))
-        return np.asarray((-3 * a + 4 * b - c) / (2 * CONE_STEP))
+    def _spectrum_of_window(self, departure: Floats | Floats32) -> AnyComplexes:
+        """Half plane of the DFT of a departure (size, size), its borders faded out."""
+        faded = departure * self._fading.astype(departure.dtype)
+        faded *= self._fading.astype(departure.dtype)[:, None]
+        return self.torus.half_spectrum_of_window(faded, self._finer)
+
+    def by_cone(self, waves: Floats) -> Complexes:
+        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held."""
+        departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
+        airy_um = self.pupil.wavelength_um * self.pupil.f_number
+        for share, node in self.spectrum.shares:
+            for sign, at in ((1, waves), (-1, 0 * waves)):
+                departure += sign * share * self.pupil.stretched(at / node, node, slope=True)
+            perfect += share * perfect_lens_slope(self.torus, node * airy_um)
+        return np.asarray(self._spectrum_of(departure) + perfect * self.beyond)
 
     def by_width(self, waves: Floats) -> Complexes:
-        """Half plane of its derivative by the spectrum's variance, by differences: right to a sixth, as pupils of other sizes
-        are sampled differently, which is enough to climb by. Raises ValueError where the spectrum is given.
-        """
+        """Half plane of its derivative by the spectrum's variance, by differences. Raises ValueError where that is given."""
         if self.spectrum.variance is None:
             raise ValueError("the spectrum is given: it has no width to be estimated")
         here = self.spectrum.variance
@@ -139,7 +150,7 @@ class Blur:
         psfs: (size, size) each, on the pupil's window, such as derivatives. One at a time, to spare memory.
         """
         for psf in psfs:
-            yield self.torus.half_spectrum_of_window(psf, self._finer)
+            yield self._spectrum_of_window(psf)
 
     def behind_pixel(self, spectrum: AnyComplexes) -> Complexes64:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""

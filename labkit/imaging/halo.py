@@ -22,6 +22,12 @@ def perfect_lens(torus: Torus, airy_um: float) -> Floats:
     return diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um)
 
 
+def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
+    """Half plane of its derivative by ln of lambda N."""
+    nu = np.minimum(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um, 1.0)
+    return np.asarray(-4 / np.pi * nu * np.sqrt(1 - nu**2))
+
+
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:
     """Guard band along rows and columns, pixels, that keeps light within a reach from coming around the torus to the frame.
 

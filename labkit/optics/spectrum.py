@@ -57,6 +57,11 @@ class Spectrum:
         return cls((1 - offset, 1.0, 1 + offset), (side, 1 - 2 * side, side), variance)
 
     @property
+    def shares(self) -> list[tuple[float, float]]:
+        """(weight, node) of each."""
+        return list(zip(self.weights, self.nodes, strict=True))
+
+    @property
     def shortest(self) -> float:
         """Relative, of all nodes that it may have: a fitted one may grow."""
         return min(self.nodes) if self.variance is None else 1 - float(np.sqrt(KURTOSIS)) * WIDEST

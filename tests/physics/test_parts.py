@@ -116,7 +116,9 @@ def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
     pupil = Pupil(0.55, 0.45, 4.0, 5.0 / 5, 96, (4, 7))
     blur = Blur(torus, pupil, 5.0, Spectrum.of_samples([540.0, 560.0], [1.0, 3.0], 550.0))
     each = [replace(pupil, wavelength_um=um).psf(waves) for um in (0.54, 0.56)]
-    assert blur.psf(waves) == pytest.approx(0.25 * each[0] + 0.75 * each[1], abs=1e-12)
+    mean = 0.25 * each[0] + 0.75 * each[1]
+    assert blur.psf(waves) == pytest.approx(mean, abs=2.5e-6)  # pupils of other sizes fold other halos into their windows
+    assert mean.max() > 0.03
 
 
 @pytest.mark.parametrize("variance", [None, 0.03**2, 0.01**2, 0.0])
@@ -127,7 +129,7 @@ def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
     slopes = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]
     steps = np.array([1e-3] * 7 + [4e-4] * (variance is not None) + [1e-3])
-    limits = [1.2e-5] * 7 + [0.3] * (variance is not None) + [8e-4]
+    limits = [1.2e-5] * 7 + [7e-3] * (variance is not None) + [3e-3]
     for k, (step, limit) in enumerate(zip(np.diag(steps), limits, strict=True)):
         up, down = (
             model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0]
