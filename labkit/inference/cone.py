@@ -26,6 +26,7 @@ ROUNDS = 12
 SETTLED, SETTLED_STDS = 2e-3, 0.3
 SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
 FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
+HALVINGS = 2  # of a step that is
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
 EXACT = 1e-6  # a relative error that moves nothing
@@ -154,8 +155,8 @@ class Expansion:
 
 
 def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
-    """Climb by Newton's steps, undamped, to an optimum that is near, and to the cone, and the camera's parts, that its frames
-    call for.
+    """Climb by Newton's steps, halved where they lead down, to an optimum that is near, and to the cone, and the camera's
+    parts, that its frames call for.
 
     f_number_std: relative, of the cone that the problem has; the parts' numbers are known to lie about 0, as they usually do.
     The first step goes by rough slopes, those after it by exact ones; the last is not drawn, its picture lies on the slopes.
@@ -163,19 +164,23 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     """
     problem, start = _wide_enough(problem, start)
     given, precision = _known_shape(problem.model.optics, f_number_std)
-    modes, before = start.state.waves.size, -np.inf
+    modes, best, taken, halvings = start.state.waves.size, None, np.empty(0), 0
     for rounds in range(1, ROUNDS + 1):
         expansion = expand(problem, start, exact=rounds > 1)
+        fallen = best is not None and expansion.objective < best.objective - FALLEN
+        if fallen and best is not None and halvings < HALVINGS and rounds < ROUNDS:
+            taken, halvings = 0.5 * taken, halvings + 1
+            problem, start = _stepped(problem, best, taken)
+            continue
         step, covariance = expansion.newton(precision, (given - expansion.optics.shape) * precision)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
         near, cone = length < SETTLED_LENGTH, expansion.shape.stop - 1
-        settled = rounds > 1 and near and abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))
-        height = expansion.objective
-        if settled or rounds == ROUNDS or not (height > before - FALLEN and sane(expansion.moved(step), start.state)):
+        close = abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))
+        settled = rounds > 1 and near and close and not fallen
+        if settled or fallen or rounds == ROUNDS or not sane(expansion.moved(step), start.state):
             break
-        before = height
-        start = Start(expansion.moved(step))
-        problem = replace(problem, model=reshaped(problem.model, expansion.optics_after(step), start.state))
+        best, taken, halvings = expansion, step, 0
+        problem, start = _stepped(problem, expansion, step)
     step = step if near else np.zeros_like(step)
     state, relative = expansion.moved(step), expansion.foreseen(step)
     solution = Solution(
@@ -188,6 +193,12 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
         settled,
     )
     return Freed(problem, solution, expansion.optics_after(step), covariance[:modes, :modes], expansion.measured())
+
+
+def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
+    """The problem, and where to begin, after a step (p,) from an expansion."""
+    before, start = expansion.state, Start(expansion.moved(step))
+    return replace(problem, model=reshaped(problem.model, expansion.optics_after(step), before)), start
 
 
 def _known_shape(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:

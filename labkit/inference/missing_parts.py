@@ -21,8 +21,8 @@ from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
 
 SPECTRUM = "spectrum"
-KNOWN: dict[str, Part] = {part.name: part for part in (LowPass(), LowPass(turned=True), Diffusion(), Smear(), Veil())}
-"""Parts of a camera that may be missing, the commonest first. The width of a spectrum, of its light, may be too."""
+KNOWN: dict[str, Part] = {part.name: part for part in (LowPass(), Diffusion(), Veil(), Smear(), LowPass(turned=True))}
+"""Parts of a camera that may be missing, the simplest and commonest first. The width of its light's spectrum may be too."""
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,9 @@ def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
     blur = Blur(torus, pupil, 5.0, Spectrum.of_samples([540.0, 560.0], [1.0, 3.0], 550.0))
     each = [replace(pupil, wavelength_um=um).psf(waves) for um in (0.54, 0.56)]
     mean = 0.25 * each[0] + 0.75 * each[1]
-    assert blur.psf(waves) == pytest.approx(mean, abs=2.5e-6)  # pupils of other sizes fold other halos into their windows
+    assert blur.psf(waves) == pytest.approx(
+        mean, abs=2.5e-6
+    )  # pupils of other sizes fold other halos into their windows
     assert mean.max() > 0.03
 
 

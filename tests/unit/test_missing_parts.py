@@ -1,0 +1,97 @@
+"""What frames call for, against climbs with the parts; what a session makes of it, on numbers drawn by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.analysis.diagnosis import called_for, idle, lacks, together, worth
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.parts import Diffusion, LowPass, Part
+from labkit.inference.cone import SPARE, Freed, Measured, free_cone
+from labkit.inference.fisher_scoring import Problem, Start
+from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call, calls, lacking, with_part
+from labkit.optics.spectrum import Spectrum
+from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
+
+EVERY = [*KNOWN, SPECTRUM]
+
+
+def problem(*parts: Part) -> Problem:
+    """Frames taken with parts of a camera, and a model without."""
+    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, spare=SPARE)
+    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
+    return replace(photographed(with_them), model=without)
+
+
+def fitted(of: Problem) -> Freed:
+    return free_cone(of, Start(TRUTH), 0.03)
+
+
+def asked(of: Problem) -> dict[str, Call]:
+    freed = fitted(of)
+    return calls(freed.problem, freed.solution.state, lacking(freed.optics), 0.03)
+
+
+def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
+    frames = problem(LowPass(0.2, 0.15))
+    plain, call = fitted(frames), asked(frames)["low_pass_filter"]
+    model = frames.model.shaped(with_part(OPTICS, "low_pass_filter"))
+    climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
+    gained = climbed.solution.objective - plain.solution.objective
+    assert gained > 20
+    assert call.gain == pytest.approx(gained, rel=0.3)  # 20.3 of 23.7: a cosine is no parabola
+    rows, columns = climbed.measured.values[3:5]
+    std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
+    assert climbed.solution.converged
+    assert abs(rows - 0.2) < 3 * std[0] < 0.08
+    assert abs(columns - 0.15) < 3 * std[1] < 0.15
+
+
+def test_a_plain_camera_calls_for_nothing() -> None:
+    # twice the gain of n numbers is chi-squared of n at most: beyond 7 once in a thousand for three of them
+    assert {name: call.gain for name, call in asked(problem()).items() if call.gain > 7} == {}
+
+
+def test_what_a_plan_gives_is_not_asked_for() -> None:
+    assert lacking(replace(OPTICS, given=(LowPass(0.3, 0.3),))) == [name for name in EVERY if name != "low_pass_filter"]
+    assert lacking(replace(OPTICS, spectrum=Spectrum.of_width(1e-3))) == [*KNOWN]
+    assert lacks([OPTICS, with_part(OPTICS, "veil")]) == [name for name in EVERY if name != "veil"]
+
+
+def call(gain: float, sign: float = 1.0) -> Call:
+    """For one number that is called for, or for one that no camera has."""
+    return Call(np.array([sign * np.sqrt(2 * gain)]), np.eye(1))
+
+
+def test_fits_add_up_what_they_call_for() -> None:
+    summed = together([{"veil": call(4.0)}, {"veil": call(4.0)}])
+    assert summed["veil"].gain == pytest.approx(8.0)
+    assert together([{"veil": call(4.0)}, {"veil": call(4.0, -1.0)}])["veil"].gain == pytest.approx(0.0)
+
+
+def test_of_parts_that_gain_as_much_the_more_common_is_taken() -> None:
+    assert called_for({"low_pass_filter": call(95.0), "smear": call(100.0), "veil": call(20.0)}) == "low_pass_filter"
+    assert called_for({"low_pass_filter": call(80.0), "smear": call(100.0)}) == "smear"
+    assert called_for({"low_pass_filter": call(9.0), "smear": call(5.0)}) is None
+    assert called_for({"veil": call(1000.0, -1.0)}) is None  # a camera that swallows stray light
+
+
+def test_a_part_that_has_nothing_left_to_do_is_idle() -> None:
+    labels = ("low_pass_filter.rows_px2", "low_pass_filter.columns_px2", "diffusion.variance_px2")
+    values, covariance = np.array([0.1, 0.01, -0.01, 0.04, 0.0, 0.0]), np.diag([1e-6, 1e-4, 1e-4, 1e-6, 1e-4, 1e-8])
+    fit = Measured((4,), values, covariance, 0 * covariance, parts=labels)
+    assert worth([fit, fit]) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 1600.0})
+    assert idle([fit, fit]) == ["low_pass_filter"]
+
+
+def test_a_part_of_each_name_can_be_added() -> None:
+    for name, part in KNOWN.items():
+        assert with_part(OPTICS, name).parts == (part,)
+    assert with_part(OPTICS, SPECTRUM).shape_labels == ("spectrum.variance",)
+    assert with_part(replace(OPTICS, parts=(Diffusion(0.1),)), "veil").shape_labels == (
+        "diffusion.variance_px2",
+        "veil.share",
+    )
