@@ -27,6 +27,7 @@ SETTLED, SETTLED_STDS = 2e-3, 0.3
 SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
 FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
 HALVINGS = 2  # of a step that is
+WILD = 0.3  # of ln N: no cone is as far from its engraving, and a model of a very wide one asks for all memory
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
 EXACT = 1e-6  # a relative error that moves nothing
@@ -177,7 +178,8 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
         near, cone = length < SETTLED_LENGTH, expansion.shape.stop - 1
         close = abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))
         settled = rounds > 1 and near and close and not fallen
-        if settled or fallen or rounds == ROUNDS or not sane(expansion.moved(step), start.state):
+        wild = abs(step[cone]) > WILD or not sane(expansion.moved(step), start.state)
+        if settled or fallen or wild or rounds == ROUNDS:
             break
         best, taken, halvings = expansion, step, 0
         problem, start = _stepped(problem, expansion, step)
