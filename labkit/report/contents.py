@@ -10,6 +10,7 @@ from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.best_focus import BestFocus
+from labkit.report.camera_table import part_rows, tried_rows
 from labkit.report.focus_table import focus_table
 from labkit.report.lens_table import SOURCES, budget_rows, lens_rows
 from labkit.report.quantities import MINUS, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, plus_minus
@@ -20,6 +21,7 @@ from labkit.uncertain import Uncertain, decimals
 SECTIONS = {
     "focus": "Focus",
     "lens": "The lens",
+    "camera": "The camera",
     "budget": "Errors",
     "best-focus": "At best focus",
     "wavefronts": "Wavefronts",
@@ -37,7 +39,7 @@ def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) ->
     """What the template asks for; focused: each channel at best focus; drawn: the sections that have figures."""
     m, plan, focus = results, results.plan, results.focus
     lens = lens_rows(m)
-    shown = drawn | ALWAYS | ({"lens"} if lens else set())
+    shown = drawn | ALWAYS | ({"lens"} if lens else set()) | ({"camera"} if m.parts_tried else set())
     sections = [(name, label) for name, label in SECTIONS.items() if name in shown]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
@@ -53,6 +55,8 @@ def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) ->
         "best_focus": _best_focus(m, focus) if focus else [],
         "magnification": _split(focus.pupil_magnification) if focus else None,
         "lens_rows": lens,
+        "part_rows": part_rows(m),
+        "tried_rows": tried_rows(m),
         "sources": SOURCES,
         "budget_rows": budget_rows(m),
         "wavefront_rms": rms,

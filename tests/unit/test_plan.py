@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from labkit.analysis.local_fits import optics_of
 from labkit.errors import PlanError
 from labkit.plan import Plan
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
@@ -69,6 +71,16 @@ def test_a_capture_plan_keeps_addresses_and_ranges() -> None:
         ("= 4.78", '= 4.78\ncfa_pattern = "mono"', ["2 [[channel]] tables", "exactly one"]),
         ("= 4.78", '= 4.78\ncfa_pattern = "RYYB"', ['channel.name = "G"', "RYYB"]),
         ("= 4.78", "= 4.78\nblack_level = 600\nwhite_level = 255", ["sensor.white_level = 255", "600"]),
+        ("= 4.78", '= 4.78\nlow_pass_filter = {spread_px = "fitt"}', ["low_pass_filter.spread_px = 'fitt'", '"fit"']),
+        ("= 4.78", "= 4.78\nlow_pass_filter = {spread_px = [1, 2, 3]}", ["spread_px = [1, 2, 3]", "0 to 3 pixels"]),
+        ("= 4.78", "= 4.78\nlow_pass_filter = {spread_px = -1}", ["spread_px = -1", "0 to 3 pixels"]),
+        ("= 550.0", "= 550.0\nspectrum = [[550, 0]]", ['"G".spectrum has no weight', "[[nm, weight], ...]"]),
+        (
+            "= 550.0",
+            "= 550.0\nspectrum = [[640, 1]]",
+            ["outside the channel", "mean is 640 nm", "wavelength_nm is 550"],
+        ),
+        ("= 550.0", "= 550.0\nspectrum = [[550]]", ['"G".spectrum = [[550]]', "[[nm, weight], ...]"]),
         ('name = "G"', 'name = "R"', ['channel.name = "R"', "each name once"]),
         ('name = "G"', 'name = "red"', ['channel.name = "red": allowed is R, G or B', "did you mean R?"]),
         ('name = "G"', 'name = "E"', ['channel.name = "E": allowed is R, G or B']),
@@ -94,6 +106,29 @@ def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed(old: str, new
     message = refusal(old, new)
     for word in words:
         assert word in message
+
+
+@pytest.mark.parametrize(
+    ("spread", "squares"), [("0.7", (0.49, 0.49)), ("[0.5, 0.6]", (0.25, 0.36)), ('"fit"', (0.25, 0.25))]
+)
+def test_a_low_pass_filter_is_stated_or_to_be_fitted(spread: str, squares: tuple[float, float]) -> None:
+    text = LEAST.replace("= 4.78", f"= 4.78\nlow_pass_filter = {{spread_px = {spread}}}")
+    plan = Plan.parse(text)
+    assert plan.sensor.low_pass_filter is not None
+    assert plan.sensor.low_pass_filter.squares == pytest.approx(squares)
+    optics = optics_of(plan, "G")
+    fitted, given = (optics.parts, optics.given) if spread == '"fit"' else (optics.given, optics.parts)
+    assert fitted[0].values == pytest.approx(squares)
+    assert given == ()
+    assert Plan.parse(plan.to_toml()) == plan
+
+
+def test_a_spectrum_stands_for_the_channels_light() -> None:
+    plan = Plan.parse(LEAST.replace("= 550.0", "= 550.0\nspectrum = [[530, 1], [550, 2], [580, 1]]"))
+    spectrum = optics_of(plan, "G").spectrum
+    assert np.dot(spectrum.weights, spectrum.nodes) == pytest.approx(552.5 / 550)
+    assert optics_of(plan, "R").spectrum.nodes == (1.0,)
+    assert Plan.parse(plan.to_toml()) == plan
 
 
 def test_every_problem_is_named_at_once() -> None:

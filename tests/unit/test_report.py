@@ -13,6 +13,8 @@ import pytest
 from labkit.errors import InputError
 from labkit.report.charts import focus_chart
 from labkit.report.html import write_report
+from labkit.results.model import PartTried
+from labkit.uncertain import Uncertain
 from tests.results_samples import ACCEPTED, PLAN, a_wavefront, some_results, written
 
 pytestmark = pytest.mark.slow  # every test draws all figures
@@ -127,6 +129,16 @@ def test_the_lens_and_its_errors_have_sections(report: Path) -> None:
     assert "Focal length mm 69.31 ± 0.12 70.0 ± 1.4" in words
     assert "best focus, R mm 0.300 0.100 0.200 0.200 0.424" in words
     assert "22.530 ± 0.050" in words  # blur of 0.0751 waves, µm
+
+
+def test_what_was_found_of_the_camera_has_a_section(tmp_path: Path, report: Path) -> None:
+    tried = (PartTried("low_pass_filter", 812.3, True), PartTried("veil", 0.0, False))
+    found = {"low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"), "spectrum.G.width_nm": Uncertain(12.0, 3.0, "nm")}
+    words = Page(write_report(written(tmp_path, model_parts=found, parts_tried=tried)).read_text()).words()
+    assert "low-pass filter along rows px 0.5500 ± 0.0040" in words
+    assert "spectrum standard deviation, G nm 12.0 ± 3.0" in words
+    assert "low-pass filter 812.3 taken in veil of stray light 0.0" in words
+    assert "The camera" not in Page(report.read_text()).words()
 
 
 def test_warnings_stand_before_the_figures(report: Path) -> None:

@@ -1,0 +1,74 @@
+"""What a session found of its camera: from fits that measured it along, to numbers with units and to words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.analysis.lens_fit import fit_session_lens
+from labkit.analysis.lens_model import Member
+from labkit.analysis.session_parts import model_parts, words_of_parts
+from labkit.analysis.wavefronts import SessionFits
+from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.inference.cone import Measured
+from labkit.plan import Plan
+from tests.lens_samples import members, stated
+from tests.plans import PORTRAIT
+
+FILTER = ("low_pass_filter.rows_px2", "low_pass_filter.columns_px2")
+ROWS, COLUMNS, WIDTH = 0.55**2, 0.40**2, 0.03**2
+
+
+def with_parts(member: Member, labels: tuple[str, ...], values: list[float], std: list[float]) -> Member:
+    """A member that measured its camera along; what it errs by in the first number, it errs by in defocus too."""
+    wider = np.insert(member.measured.values, 1, values)
+    covariance, common = np.zeros((len(wider), len(wider))), np.zeros(len(wider))
+    at = [0, *range(1 + len(labels), len(wider))]
+    covariance[np.ix_(at, at)] = member.measured.covariance
+    of = np.arange(1, 1 + len(labels))
+    covariance[of, of] = np.square(std)
+    common[[0, 1]] = 1e-3, std[0]
+    covariance += np.outer(common, common)
+    return replace(member, measured=Measured((4,), wider, covariance, 0 * covariance, parts=labels))
+
+
+def session(labels: tuple[str, ...], values: list[float], std: list[float]) -> SessionFits:
+    green = [m for m in members((980.0, 1010.0, 1040.0), 1010.0, 70.0, 2.8) if m.channel == "G"]
+    out, lens = fit_session_lens([with_parts(m, labels, values, std) for m in green], stated(70.0, 2.8))
+    assert out == []
+    return SessionFits((), lens)
+
+
+def test_a_filter_is_given_by_how_far_apart_its_spots_lie() -> None:
+    fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
+    found = model_parts(fits, Plan.from_tables(PORTRAIT))
+    assert [*found] == [f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")]
+    spread, rows, columns = found.values()
+    assert spread.value == pytest.approx(np.sqrt((ROWS + COLUMNS) / 2))
+    assert (rows.value, columns.value) == pytest.approx((0.55, 0.40))
+    # of three fits; the slope of a root is half its inverse
+    assert columns.std == pytest.approx(0.006 / np.sqrt(3) / (2 * 0.40), rel=1e-6)
+    assert 0.003 / np.sqrt(3) / (2 * 0.55) < rows.std < 1.01 * np.sqrt(2) * 0.003 / np.sqrt(3) / (2 * 0.55)
+
+
+def test_what_was_found_is_said_and_what_it_changed() -> None:
+    fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
+    (words,) = words_of_parts(fits, model_parts(fits, Plan.from_tables(PORTRAIT)))
+    assert words.startswith(
+        "the photographs call for an optical low-pass filter, which the plan does not state: rows 0.55"
+    )
+    assert "without it would move best focus by about G " in words
+
+
+def test_a_spectrum_is_each_channels_own() -> None:
+    found = model_parts(session((SPECTRUM_WIDTH,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
+    assert set(found) == {"spectrum.G.width_nm"}
+    assert found["spectrum.G.width_nm"].value == pytest.approx(0.03 * 550)
+
+
+def test_a_square_that_came_out_below_nothing_is_nothing_with_an_error() -> None:
+    found = model_parts(session(("diffusion.variance_px2",), [-1e-4], [4e-4]), Plan.from_tables(PORTRAIT))
+    assert found["diffusion.sigma_px"].value == 0.0
+    assert 4e-4 / np.sqrt(3) < found["diffusion.sigma_px"].std ** 2 < 4e-4 * np.sqrt(2)
