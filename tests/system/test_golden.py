@@ -14,7 +14,7 @@ from benchmarks.claims import limit
 from tests.golden.measure import import_and_fit, resampled
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
-NAMES = {"golden_open": "open", "golden_engraved": "engraved-open"}
+NAMES = {"golden_open": "open", "golden_engraved": "engraved-open", "golden_dslr": "dslr-open"}
 
 pytestmark = [
     pytest.mark.skipif(not GOLDEN.is_dir(), reason="the sessions with a known truth lie beside the project, not in it"),
@@ -81,9 +81,21 @@ def test_the_lens_is_right_though_engraved_otherwise(golden: Golden) -> None:
     if golden.claim == "golden_open":
         assert any("do not follow from one lens" in words for words in golden.measured["warnings"])
         return
-    assert lens["f_number"]["value"] == pytest.approx(3.44, rel=limit(golden.claim, "f_number_relative"))
-    assert abs(lens["focal_length_mm"]["value"] - 86.2) < limit(golden.claim, "focal_length_mm")
+    true = golden.truth["f_number"]
+    assert lens["f_number"]["value"] == pytest.approx(true, rel=limit(golden.claim, "f_number_relative"))
+    assert abs(lens["focal_length_mm"]["value"] - golden.truth["focal_length_mm"]) < limit(golden.claim, "focal_length_mm")
     assert abs(lens["range_zero_mm"]["value"]) < lens["range_zero_mm"]["std"]
+
+
+def test_the_camera_is_found_and_none_is_invented(golden: Golden) -> None:
+    found = golden.measured["model_parts"]
+    if golden.claim != "golden_dslr":
+        assert found == {}
+        return
+    assert [*found] == [f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")]
+    for number in found.values():
+        error = number["value"] - golden.truth["model_parts"]["low_pass_filter.spread_px"]
+        assert abs(error) < limit(golden.claim, "spread_px")
 
 
 def test_noise_is_right(golden: Golden) -> None:
