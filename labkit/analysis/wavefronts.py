@@ -25,6 +25,7 @@ from labkit.target import Target
 from labkit.types import Floats, Progress
 
 ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
+RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
@@ -69,9 +70,11 @@ def fit_session(
     anchors = chain.anchors()
     chain.fit(anchors, ANCHOR_S if len(anchors) > 1 else np.inf)
     chain.fit(chain.taken_back())
+    chain.reconcile()
     chain.complete_model()
     chain.fit([k for k in range(len(observations)) if k not in chain.fits])
     chain.complete_model()
+    chain.reconcile()
     return chain.settled()
 
 
@@ -117,6 +120,30 @@ class _Chain:
         for k in places:
             del self.fits[k]
         return places
+
+    def reconcile(self) -> None:
+        """Where fits disagree on the modes, each is sought again with those of the clearest other: the likelihood decides.
+
+        Far from focus an optimum is plain, near focus wrong ones lie close, and two fits cannot say which of them is wrong.
+        """
+        known = self._joined()
+        if known.lens is None or known.lens.model.shared:
+            return
+        places = [list(self.fits)[k] for k in sorted(known.members)]
+        clear = sorted(places, key=lambda k: -abs(self.fits[k].member.measured.waves[0]))
+        tasks = []
+        for k in places:
+            others = [
+                other for other in clear if other != k and self.fits[other].member.stop != self.fits[k].member.stop
+            ]
+            others.sort(key=lambda other: self.fits[other].channel != self.fits[k].channel)
+            fit = self.fits[k].fit
+            cone = replace(fit.optics, f_number=self.fits[others[0]].fit.f_number)
+            alike = (self.fits[others[0]].fit.waves,)
+            tasks.append(replace(self.fits[k].task, optics=cone, starts=(), alike=alike, patience_s=RECONCILE_S))
+        for index, fit in self.run(fit_task, tasks):
+            if fit.objective > self.fits[places[index]].fit.objective + SAME_OPTIMUM:
+                self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
     def complete_model(self) -> None:
         """Take in what parts of the camera the fits so far call for together, one after another.

@@ -23,6 +23,7 @@ WORKING_SIDE = 320
 BLURS = (0.6, 1.2, 2.4, 4.8)
 """Standard deviations of the blurs tried for the unknown lens, in pixels at the working size."""
 
+MOST_LARGER = 4.0  # than the picture: a corner so far away is where nearly parallel lines meet
 LIGHT_BLUR = 0.8
 """Blur of the picture itself before it is compared: it takes noise and aliasing down."""
 
@@ -82,6 +83,8 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
 
 def quick_agreement(image: Singles, target: Target, corners: Floats, side: int = 81) -> float:
     """Correlation over the target at a coarse scale, 0 where most of it lies outside the picture."""
+    if np.ptp(corners, axis=0).max() > MOST_LARGER * max(image.shape):
+        return 0.0
     factor = max(1, round(_side(corners) / side))
     picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))

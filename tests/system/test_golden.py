@@ -83,7 +83,9 @@ def test_the_lens_is_right_though_engraved_otherwise(golden: Golden) -> None:
         return
     true = golden.truth["f_number"]
     assert lens["f_number"]["value"] == pytest.approx(true, rel=limit(golden.claim, "f_number_relative"))
-    assert abs(lens["focal_length_mm"]["value"] - golden.truth["focal_length_mm"]) < limit(golden.claim, "focal_length_mm")
+    assert abs(lens["focal_length_mm"]["value"] - golden.truth["focal_length_mm"]) < limit(
+        golden.claim, "focal_length_mm"
+    )
     assert abs(lens["range_zero_mm"]["value"]) < lens["range_zero_mm"]["std"]
 
 

@@ -16,6 +16,7 @@ from skimage import data
 from labkit.errors import TargetError
 from labkit.experiments.conditions import carpet, draw_trial
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.registration import quick_agreement
 from labkit.target import CellTarget
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
@@ -208,3 +209,8 @@ def test_a_sliver_along_an_edge_is_not_taken_for_the_target() -> None:
     # a picture in which a quadrilateral of 6 x 1 pixels, stretched, correlated well enough; a fit wants about a pixel
     trial = draw_trial(np.random.default_rng([49, 50, 12, 25]), snr=50.0)
     assert worst(find_target(trial.frame.counts, carpet()), trial.pose.corners_px()) < 1.0
+
+
+def test_a_quadrilateral_that_nearly_parallel_lines_make_is_no_target() -> None:
+    degenerate = np.array([[21.0, 37.0], [55.0, 30.0], [21754.0, 4066.0], [54.0, 37.0]])
+    assert quick_agreement(np.ones((112, 112), np.float32), carpet(), degenerate) == 0.0

@@ -110,3 +110,38 @@ def test_where_neither_end_shows_both_are_searched_for_as_long_as_patience_lasts
     batches = made(lambda task: task.patience_s > ANCHOR_S)
     assert [ranges(batch) for batch in batches] == [[2900.0, 3200.0], [2900.0, 3200.0], [3010.0, 3100.0]]
     assert all(task.patience_s == PATIENCE_S and not task.alike for task in batches[1])
+
+
+def test_of_two_fits_that_disagree_the_likelier_modes_are_found() -> None:
+    """Near focus a search ended in another optimum, and was accepted: begun from the other's modes it finds a better one."""
+    plan = Plan.from_tables({**PORTRAIT, "fit": {"zernike_noll": [4, 5]}})
+    batches = list[Batch]()
+
+    def fitted(task: Task) -> WavefrontFit:
+        near = task.observation.range_mm == 3010.0
+        wrong = near and not task.alike
+        waves, cone, scale = true_values(task)
+        values = np.array([waves + 0.1 * wrong, 0.05 - 0.2 * wrong, cone, scale])
+        spread = np.diag([0.0, 1e-6, 0.0, 0.0])
+        spread[np.ix_([0, 2, 3], [0, 2, 3])] = covariance(float(waves))
+        state = State(values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre)
+        measured, verdict = Measured((4, 5), values, spread, np.zeros((4, 4))), Verdict(0.5, True, 0.0, 0.0)
+        optics = replace(task.optics, f_number=2.8)
+        height = -500.0 if wrong else 0.0
+        return WavefrontFit(
+            (4, 5), state, spread[:2, :2], optics, measured, height, 1.0, verdict, 1, (), (np.ones(1),), 0.0
+        )
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        if function is answer:
+            yield from enumerate({} for _ in tasks)
+            return
+        batches.append(list(tasks))
+        yield from enumerate(map(fitted, tasks))
+
+    two = [o for o in observations() if o.range_mm in (3010.0, 3200.0)]
+    session = fit_session(two, plan, TARGET, run, lambda done, of, what: None)  # type: ignore[arg-type]
+    assert [f.fit.waves[1] for f in session.fits] == pytest.approx([0.05, 0.05])
+    assert session.lens is not None
+    assert session.lens.model.shared
+    assert [ranges(batch) for batch in batches if batch] == [[3010.0, 3200.0]] * 2
