@@ -74,6 +74,12 @@ class LocalFit:
         return self.task.ranged
 
     @property
+    def unexplained(self) -> float:
+        """Log-likelihood that the residuals lack of those of noise alone, about."""
+        pixels = sum(image.size for image in self.fit.relative)
+        return 0.5 * max(self.fit.chi2_per_pixel - 1, 0.0) * pixels
+
+    @property
     def member(self) -> Member:
         """As a session's estimate takes it."""
         return self.task.as_member(self.fit.measured)

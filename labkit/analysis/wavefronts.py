@@ -25,6 +25,7 @@ from labkit.target import Target
 from labkit.types import Floats, Progress
 
 ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
+SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is explained with it: else it stands for another lack
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
@@ -185,7 +186,9 @@ class _Chain:
         """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out."""
         before = {k: self.fits[k] for k in self.fits}
         self._again(list(before), {k: with_part(f.fit.optics, name) for k, f in before.items()})
-        if sum(self.fits[k].fit.objective - before[k].fit.objective for k in places) < CALLED_FOR:
+        gained = sum(self.fits[k].fit.objective - before[k].fit.objective for k in places)
+        explained = any(self.fits[k].fit.verdict.accepted for k in places)
+        if gained < max(CALLED_FOR, 0.0 if explained else SHARE * sum(before[k].unexplained for k in places)):
             self.fits = before
             return False
         out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part != name]
