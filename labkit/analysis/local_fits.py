@@ -133,6 +133,7 @@ def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> 
         state.poses[0],
         window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
         spare=spare,
+        shine=observation.frames[0].shine,
     )
     return Problem(model, observation.frames, observation.noise)
 

@@ -12,6 +12,7 @@ from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError, TargetError
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.find_target import find_target, grey_image
+from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.likelihood import FrameData, low_orders
@@ -212,7 +213,9 @@ def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pos
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(data.counts, used, data.illumination, data.relative_std, rounding=data.rounding)
-    return frame if calibration.illumination else replace(frame, departures=low_orders(*used.shape))
+    if not calibration.illumination:
+        return replace(frame, departures=low_orders(*used.shape))
+    return replace(frame, shine=Shine.seen(data.illumination / data.falloff, used))
 
 
 def _measured(group: Sequence[Frame]) -> float | None:

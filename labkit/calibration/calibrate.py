@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import dark_warnings, reduce_darks
+from labkit.calibration.falloff import Falloff
 from labkit.calibration.flats import at_range, flat_warnings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack, saturated
@@ -47,15 +48,17 @@ class ChannelData:
     """One channel of one photograph or of a cut of it, ready for a fit.
 
     counts: (rows, cols) with the dark level taken off; mask: usable pixels of this channel; illumination: relative
-    illumination (mean about 1) times pixel response, by which the model is multiplied; relative_std: standard deviation
-    of that factor, relative. rounding: counts², of the rounding to stored numbers where that is known beside the read noise, as
-    behind a tone curve; else 0. noise: gain and read noise as measured. warnings: what was assumed.
+    illumination (mean about 1) times pixel response, by which the model is multiplied; relative_std: standard deviation of
+    that factor, relative; falloff: the lens's share of it, 1 where no flats show it. rounding: counts², of the rounding to
+    stored numbers where that is known beside the read noise, as behind a tone curve; else 0. noise: gain and read noise as
+    measured. warnings: what was assumed.
     """
 
     counts: Floats
     mask: Bools
     illumination: Floats
     relative_std: Floats
+    falloff: Floats
     rounding: Floats
     noise: NoiseEstimate
     warnings: tuple[str, ...]
@@ -116,13 +119,14 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
     _refuse_other_sensor(calibration, frame, mosaic)
     part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
     offset = part.black_map() if calibration.offset is None else calibration.offset[where]
-    factor, factor_std = np.ones(part.counts.shape), np.zeros(part.counts.shape)
+    factor, falloff, factor_std = np.ones(part.counts.shape), np.ones(part.counts.shape), np.zeros(part.counts.shape)
     warnings = [*mosaic.notes, *calibration.warnings]
     mask = part.channel_mask(channel) & ~saturated(part)
     if calibration.illumination:
         range_mm, warning = _nearest(frame, calibration.illumination)
         warnings += warning
         factor *= calibration.illumination[range_mm][where]
+        falloff = Falloff.of(calibration.illumination[range_mm], mosaic.shape).at(cut)
     if calibration.response is not None and calibration.response_std is not None:
         factor *= calibration.response[where]
         factor_std += calibration.response_std[where]
@@ -136,6 +140,7 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
         mask=mask,
         illumination=np.nan_to_num(factor, nan=1.0),
         relative_std=factor_std,
+        falloff=falloff,
         rounding=np.zeros(part.counts.shape) if part.tone is None else part.tone.rounding_variance(part.counts),
         noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
         warnings=tuple(dict.fromkeys(warnings)),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
@@ -13,6 +14,7 @@ from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
 from labkit.imaging.parts import Part
 from labkit.imaging.scene import Drawing, Scene
+from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY, window_for
 from labkit.optics.psf import Pupil
@@ -31,16 +33,17 @@ GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """The mean and its derivatives at one frame's used pixels, in units of the target's radiance.
+    """The mean and its derivatives at one frame's used pixels, in units of the target's radiance there.
 
     mean: (pixels,); by_waves: (modes, pixels), behind them those by the `Optics.shape` if they were wanted; by_pose:
-    (8, pixels).
+    (8, pixels); by_shine: (1, pixels), by the share of the light's unevenness that is the target's own, if it has any.
     Derivatives that were not wanted are empty.
     """
 
     mean: Floats
     by_waves: Floats
     by_pose: Floats
+    by_shine: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +123,14 @@ class ForwardModel:
     wrapped: Floats
     window_airy: float = WINDOW_AIRY
 
+    @cached_property
+    def light(self) -> Floats:
+        """(rows, columns) how brightly the target shines at each pixel, relative."""
+        shine = self.scene.shine
+        return (
+            np.ones(self.scene.torus.frame) if shine is None else shine.at(*np.indices(self.scene.torus.frame, float))
+        )
+
     @classmethod
     def build(
         cls,
@@ -131,13 +142,14 @@ class ForwardModel:
         band: float = 1.0,
         window_airy: float = WINDOW_AIRY,
         spare: float = 0.0,
+        shine: Shine | None = None,
     ) -> "ForwardModel":
         """A model of frames of a size, (rows, columns).
 
         reference: the target's pose in such frames, its scale right to 5 %; see `Scene`.
         band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
         window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
-        the wavefront. spare: relative, by which `shaped` may make the cone wider.
+        the wavefront. spare: relative, by which `shaped` may make the cone wider. shine: of the target's places.
         """
         window_um = window_airy * optics.airy_um
         cutoff = 1 / (optics.airy_um * (1 - spare) * optics.spectrum.shortest)
@@ -155,7 +167,7 @@ class ForwardModel:
         )
         blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts, optics.given)
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
-        return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped, window_airy)
+        return cls(Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
 
     def shaped(self, optics: Optics) -> "ForwardModel":
         """The same of another `Optics.shape`; drawings serve both. Raises ValueError for a cone wider than spared."""
@@ -166,8 +178,10 @@ class ForwardModel:
     def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
         """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
         window_airy = max(self.window_airy, optics.window_airy(waves))
-        target, frame = self.scene.target, self.scene.torus.frame
-        return ForwardModel.build(optics, target, frame, reference, window_airy=window_airy, spare=spare)
+        scene = self.scene
+        return ForwardModel.build(
+            optics, scene.target, scene.torus.frame, reference, window_airy=window_airy, spare=spare, shine=scene.shine
+        )
 
     @property
     def optics(self) -> Optics:
@@ -219,17 +233,31 @@ class ForwardModel:
         if by_shape:
             turns = [turn.astype(np.complex64) for turn in self._by_shape(blur, waves)]
             by_lens = [
-                np.concatenate([by_mode, [blur.torus.sample(spectrum * turn)[u] for turn in turns]])
+                np.concatenate([by_mode, [self._seen(blur.torus.sample(spectrum * turn), u) for turn in turns]])
                 for by_mode, spectrum, u in zip(by_lens, spectra, used, strict=True)
             ]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
         kernels = (single, *blur.spread(single))
         by_pose = [
-            _by_pose(blur.torus, spectrum, kernels, pose, u)
+            self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
             for spectrum, pose, u in zip(spectra, drawing.poses, used, strict=True)
         ]
-        return [Evaluation(*of) for of in zip(means, by_lens, by_pose, strict=True)]
+        by_shine = self._by_shine(blur.torus, spectra, kernels, used) if by_shape else np.empty((len(used), 0, 0))
+        return [Evaluation(*of) for of in zip(means, by_lens, by_pose, by_shine, strict=True)]
+
+    def _by_shine(
+        self, torus: Torus, spectra: Sequence[Complexes64], kernels: Sequence[AnyComplexes], used: Sequence[Bools]
+    ) -> list[Floats]:
+        """(0 or 1, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
+        if self.scene.shine is None:
+            return [np.empty((0, int(u.sum()))) for u in used]
+        down, right = self.scene.shine.slopes(*np.indices(torus.frame, float))
+        pictures = [
+            -down * torus.sample(spectrum * kernels[1]) - right * torus.sample(spectrum * kernels[2])
+            for spectrum in spectra
+        ]
+        return [self._seen(picture, u)[None] for picture, u in zip(pictures, used, strict=True)]
 
     def _by_shape(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
         """Half planes of the transfer function's derivatives by `Optics.shape`."""
@@ -260,7 +288,10 @@ class ForwardModel:
         behind = [blur.behind_pixel(spectrum) for spectrum in spectra]
         product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
         changes = [
-            [blur.torus.sample(np.multiply(b, response, out=product))[u] for b, u in zip(behind, used, strict=True)]
+            [
+                self._seen(blur.torus.sample(np.multiply(b, response, out=product)), u)
+                for b, u in zip(behind, used, strict=True)
+            ]
             for response in blur.responses(psfs)
         ]
         return [
@@ -276,7 +307,16 @@ class ForwardModel:
             mask_array("used", mask, self.scene.torus.frame)
 
     def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
-        return self.blur.torus.sample(spectrum * transfer)[used] - self.wrapped[used] + self.scene.surround
+        picture = self._seen(self.blur.torus.sample(spectrum * transfer), used)
+        return picture - self.wrapped[used] + self.scene.surround
+
+    def _seen(self, picture: Floats, used: Bools) -> Floats:
+        """(pixels,) the used pixels of a picture (rows, columns), relative to how brightly the target shines there."""
+        return self._lit(picture[used], used)
+
+    def _lit(self, pixels: Floats, used: Bools) -> Floats:
+        """(..., pixels) relative to that."""
+        return pixels if self.scene.shine is None else pixels / self.light[used]
 
 
 def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:

@@ -111,11 +111,9 @@ def fit_wavefront(
     What the frames do not determine has huge errors and is rejected.
     """
     began = perf_counter()
-    whole = Problem(
-        ForwardModel.build(optics, target, frames[0].counts.shape, poses[0], spare=SPARE if f_number_std else 0.0),
-        tuple(frames),
-        noise,
-    )
+    spare = SPARE if f_number_std else 0.0
+    model = ForwardModel.build(optics, target, frames[0].counts.shape, poses[0], spare=spare, shine=frames[0].shine)
+    whole = Problem(model, tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
     sketches = Sketches(replace(optics, spectrum=Spectrum()), target, frames[0], poses[0], noise)
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)

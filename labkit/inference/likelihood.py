@@ -17,6 +17,7 @@ import numpy as np
 
 from labkit.arrays import mask_array, real_array
 from labkit.imaging.model import Evaluation
+from labkit.imaging.shine import Shine
 from labkit.types import Bools, Floats
 
 
@@ -26,7 +27,8 @@ class FrameData:
 
     counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s;
     departures: (k, rows, columns) P, see `low_orders`; none where flats determine V. rounding: (rows, columns) q, counts^2;
-    none where the read noise holds it.
+    none where the read noise holds it. shine: the part of V that is the
+    target's own, blurred with it; none where it is not known.
     Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
     """
 
@@ -36,6 +38,7 @@ class FrameData:
     relative_std: Floats
     departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     rounding: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    shine: Shine | None = None
 
     def __post_init__(self) -> None:
         if np.ndim(self.counts) != 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -54,13 +55,18 @@ def direct_psf(spacing_um: float, size: int, waves: Floats = WAVES) -> Floats:
 
 
 @cache
-def brute_force_mean(many: int = 12, finer: int = 4) -> Floats:
-    """Supersampled radiance, linear convolution with PSF and pixel box, no torus and no spectra."""
+def brute_force_mean(light: Callable[[Floats, Floats], Floats] | None = None, many: int = 12, finer: int = 4) -> Floats:
+    """Supersampled radiance, linear convolution with PSF and pixel box, no torus and no spectra.
+
+    light: by which the target's places shine, of rows and columns in pixels.
+    """
     spacing_um, guard = 4.8 / many, 40
     step = 1 / (many * finer)
     rows = np.asarray(-guard - 0.5 + (np.arange((FRAME[0] + 2 * guard) * many * finer) + 0.5) * step, float)
     cols = np.asarray(-guard - 0.5 + (np.arange((FRAME[1] + 2 * guard) * many * finer) + 0.5) * step, float)
     seen = points_seen(rows[:, None], cols[None])
+    if light is not None:
+        seen *= light(rows[:, None], cols[None])
     shape = (FRAME[0] + 2 * guard) * many, (FRAME[1] + 2 * guard) * many
     scene = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
     psf = direct_psf(spacing_um, 1600)
