@@ -22,12 +22,14 @@ SETTLED_STDS = 0.02  # the climb ends with a step shorter than this in every num
 
 @dataclass(frozen=True)
 class Leg:
-    """One member's part of a step: where it stands, and the values, as of `Measured`, that the session's step gives it."""
+    """One member's part of a step: where it stands, and the values, as of `Measured`, that the session's step gives it. poor:
+    whether the model does not explain its frames."""
 
     task: Task
     state: State
     optics: Optics
     values: Floats
+    poor: bool
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def climb(session: SessionFits, run: Workers, progress: Progress) -> Joint:
         progress(done, ROUNDS, "climbing jointly")
         values = lens.model.predicted(lens.theta)
         legs = [
-            Leg(fit.task, state, of, value) for fit, state, of, value in zip(fits, states, optics, values, strict=True)
+            Leg(fit.task, state, of, value, bool(member.measured.model.size))
+            for fit, state, of, value, member in zip(fits, states, optics, values, first.model.members, strict=True)
         ]
         reached = _all_reached(legs, run)
         states, optics = [r.state for r in reached], [r.optics for r in reached]
@@ -89,7 +92,7 @@ def reach(leg: Leg) -> Reached:
     state, optics = expand(problem_at(leg.task, leg.optics, leg.state), Start(leg.state)).at(leg.values)
     problem = problem_at(leg.task, optics, state)
     objective = problem.objective(state, problem.relative(state))
-    return Reached(state, optics, expand(problem, Start(state)).measured(), objective)
+    return Reached(state, optics, expand(problem, Start(state)).measured(leg.poor), objective)
 
 
 def _prior_chi2(lens: LensFit) -> float:

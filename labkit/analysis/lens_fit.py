@@ -96,10 +96,11 @@ class LensFit:
         for k, member in enumerate(self.model.members):
             here = solve_triangular(self.roots[k], pull[self.rows(k)], trans="T", lower=True)
             calibration = float(here @ member.measured.calibration @ here)
-            shares["model"] += float(MODEL_FLOOR_WAVES * here[member.measured.noll.index(4)]) ** 2
+            poor = float(here @ member.measured.model @ here) if member.measured.model.size else 0.0
+            shares["model"] += poor + float(MODEL_FLOOR_WAVES * here[member.measured.noll.index(4)]) ** 2
             shares["calibration"] += calibration
             shares["geometry"] += float(self.model.size_error(k) * here[-1]) ** 2
-            shares["photons"] += float(here @ member.measured.covariance @ here) - calibration
+            shares["photons"] += float(here @ member.measured.covariance @ here) - calibration - poor
         prior = pull[-len(self.model.columns) :] ** 2
         shares["geometry"] += sum(
             share for share, c in zip(prior, self.model.columns, strict=True) if c.kind in (*GEOMETRY, "lateral colour")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.analysis.diagnosis import Tried, called_for, idle, lacks, together, worth
-from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
+from labkit.analysis.lens_fit import LensFit, belongs, fit_lens, fit_session_lens, predict
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
@@ -221,7 +221,7 @@ class _Chain:
                 self.fits[place] = made
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
-        return replace(after, mended=mended, tried=tuple(self.tried))
+        return _honest(replace(after, mended=mended, tried=tuple(self.tried)))
 
     def _joined(self) -> SessionFits:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.
@@ -294,6 +294,20 @@ class _Chain:
             if k not in known.members and local.ranged and local.channel in lens.model.channels:
                 again[k] = _starting_at(local.task, predict(lens, local.member))
         return again
+
+
+def _honest(session: SessionFits) -> SessionFits:
+    """With errors that know which fits' models do not explain their frames."""
+    lens, poor = session.lens, [not session.fits[k].fit.verdict.accepted for k in session.members]
+    if lens is None or not any(poor):
+        return session
+    members = [
+        replace(member, measured=session.fits[k].fit.poor) if rejected else member
+        for member, k, rejected in zip(lens.model.members, session.members, poor, strict=True)
+    ]
+    return replace(
+        session, lens=fit_lens(members, lens.model.stated, shared=lens.model.shared, paraxial=lens.model.paraxial)
+    )
 
 
 def _starting_at(task: Task, predicted: Floats) -> Task:

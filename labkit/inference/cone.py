@@ -8,17 +8,18 @@ frames have to do with. Exact to second order about a cone that the last step ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse
 
 from labkit.imaging.model import Evaluation, ForwardModel, Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.inference.identifiability import inverse
 from labkit.inference.likelihood import slopes
-from labkit.types import Floats
+from labkit.types import Bools, Floats
 
 # Two or three do where the cone is a few per cent off; at f/1.9 and 12 % off, where cone and defocus go along a bent ridge, six
 ROUNDS = 12
@@ -32,6 +33,7 @@ SPARE = 0.06  # relative, by which a cone may widen before its model is built an
 NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
 EXACT = 1e-6  # a relative error that moves nothing
 SHARE_STD = 0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
+BLOCKS = 10  # along each side of a cut: wider than what one wrong kernel makes alike
 POSES = 200  # drawn to see how well a tilt is known
 
 
@@ -41,7 +43,8 @@ class Measured:
 
     parts: labels of the camera's numbers that were fitted along, often none. values: (modes + parts + 2,); covariance: of
     photons and read noise, with no prior on N; scale: of the picture, sensor over target, mm per mm, the mean of all
-    directions. calibration: the part of the covariance that the flats' own errors make. shortening: ln of the scale along the
+    directions. calibration: the part of the covariance that the flats' own errors make; model: the part that residuals make
+    which are not noise alone, empty where it was left out. shortening: ln of the scale along the
     line on which a leaning target does not recede, less the mean's, and its standard error.
     """
 
@@ -51,6 +54,7 @@ class Measured:
     calibration: Floats
     shortening: tuple[float, float] = (0.0, 0.0)
     parts: tuple[str, ...] = ()
+    model: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def waves(self) -> Floats:
@@ -62,20 +66,28 @@ class Measured:
         signs = np.append(signs, np.ones(len(self.values) - len(signs)))
         both = np.outer(signs, signs)
         return replace(
-            self, values=self.values * signs, covariance=self.covariance * both, calibration=self.calibration * both
+            self,
+            values=self.values * signs,
+            covariance=self.covariance * both,
+            calibration=self.calibration * both,
+            model=self.model * both if self.model.size else self.model,
         )
 
 
 @dataclass(frozen=True)
 class Freed:
-    """Where a fit ends once its cone is free, and what of the camera is. problem: at the shape of the last expansion; optics:
-    of where it ends; covariance: (modes, modes) of the modes, the shape's prior error in it; measured: without that prior."""
+    """Where a fit ends once its cone is free, and what of the camera is.
+
+    problem: at the shape of the last expansion; optics: of where it ends; covariance: (modes, modes) of the modes, the shape's
+    prior error in it; measured: without that prior; poor: the same if residuals are not noise alone.
+    """
 
     problem: Problem
     solution: Solution
     optics: Optics
     covariance: Floats
     measured: Measured
+    poor: Measured
 
 
 @dataclass(frozen=True)
@@ -83,6 +95,7 @@ class Expansion:
     """The log-likelihood about a state to second order, over modes, shape, and the rest as in `Problem.scores`.
 
     gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
+    scattered: (p, p) the gradient's covariance as blocks of pixels scatter;
     picked: (modes + shape + 1, p) what modes, shape and ln scale change by, which are `here` at the state. evaluations: of
     each frame.
     """
@@ -92,6 +105,7 @@ class Expansion:
     gradient: Floats
     information: Floats
     flats: Floats
+    scattered: Floats
     here: Floats
     picked: Floats
     evaluations: tuple[Evaluation, ...]
@@ -116,6 +130,17 @@ class Expansion:
         covariance = inverse(information)
         return covariance @ gradient, covariance
 
+    def surplus(self, covariance: Floats) -> Floats:
+        """(p, p) by which a covariance (p, p) of the optimum grows if residuals are not noise alone.
+
+        To the sandwich's, where that is larger: H. White, Econometrica 50, 1 (1982).
+        """
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        beyond, along = np.linalg.eigh(root.T @ (self.scattered - self.information) @ root)
+        grown = root @ along * np.sqrt(np.maximum(beyond, 0.0))
+        return np.asarray(grown @ grown.T)
+
     @property
     def objective(self) -> float:
         """Log-likelihood at the state."""
@@ -133,19 +158,21 @@ class Expansion:
         """Relative images (pixels,) of the frames after a short step (p,)."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
-    def measured(self) -> Measured:
-        """The Gaussian of modes, shape and scale."""
+    def measured(self, poor: bool = False) -> Measured:
+        """The Gaussian of modes, shape and scale. poor: whether residuals are not noise alone, and errors are to say so."""
         step, covariance = self.newton(self.optics.usual_shape**-2)
         pulled = self.picked @ covariance
+        surplus = self.picked @ self.surplus(covariance) @ self.picked.T if poor else np.empty((0, 0))
         values = self.here + self.picked @ step
         at = self.shape.stop + np.arange(POSE_SIZE)
         return Measured(
             self.optics.noll,
             values,
-            pulled @ self.picked.T,
+            pulled @ self.picked.T + (surplus if poor else 0.0),
             pulled @ self.flats @ pulled.T,
             _shortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
             self.optics.shape_labels,
+            surplus,
         )
 
     def at(self, values: Floats) -> tuple[State, Optics]:
@@ -195,7 +222,14 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
         rounds,
         settled,
     )
-    return Freed(problem, solution, expansion.optics_after(step), covariance[:modes, :modes], expansion.measured())
+    return Freed(
+        problem,
+        solution,
+        expansion.optics_after(step),
+        covariance[:modes, :modes],
+        expansion.measured(),
+        expansion.measured(poor=True),
+    )
 
 
 def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
@@ -235,8 +269,8 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
     evaluations = problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative)
     gradient, information = _assembled(problem, state, evaluations)
     here, picked = _picked(problem, state, len(gradient))
-    flats = _flats_noise(problem, state, evaluations)
-    return Expansion(problem, state, gradient, information, flats, here, picked, tuple(evaluations))
+    flats, scattered = _scattered(problem, state, evaluations)
+    return Expansion(problem, state, gradient, information, flats, scattered, here, picked, tuple(evaluations))
 
 
 def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
@@ -253,18 +287,30 @@ def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]
     return np.delete(gradient, share) - across * (gradient[share] / known), rest - np.outer(across, across) / known
 
 
-def _flats_noise(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Floats:
-    """(p, p) covariance of the gradient, over modes, shape, and so on, that the flats' relative errors make."""
+def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
+    """(p, p) each, covariances of the gradient over modes, shape, and so on: what the flats' relative errors make of it, and
+    what blocks of pixels show, of which a pixel's residuals may be alike but blocks' are not."""
     modes, even, frames = len(evaluations[0].by_waves), state.unevenness.size, len(state.poses)
     size = modes + PER_FRAME * frames + even + NOISE
-    total = np.zeros((size, size))
+    flats, blocks = np.zeros((size, size)), np.zeros((size, BLOCKS**2))
     for k, (evaluation, frame, detector) in enumerate(zip(evaluations, problem.frames, state.detectors(), strict=True)):
         of = slopes(evaluation, frame, detector)
         at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
-        index = np.concatenate([np.arange(modes), at_frame, np.arange(size - NOISE - even, size - NOISE)])
+        index = np.concatenate([np.arange(modes), at_frame, np.arange(size - NOISE - even, size)])
         weighted = of.of_mean * (frame.relative_std[frame.used] * of.mean / of.variance)
-        total[np.ix_(index, index)] += weighted @ weighted.T
-    return total
+        flats[np.ix_(index[:-NOISE], index[:-NOISE])] += weighted @ weighted.T
+        by_mean, by_variance = of.pulls(frame.counts[frame.used])
+        pulled = np.concatenate([of.of_mean * by_mean, of.of_variance * by_variance])
+        blocks[index] += pulled @ _in_blocks(frame.used)
+    blocks -= blocks.mean(axis=1, keepdims=True)
+    return flats, np.asarray(blocks @ blocks.T)
+
+
+def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
+    """(pixels, BLOCKS^2) 1 for the block that a used pixel lies in."""
+    rows, columns = (at * BLOCKS // n for at, n in zip(np.nonzero(used), used.shape, strict=True))
+    pixels = rows.size
+    return scipy.sparse.csr_array((np.ones(pixels), (np.arange(pixels), rows * BLOCKS + columns)), (pixels, BLOCKS**2))
 
 
 def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:

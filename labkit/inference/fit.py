@@ -34,7 +34,8 @@ class WavefrontFit:
     """The wavefront of one channel at one range.
 
     noll: the modes; waves: (modes,) RMS at the reference wavelength; covariance: its Cramér-Rao covariance, the error of the
-    given f-number in it; optics: where cone and parts ended; measured: what the frames alone say; state: all parameters;
+    given f-number in it, and the model's where the residuals are not noise alone; optics: where cone and parts ended;
+    measured: what the frames alone say, poor: with the errors of a model that does not explain them; state: all parameters;
     starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
     pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted.
     """
@@ -44,6 +45,7 @@ class WavefrontFit:
     covariance: Floats
     optics: Optics
     measured: Measured
+    poor: Measured
     objective: float
     chi2_per_pixel: float
     verdict: Verdict
@@ -71,7 +73,8 @@ class WavefrontFit:
         sign = twin_signs(self.noll)
         state = replace(self.state, waves=self.waves * sign)
         covariance = self.covariance * np.outer(sign, sign)
-        return replace(self, state=state, covariance=covariance, measured=self.measured.twin(sign))
+        measured, poor = self.measured.twin(sign), self.poor.twin(sign)
+        return replace(self, state=state, covariance=covariance, measured=measured, poor=poor)
 
 
 def twin_signs(noll: Sequence[int]) -> Floats:
@@ -126,13 +129,14 @@ def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bo
     """The best of a search, and what else it came across."""
     assert record.best is not None
     freed, optima = record.best.freed, sorted(record.optima, key=lambda optimum: optimum[1])
-    solution = freed.solution
+    solution, explained = freed.solution, record.best.verdict.accepted
     return WavefrontFit(
         noll,
         solution.state,
-        freed.covariance,
+        freed.covariance if explained else freed.covariance + freed.poor.model[: len(noll), : len(noll)],
         freed.optics,
         freed.measured,
+        freed.poor,
         solution.objective,
         solution.chi2_per_pixel,
         record.best.verdict.knowing(solution.covariance()[: len(noll), : len(noll)], noll),

@@ -133,6 +133,12 @@ class Slopes:
     of_variance: Floats
     bend: Floats
 
+    def pulls(self, counts: Floats) -> tuple[Floats, Floats]:
+        """(pixels,) each: slopes of a pixel's log-likelihood by its mean and by its variance (3.9). counts: (pixels,)."""
+        normalised = (counts - self.mean) / self.variance
+        rise = 0.5 * (normalised**2 - 1 / self.variance)
+        return normalised + self.bend * rise, rise
+
     def weights(self) -> tuple[Floats, Floats, Floats]:
         """(pixels,) each: what a product of two slopes of the mean adds to the information, of one with one of the
         variance, and of two of the variance: thesis (3.15), (3.19), variance's dependence included."""
@@ -164,13 +170,12 @@ def slopes(evaluation: Evaluation, data: FrameData, detector: Detector) -> Slope
 def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
     """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19)."""
     of = slopes(evaluation, data, detector)
-    residual = data.counts[data.used] - of.mean
-    normalised = residual / of.variance
-    rise = 0.5 * (normalised**2 - 1 / of.variance)  # of the log-likelihood with the variance
-    gradient = np.concatenate([of.of_mean @ (normalised + of.bend * rise), of.of_variance @ rise])
+    counts = data.counts[data.used]
+    by_mean, by_variance = of.pulls(counts)
+    gradient = np.concatenate([of.of_mean @ by_mean, of.of_variance @ by_variance])
     both, cross, square = of.weights()
     across = of.of_mean @ (of.of_variance * cross).T
     weighted = of.of_mean * np.sqrt(both)
     information = np.block([[weighted @ weighted.T, across], [across.T, (of.of_variance * square) @ of.of_variance.T]])
-    chi2 = float(residual @ normalised)
+    chi2 = float(np.sum((counts - of.mean) ** 2 / of.variance))
     return Score(-0.5 * (chi2 + float(np.sum(np.log(of.variance)))), gradient, information, chi2, of.mean.size)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
@@ -13,6 +14,7 @@ from labkit.inference.cone import SPARE, expand, free_cone, reshaped
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
 from labkit.inference.likelihood import FrameData
 from labkit.target import CellTarget
+from labkit.types import Floats
 
 OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=4.0, pitch_um=4.8, active_um=4.8, noll=(4, 6, 8))
 CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
@@ -92,3 +94,37 @@ def test_rough_slopes_are_nearly_the_exact_ones(model: ForwardModel) -> None:
         for got, wanted in ((one.by_waves, other.by_waves), (one.by_pose, other.by_pose)):
             off = np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)
             assert 0.01 < off.min() < off.max() < 0.09
+
+
+def scatter_and_errors(model: ForwardModel, alike_px: float) -> tuple[Floats, Floats, Floats]:
+    """Of modes over forty photographs whose noise is alike over some pixels: standard deviations, errors as of noise alone,
+    and those of a poor model."""
+    rng, used, one = np.random.default_rng(5), np.ones(FRAME, bool), np.ones(FRAME)
+    (seen,) = model.means(TRUTH.waves, model.draw(TRUTH.poses), [used])
+    mean = (1500 * seen + 40).reshape(FRAME)
+    ends, stds, poor = [], [], []
+    for _ in range(40):
+        noise = rng.normal(size=FRAME)
+        if alike_px:
+            noise = gaussian_filter(noise, alike_px, mode="wrap")
+            noise /= noise.std()
+        data = FrameData(mean + noise * np.sqrt(0.25 * mean + 4), used, one, 0 * one)
+        expansion = expand(Problem(model, (data,), PRIOR), Start(TRUTH))
+        good, bad = expansion.measured(), expansion.measured(poor=True)
+        ends.append(good.values[MODES])
+        stds.append(np.sqrt(np.diag(good.covariance))[MODES])
+        poor.append(np.sqrt(np.diag(bad.covariance))[MODES])
+        np.testing.assert_allclose(bad.covariance - bad.model, good.covariance)
+    return np.std(ends, axis=0), np.mean(stds, axis=0), np.mean(poor, axis=0)
+
+
+def test_errors_of_a_model_that_lacks_something_cover_what_residuals_do_to_the_modes(model: ForwardModel) -> None:
+    scatter, stds, poor = scatter_and_errors(model, 1.5)
+    assert np.all(scatter > 1.6 * stds)
+    assert np.all(np.abs(np.log(poor / scatter)) < 0.2)
+
+
+def test_they_grow_little_where_it_lacks_nothing(model: ForwardModel) -> None:
+    scatter, stds, poor = scatter_and_errors(model, 0.0)
+    assert np.all(poor < 1.2 * stds)
+    assert np.all(np.abs(scatter / stds - 1) < 0.1)

@@ -54,6 +54,7 @@ def as_found(task: Task, settled: bool) -> WavefrontFit:
         spread[:1, :1],
         replace(task.optics, f_number=2.8),
         measured,
+        measured,
         0.0,
         1.0,
         verdict,
@@ -129,7 +130,7 @@ def test_of_two_fits_that_disagree_the_likelier_modes_are_found() -> None:
         optics = replace(task.optics, f_number=2.8)
         height = -500.0 if wrong else 0.0
         return WavefrontFit(
-            (4, 5), state, spread[:2, :2], optics, measured, height, 1.0, verdict, 1, (), (np.ones(1),), 0.0
+            (4, 5), state, spread[:2, :2], optics, measured, measured, height, 1.0, verdict, 1, (), (np.ones(1),), 0.0
         )
 
     def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
