@@ -11,7 +11,7 @@ from labkit.analysis.joint import Joint, climb
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import observe
-from labkit.analysis.session_parts import model_parts, parts_tried, words_of_parts
+from labkit.analysis.session_parts import WORDS, model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.wavefronts import SessionFits, fit_session
@@ -179,8 +179,9 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
             why = (
                 "the session vouches for the optimum: the model lacks something"
                 if w.test.accepted
-                else ("the optimum may be a wrong one, or the model lacks something")
+                else "the optimum may be a wrong one, or the model lacks something"
             )
+            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors hold that"
             doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
         if not low <= w.chi2_per_pixel <= high:
             doubts.append(

@@ -11,7 +11,8 @@ from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.wavefronts import SessionFits
 from labkit.inference.fit import residuals
-from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
+from labkit.inference.residual_spectrum import residual_frequencies
+from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -26,7 +27,9 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
         wavefronts[index] = _with(wavefronts[index], values, covariance)
-    return tuple(_judged(w, k, session) for k, w in enumerate(wavefronts))
+    lacking = () if session.missing is None else (session.missing,)
+    judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
+    return tuple(w if w.test is None or w.test.explains else replace(w, missing=lacking) for w in judged)
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
@@ -210,6 +213,9 @@ def as_wavefront(local: LocalFit) -> Wavefront:
             tuple(verdict.undetermined),
             tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
             bool(verdict.accepted),
+        ),
+        spectrum=ResidualSpectrum(
+            residual_frequencies(observation.frames), fit.left, fit.left_without if fit.measured.parts else None
         ),
         seconds=fit.seconds,
         frames=observation.names,

@@ -39,7 +39,7 @@ class SessionFits:
     lens: None where no ranges, or no defocus, are there to tell of one. members: which fits it is made of; the others were
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
     belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
-    about.
+    about; missing: one that those call for which their model does not explain, and that was not taken in.
     """
 
     fits: tuple[LocalFit, ...]
@@ -49,6 +49,7 @@ class SessionFits:
     mended: tuple[int, ...] = ()
     open_channels: tuple[str, ...] = ()
     tried: tuple[Tried, ...] = ()
+    missing: str | None = None
 
 
 def fit_session(
@@ -92,6 +93,7 @@ class _Chain:
     diagnose: bool
     fits: dict[int, LocalFit] = field(default_factory=dict)
     tried: list[Tried] = field(default_factory=list)
+    missing: str | None = None
 
     def anchors(self) -> list[int]:
         """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
@@ -156,7 +158,11 @@ class _Chain:
             places = [k for k in self.fits if k not in places]
         elif not places:
             places = list(self.fits)
-        if not self.diagnose or not places:
+        self.missing = None
+        if not self.diagnose:
+            places = [k for k, f in self.fits.items() if not f.fit.verdict.accepted]
+            places = places if len(self.fits) == len(self.observations) else []
+        if not places:
             return
         self._made_alike()
         if not self.tried:  # the searches' own
@@ -168,12 +174,13 @@ class _Chain:
                 [of for _, of in self.run(answer, [Question(self.fits[k], tuple(names)) for k in places])]
             )
             name = called_for(summed)
-            gained = name is not None and self._taken_in(name, places)
+            gained = name is not None and self.diagnose and self._taken_in(name, places)
             self.tried += [
                 Tried(each, call.gain, tuple(map(float, call.step)), gained and each == name)
                 for each, call in summed.items()
             ]
             if not gained:
+                self.missing = name
                 break
 
     def _made_alike(self) -> None:
@@ -206,8 +213,11 @@ class _Chain:
             replace(self.fits[k].task, optics=optics[k], starts=(self.fits[k].fit.waves,), alike=(), missing=())
             for k in places
         ]
+        before = [self.fits[k].fit for k in places]
         for index, fit in self.run(fit_task, tasks):
-            self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
+            old = before[index]
+            without = old.left if old.left_without is None else old.left_without
+            self.fits[places[index]] = LocalFit(tasks[index], replace(canonical(fit), left_without=without))
 
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
@@ -221,7 +231,7 @@ class _Chain:
                 self.fits[place] = made
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
-        return _honest(replace(after, mended=mended, tried=tuple(self.tried)))
+        return _honest(replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing))
 
     def _joined(self) -> SessionFits:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.

@@ -1,7 +1,7 @@
 """From frames and a rough pose to the wavefront: search, judge, and what became of it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -13,6 +13,7 @@ from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
+from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.search import Record, Search
 from labkit.inference.sketch import Sketches
 from labkit.optics.spectrum import Spectrum
@@ -37,7 +38,8 @@ class WavefrontFit:
     given f-number in it, and the model's where the residuals are not noise alone; optics: where cone and parts ended;
     measured: what the frames alone say, poor: with the errors of a model that does not explain them; state: all parameters;
     starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
-    pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted.
+    pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted. left: of the
+    data, by frequency (`residual_spectrum`); left_without: before missing parts of the camera were taken in, if any were.
     """
 
     noll: tuple[int, ...]
@@ -54,6 +56,8 @@ class WavefrontFit:
     relative: tuple[Floats, ...]
     seconds: float
     cut_short: bool = False
+    left: Floats = field(default_factory=lambda: np.empty(0))
+    left_without: Floats | None = None
 
     @property
     def waves(self) -> Floats:
@@ -122,14 +126,14 @@ def fit_wavefront(
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
-    return _as_fit(record, optics.noll, perf_counter() - began, search.late and not record.accepted)
+    return _as_fit(whole, record, perf_counter() - began, search.late and not record.accepted)
 
 
-def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bool) -> WavefrontFit:
+def _as_fit(problem: Problem, record: Record, seconds: float, cut_short: bool) -> WavefrontFit:
     """The best of a search, and what else it came across."""
     assert record.best is not None
     freed, optima = record.best.freed, sorted(record.optima, key=lambda optimum: optimum[1])
-    solution, explained = freed.solution, record.best.verdict.accepted
+    noll, solution, explained = freed.measured.noll, freed.solution, record.best.verdict.accepted
     return WavefrontFit(
         noll,
         solution.state,
@@ -145,6 +149,8 @@ def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bo
         tuple(record.best.relative),
         seconds,
         cut_short,
+        residual_spectrum(problem.frames, record.best.relative, solution.state.detectors()),
+        record.best.without,
     )
 
 

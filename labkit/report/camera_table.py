@@ -37,6 +37,11 @@ def part_rows(results: Results) -> list[dict[str, str]]:
     return rows
 
 
+def missing_words(results: Results) -> str:
+    """What the data call for that the model lacks, in words; nothing where it lacks nothing."""
+    return ", ".join(NAMES.get(name, name) for name in dict.fromkeys(name for w in results for name in w.missing))
+
+
 def tried_rows(results: Results) -> list[dict[str, str]]:
     """Parts that the photographs were asked about: what each would gain, and whether it was taken in."""
     return [

@@ -10,7 +10,7 @@ from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
 from labkit.plan import Plan
 from labkit.report.best_focus import BestFocus
-from labkit.report.camera_table import part_rows, tried_rows
+from labkit.report.camera_table import missing_words, part_rows, tried_rows
 from labkit.report.focus_table import focus_table
 from labkit.report.lens_table import SOURCES, budget_rows, lens_rows
 from labkit.report.quantities import MINUS, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, plus_minus
@@ -57,6 +57,7 @@ def contents(results: Results, focused: Sequence[BestFocus], drawn: set[str]) ->
         "lens_rows": lens,
         "part_rows": part_rows(m),
         "tried_rows": tried_rows(m),
+        "missing": missing_words(m),
         "sources": SOURCES,
         "budget_rows": budget_rows(m),
         "wavefront_rms": rms,

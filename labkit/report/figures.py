@@ -11,10 +11,11 @@ from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.best_focus import SHARE, BestFocus, nyquist_per_mm
 from labkit.report.budget_chart import budget_chart, variance_shares
+from labkit.report.camera_charts import spectrum_chart
 from labkit.report.focus_charts import energy_chart, opd_picture
 from labkit.report.lens_table import SOURCES, budget_name, lens_of
 from labkit.report.mtf_charts import focus_mtf_chart, mtf_chart
-from labkit.report.quantities import estimated, millimetres, plus_minus
+from labkit.report.quantities import estimated, fixed, millimetres, plus_minus
 from labkit.report.style import in_groups, png, styled, svg
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
@@ -42,6 +43,7 @@ def draw_figures(results: Results, focused: Sequence[BestFocus]) -> dict[str, li
     with styled():
         sections = {
             "focus": list(_focus(results)),
+            "camera": list(_camera(results)),
             "budget": list(_budget(results)),
             "best-focus": list(_at_best_focus(results, focused)),
             "fits": list(_fits(results)),
@@ -95,6 +97,24 @@ def _focus(results: Results) -> Iterator[Drawn]:
         "knows its defocus only as well as the f-number of its cone. Points stand side by side to be seen."
     )
     yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
+
+
+def _camera(results: Results) -> Iterator[Drawn]:
+    spectra = [w.spectrum for w in results if w.spectrum is not None]
+    if not spectra or not results.parts_tried:
+        return
+    now = float(np.mean([s.power.max() for s in spectra]))
+    alt = (
+        f"What is left of the data, by spatial frequency: {fixed(now, 2)} times the noise where it is most, on average."
+    )
+    before = [s.without_parts.max() for s in spectra if s.without_parts is not None]
+    if before:
+        alt += f" Without the parts that were found: {fixed(float(np.mean(before)), 2)} times."
+    caption = (
+        "What the model leaves of the data, over the noise, by spatial frequency in the raw's pixels; each line is the mean "
+        "of a channel's fits. Noise alone leaves 1."
+    ) + (" Dashed: before those parts were in the model." if before else "")
+    yield _chart("residual_spectrum", spectrum_chart(results), alt, caption)
 
 
 def _budget(results: Results) -> Iterator[Drawn]:

@@ -1,6 +1,25 @@
 """Results: what a session's photographs amount to, kept in SESSION/results/NAME."""
 
-from labkit.results.model import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, Wavefront
+from labkit.results.model import (
+    Focus,
+    Lens,
+    OptimumTest,
+    OtherOptimum,
+    Placement,
+    Residuals,
+    ResidualSpectrum,
+    Wavefront,
+)
 from labkit.results.results import Results
 
-__all__ = ["Focus", "Lens", "OptimumTest", "OtherOptimum", "Placement", "Residuals", "Results", "Wavefront"]
+__all__ = [
+    "Focus",
+    "Lens",
+    "OptimumTest",
+    "OtherOptimum",
+    "Placement",
+    "ResidualSpectrum",
+    "Residuals",
+    "Results",
+    "Wavefront",
+]

@@ -57,6 +57,35 @@ class OptimumTest:
 
 
 @dataclass(frozen=True, slots=True)
+class ResidualSpectrum:
+    """What is left of the data, by spatial frequency, a mean over all directions.
+
+    cycles_per_px: (n,) of the raw's pixels; power: (n,) over the noise's, 1 where noise alone is left; without_parts: (n,) the
+    same before parts of the camera were taken into the model, None where none were.
+    """
+
+    cycles_per_px: Floats
+    power: Floats
+    without_parts: Floats | None = None
+
+    def as_json(self) -> dict[str, list[float] | None]:
+        """As results.json keeps it."""
+        without = None if self.without_parts is None else np.round(self.without_parts, 4).tolist()
+        power = np.round(self.power, 4).tolist()
+        return {"cycles_per_px": self.cycles_per_px.tolist(), "power": power, "power_without_parts": without}
+
+    @classmethod
+    def from_json(cls, entry: dict[str, list[float] | None] | None) -> ResidualSpectrum | None:
+        """As read from there; None where there is none."""
+        if entry is None:
+            return None
+        without = entry.get("power_without_parts")
+        return cls(
+            np.array(entry["cycles_per_px"]), np.array(entry["power"]), None if without is None else np.array(without)
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class PartTried:
     """A part of the camera that the photographs were asked about. gain: log-likelihood that it would gain over the model of
     the time, by its slope; adopted: whether it was taken into the model."""
@@ -101,7 +130,8 @@ class Wavefront:
     modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number, f_number_std: of
     the cone that reaches the sensor. blur: diameter of defocus's geometric blur on the sensor, um, negative before best focus,
     8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
-    poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts.
+    poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
+    which does not explain the data seems to lack; spectrum: of what it leaves.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
     >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)
@@ -125,6 +155,8 @@ class Wavefront:
     frames: tuple[str, ...] = ()
     f_number_std: float = nan
     blur: Uncertain | None = None
+    missing: tuple[str, ...] = ()
+    spectrum: ResidualSpectrum | None = field(default=None, repr=False)
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
 

@@ -24,6 +24,7 @@ from labkit.results.model import (
     PartTried,
     Placement,
     Residuals,
+    ResidualSpectrum,
     Wavefront,
     array_key,
 )
@@ -203,7 +204,8 @@ def _wavefront_json(w: Wavefront) -> Json:
         "optimum": None if w.test is None else _optimum_json(w.test),
         "model": None
         if w.test is None
-        else {"accepted": w.test.explains, "p_value": _number(w.test.p_value), "missing": []},
+        else {"accepted": w.test.explains, "p_value": _number(w.test.p_value), "missing": list(w.missing)}
+        | ({} if w.spectrum is None else {"residual_spectrum": w.spectrum.as_json()}),
         "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
         "frames": list(w.frames),
     }
@@ -341,6 +343,8 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         test=_test(entry.get("global_test"), entry.get("model")),
         seconds=_optional(entry.get("seconds")),
         frames=tuple(str(name) for name in entry.get("frames", ())),
+        missing=tuple(str(name) for name in (entry.get("model") or {}).get("missing", ())),
+        spectrum=ResidualSpectrum.from_json((entry.get("model") or {}).get("residual_spectrum")),
         placement=_placement(entry),
         residuals=Residuals(*parts) if len(parts) == 3 else None,
     )

@@ -1,0 +1,43 @@
+"""What is left of the data, by spatial frequency: noise alone has the same of all of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labkit.inference.likelihood import Detector, FrameData, predict
+from labkit.types import Floats
+
+BINS = 12
+
+
+def residual_frequencies(frames: Sequence[FrameData]) -> Floats:
+    """(BINS,) cycles a pixel that `residual_spectrum` of such frames is for: middles of rings, evenly spaced."""
+    return (np.arange(BINS) + 0.5) * _highest(frames) / BINS
+
+
+def residual_spectrum(frames: Sequence[FrameData], relative: Sequence[Floats], detectors: Sequence[Detector]) -> Floats:
+    """(BINS,) power of residuals over their noise, a mean over rings of frequencies and over frames; 1 for noise alone.
+
+    relative: images (pixels,) of the used pixels of each frame. Of a Bayer plane frequencies beyond its own Nyquist frequency
+    come again, and are left out.
+    """
+    highest, total = _highest(frames), np.zeros(BINS)
+    for frame, image, detector in zip(frames, relative, detectors, strict=True):
+        mean, variance = predict(image, frame, detector)
+        rest = np.zeros(frame.used.shape)
+        rest[frame.used] = (frame.counts[frame.used] - mean) / np.sqrt(variance)
+        power = np.abs(np.fft.fft2(rest)) ** 2 / mean.size
+        at = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, rest.shape), indexing="ij"))
+        rings = np.digitize(at, np.linspace(0, highest, BINS + 1)) - 1
+        inside = rings < BINS
+        total += np.bincount(rings[inside], power[inside], BINS) / np.maximum(
+            np.bincount(rings[inside], minlength=BINS), 1
+        )
+    return total / len(frames)
+
+
+def _highest(frames: Sequence[FrameData]) -> float:
+    """Nyquist frequency of the frames' pixels, cycles a pixel: of a Bayer plane half of all pixels', or less."""
+    rows, columns = np.nonzero(frames[0].used)
+    alone = frames[0].used.sum() < 0.6 * (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
+    return 0.25 if alone else 0.5

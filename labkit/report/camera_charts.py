@@ -1,0 +1,36 @@
+"""Charts of the camera: what the model leaves of the data, with the parts that were found and without."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.report.style import SOFT, channel_inks
+from labkit.results import Results
+
+CHART_IN = (5.8, 3.0)
+
+
+def spectrum_chart(results: Results) -> Figure:
+    """Power of the residuals over the noise's against spatial frequency, a line a channel, dashed without the parts found."""
+    figure = Figure(figsize=CHART_IN, layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(1, color=SOFT, lw=0.7)
+    inks = channel_inks(results.channels)
+    for channel in results.channels:
+        spectra = [w.spectrum for w in results.of_channel(channel) if w.spectrum is not None]
+        if not spectra:
+            continue
+        frequency, ink = spectra[0].cycles_per_px, inks[channel]
+        power = np.mean([s.power for s in spectra], axis=0)
+        axes.plot(frequency, power, f"{ink.marker}-", color=ink.colour, lw=1.2, ms=3.5, label=channel)
+        without = [s.without_parts for s in spectra if s.without_parts is not None]
+        if without:
+            axes.plot(frequency, np.mean(without, axis=0), "--", color=ink.colour, lw=1.2)
+    axes.set(yscale="log", xlabel="spatial frequency, cycles a pixel", ylabel="residuals over noise, power")
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.5), max(high, 2.0))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.legend(loc="upper right")
+    return figure
