@@ -177,7 +177,8 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
             )
         elif not w.test.explains:
             why = (
-                "the session vouches for the optimum: the model lacks something"
+                f"{'many starts came back to' if w.test.name == 'starts' else 'the session vouches for'} the optimum: the model lacks "
+                "something"
                 if w.test.accepted
                 else ("the optimum may be a wrong one, or the model lacks something")
             )

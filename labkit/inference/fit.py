@@ -52,6 +52,7 @@ class WavefrontFit:
     relative: tuple[Floats, ...]
     seconds: float
     cut_short: bool = False
+    settled: bool = False
 
     @property
     def waves(self) -> Floats:
@@ -121,7 +122,7 @@ def fit_wavefront(
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
-    return _as_fit(record, optics.noll, perf_counter() - began, search.late and not record.accepted)
+    return _as_fit(record, optics.noll, perf_counter() - began, search.late and not (record.accepted or record.settled))
 
 
 def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bool) -> WavefrontFit:
@@ -143,6 +144,7 @@ def _as_fit(record: Record, noll: tuple[int, ...], seconds: float, cut_short: bo
         tuple(record.best.relative),
         seconds,
         cut_short,
+        record.settled,
     )
 
 
