@@ -89,10 +89,8 @@ class Disks:
 
     def _middles(self) -> tuple[Floats, Floats]:
         """y of each row of disks, x of each column, in mm."""
-        rows, cols = self.grid
-        return (np.arange(rows) - (rows - 1) / 2) * self.spacing_mm, (
-            np.arange(cols) - (cols - 1) / 2
-        ) * self.spacing_mm
+        rows, cols = (np.asarray((np.arange(n) - (n - 1) / 2) * self.spacing_mm, dtype=np.float64) for n in self.grid)
+        return rows, cols
 
 
 def open_target(spec: TargetSpec) -> Disks:

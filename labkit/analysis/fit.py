@@ -176,11 +176,11 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 "is the target lit, sharp and large enough?"
             )
         elif not w.test.explains:
+            who = "many starts came back to" if w.test.name == "starts" else "the session vouches for"
             why = (
-                f"{'many starts came back to' if w.test.name == 'starts' else 'the session vouches for'} the optimum: the model lacks "
-                "something"
+                f"{who} the optimum: the model lacks something"
                 if w.test.accepted
-                else ("the optimum may be a wrong one, or the model lacks something")
+                else "the optimum may be a wrong one, or the model lacks something"
             )
             doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
         if not low <= w.chi2_per_pixel <= high:

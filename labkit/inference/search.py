@@ -229,7 +229,7 @@ class Search:
         return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
 
     def _with_missing(self, plain: Outcome) -> Outcome:
-        """The maximum with the missing parts free, if it then is believed; only where its slopes promise as much as is needed."""
+        """The maximum with the missing parts free, if it then is believed. It is sought where slopes promise what is needed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
         names = [part.name for part in self.missing]
