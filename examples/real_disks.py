@@ -5,7 +5,8 @@ Alberta (github.com/bllanos/chromatic-aberration). `labkit import` and `labkit f
 folder.
 
 What one range can tell: the amount of defocus in each band, not its sign, nor where the lens is focused in millimetres of
-range, for the size of the disks is not recorded either. Which bands lie on the same side is decided by what is smooth.
+range, for the size of the disks is not recorded either. Which bands lie on the same side is decided by what is smooth. Under
+this uneven light defocus and astigmatism may trade places in a band: it then lies off the curve.
 """
 
 import argparse
