@@ -7,6 +7,7 @@ the pattern, instead of starting from corners read off by hand.
 """
 
 import argparse
+import json
 import shutil
 import subprocess
 import sys
@@ -49,12 +50,19 @@ DELBRACIO = {"x": (0.832, 0.556, 0.290, 0.121), "y": (0.841, 0.565, 0.300, 0.114
 
 @dataclass(frozen=True)
 class Outcome:
-    """residual, signal: standard deviations over the used pixels, grey levels; mtf: along each axis at FREQUENCIES."""
+    """residual, signal: standard deviations over the used pixels, grey levels; mtf: along each axis at FREQUENCIES. settled:
+    whether the optimum is believed to be the best, after so many starts and seconds; explained: whether the model leaves noise
+    alone; gained: log-likelihood that each part of a camera would gain."""
 
     residual: float
     signal: float
     pixels: int
     mtf: dict[str, tuple[float, ...]]
+    settled: bool
+    starts: int
+    seconds: float
+    explained: bool
+    gained: dict[str, float]
 
 
 def check(photographs: Path, work: Path, *, find: bool = False) -> Outcome:
@@ -66,7 +74,7 @@ def check(photographs: Path, work: Path, *, find: bool = False) -> Outcome:
     (work / "frames.csv").write_text("file,kind,range_mm\nimg_example.pgm,target,\n")
     session = work / "session"
     run("import", work / "frames.csv", work / "plan.toml", session)
-    run("fit", session)
+    run("fit", session, "--diagnose")
     results = session / "results" / "latest"
     with np.load(results / "residuals.npz") as arrays:
         data, model = (arrays[f"{name}_none_G"][0, 0].astype(float) for name in ("data", "model"))
@@ -74,7 +82,19 @@ def check(photographs: Path, work: Path, *, find: bool = False) -> Outcome:
         mtf = mtf_with_pixel(arrays["psf_none_G"].astype(float), float(arrays["spacing_um"]))
     draw(data, model, work / "real_photograph.png")
     used = np.isfinite(data)
-    return Outcome(float(np.std((data - model)[used])), float(np.std(data[used])), int(used.sum()), mtf)
+    found = json.loads((results / "results.json").read_text())
+    fit = found["wavefronts"][0]
+    return Outcome(
+        residual=float(np.std((data - model)[used])),
+        signal=float(np.std(data[used])),
+        pixels=int(used.sum()),
+        mtf=mtf,
+        settled=fit["optimum"]["accepted"],
+        starts=fit["global_test"]["starts"],
+        seconds=fit["seconds"],
+        explained=fit["model"]["accepted"],
+        gained={tried["part"]: tried["gain"] for tried in found["parts_tried"]},
+    )
 
 
 def run(*words: str | Path) -> None:
@@ -120,6 +140,9 @@ def main() -> None:
     asked = parser.parse_args()
     outcome = check(asked.photographs, asked.work, find=asked.find)
     print(f"residual {outcome.residual:.2f} grey levels of {outcome.signal:.1f}, {outcome.pixels} pixels")
+    print(f"optimum {'settled' if outcome.settled else 'open'} after {outcome.starts} starts, {outcome.seconds:.0f} s")
+    why = f"no part of a camera that we know gains more than {max(outcome.gained.values()):.1f} of log-likelihood"
+    print("the model explains the data" if outcome.explained else f"the model does not explain the data: {why}")
     print("MTF of optics and pixel\ncycles/px  " + "  ".join(f"{axis}: here  Delbracio" for axis in DELBRACIO))
     for i, frequency in enumerate(FREQUENCIES):
         print(

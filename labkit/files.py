@@ -41,6 +41,16 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"cannot write {path}: {error.strerror}") from error
 
 
+def write_new(path: Path, text: str) -> None:
+    """Write a file that was not there. Raises InputError where there is one already, or where it cannot be written."""
+    with writing(path):
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise InputError(f"{path} is there already: give another name with --out") from None
+
+
 def copy_durably(source: Path, target: Path) -> str:
     """Copy a file, sync it, and return the SHA-256 of what was written, in hexadecimal.
 

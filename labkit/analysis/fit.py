@@ -176,8 +176,9 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 "is the target lit, sharp and large enough?"
             )
         elif not w.test.explains:
+            who = "many starts came back to" if w.test.name == "starts" else "the session vouches for"
             why = (
-                "the session vouches for the optimum: the model lacks something"
+                f"{who} the optimum: the model lacks something"
                 if w.test.accepted
                 else "the optimum may be a wrong one, or the model lacks something"
             )

@@ -33,9 +33,14 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
-    """With the session's word on the optimum, where it has one: other frames tell a wrong optimum, residuals a poor model."""
+    """With the session's word on the optimum, where it has one: other frames tell a wrong optimum, residuals a poor model.
+
+    Of frames without others, the search's: many starts that come back.
+    """
     if session.lens is None or w.test is None:
-        return w
+        if w.test is None or w.test.undetermined or not session.fits[index].fit.settled:
+            return w
+        return replace(w, test=replace(w.test, name=w.test.name if w.test.accepted else "starts", accepted=True))
     if index in session.members and not w.test.accepted:
         return replace(w, test=replace(w.test, name="session", accepted=True))
     if index in session.strangers:

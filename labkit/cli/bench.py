@@ -96,6 +96,30 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     console.answer(asdict(found))
 
 
+@camera_app.command("tone")
+def camera_tone(
+    ctx: typer.Context,
+    photograph: Annotated[Path, typer.Argument(metavar="IMAGE", help="of the wedge: JPEG, PNG, TIFF")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="TONE.toml", help="Write it here; nothing is overwritten.")
+    ] = None,
+) -> None:
+    """The camera's tone curve, as a plan takes it, from a photograph of labkit target serve wedge:size_mm=100."""
+    from labkit.calibration.tone_wedge import measure_tone
+    from labkit.files import write_new
+
+    console: Console = ctx.obj
+    tone = measure_tone(photograph)
+    if out is None:
+        console.say(tone.to_toml())
+    else:
+        write_new(out, tone.to_toml() + "\n")
+        console.say(f"{out}: put it into the plan")
+    for note in tone.notes():
+        console.warn(note)
+    console.answer(tone.as_json())
+
+
 @target_app.command("render")
 def target_render(
     ctx: typer.Context,

@@ -19,6 +19,9 @@ COARSE_SIDE = 64
 BLUR_PX = 1.2
 """Blur of both there: it widens the peak, so that the steps of scale and angle may be coarse."""
 
+LEAST_CONTRAST = 0.01
+"""Standard deviation, of a picture from 0 to 1, where a target may be: JPEG makes dark parts perfectly even."""
+
 TILTS_DEG = np.linspace(-15.0, 15.0, 11)
 SCALE_STEP = 1.05
 
@@ -38,7 +41,7 @@ def swept_hypotheses(image: Singles, target: Target, sides_px: Floats, most: int
         for template, corners in templates:
             if template.shape[0] > shape[0] or template.shape[1] > shape[1]:
                 continue
-            _, score, _, (col, row) = cv2.minMaxLoc(cv2.matchTemplate(small, template, cv2.TM_CCOEFF_NORMED))
+            _, score, _, (col, row) = cv2.minMaxLoc(_likeness(np.asarray(small, dtype=np.float32), template))
             places.append((score, (corners + (row, col) + 0.5) * scale - 0.5))
     places.sort(key=lambda place: place[0], reverse=True)
     kept: list[Floats] = []
@@ -46,6 +49,17 @@ def swept_hypotheses(image: Singles, target: Target, sides_px: Floats, most: int
         if len(kept) < most and all(np.max(np.abs(corners - other)) > 0.1 * np.ptp(corners) for other in kept):
             kept.append(corners)
             yield corners
+
+
+def _likeness(picture: Singles, template: Singles) -> Singles:
+    """Correlation with the template at each place; 0 where the picture is even, which OpenCV may take for likeness of 1."""
+    likeness = cv2.matchTemplate(picture, template, cv2.TM_CCOEFF_NORMED)
+    rows, cols = likeness.shape
+    mean, square = (
+        cv2.blur(values, template.shape[::-1], anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)[:rows, :cols]
+        for values in (picture, picture**2)
+    )
+    return np.asarray(np.where(square - mean**2 > LEAST_CONTRAST**2, likeness, 0.0), dtype=np.float32)
 
 
 def _templates(target: Target) -> list[tuple[Singles, Floats]]:

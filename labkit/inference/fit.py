@@ -38,8 +38,9 @@ class WavefrontFit:
     given f-number in it, and the model's where the residuals are not noise alone; optics: where cone and parts ended;
     measured: what the frames alone say, poor: with the errors of a model that does not explain them; state: all parameters;
     starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
-    pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted. left: of the
-    data, by frequency (`residual_spectrum`); left_without: before missing parts of the camera were taken in, if any were.
+    pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted. settled:
+    whether many starts came back to it. left: of the data, by frequency (`residual_spectrum`); left_without: before missing
+    parts of the camera were taken in, if any were.
     """
 
     noll: tuple[int, ...]
@@ -56,6 +57,7 @@ class WavefrontFit:
     relative: tuple[Floats, ...]
     seconds: float
     cut_short: bool = False
+    settled: bool = False
     left: Floats = field(default_factory=lambda: np.empty(0))
     left_without: Floats | None = None
 
@@ -126,7 +128,7 @@ def fit_wavefront(
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
-    return _as_fit(whole, record, perf_counter() - began, search.late and not record.accepted)
+    return _as_fit(whole, record, perf_counter() - began, search.late and not (record.accepted or record.settled))
 
 
 def _as_fit(problem: Problem, record: Record, seconds: float, cut_short: bool) -> WavefrontFit:
@@ -149,6 +151,7 @@ def _as_fit(problem: Problem, record: Record, seconds: float, cut_short: bool) -
         tuple(record.best.relative),
         seconds,
         cut_short,
+        record.settled,
         residual_spectrum(problem.frames, record.best.relative, solution.state.detectors()),
         record.best.without,
     )

@@ -15,6 +15,7 @@ from labkit.imaging.warp import Pose
 from labkit.inference.cone import Freed, free_cone
 from labkit.inference.fisher_scoring import Problem, Solution, Start, State, maximize
 from labkit.inference.goodness_of_fit import Verdict, judge
+from labkit.inference.missing_parts import calls
 from labkit.inference.phase_retrieval import PhaseRetrieval, Retrieved
 from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.sketch import Sketches, sweep
@@ -56,7 +57,8 @@ class Record:
 
     given: states to start from, the most promising first; band: share of the pass band of the problems they are for.
     ends: of maximisations from the first of them. starts: made so far. optima: (waves, minus log-likelihood) of those that
-    further starts ended in. best: the likeliest maximum of the whole likelihood, None before the first.
+    further starts ended in. best: the likeliest maximum of the whole likelihood, None before the first. tried: states that the
+    whole likelihood was maximised from, and the log-likelihood reached. returns: starts that came back to the best.
     """
 
     given: tuple[State, ...]
@@ -65,6 +67,13 @@ class Record:
     starts: int = 0
     optima: tuple[tuple[Floats, float], ...] = ()
     best: Outcome | None = None
+    tried: tuple[tuple[State, float], ...] = ()
+    returns: int = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether starts came back to the best maximum often enough: then it is returned, accepted or not."""
+        return self.returns >= ENOUGH
 
     @property
     def accepted(self) -> bool:
@@ -102,7 +111,7 @@ class Search:
             if record.accepted or (record.best is not None and _as_predicted(record.best, predicted)):
                 return record
         for step in (self._swept, self._retrieved_near_focus, self._best_of_given, self._from_further_starts):
-            if record.accepted or (self.late and record.best is not None):
+            if record.accepted or record.settled or (self.late and record.best is not None):
                 break
             record = step(record)
         return record
@@ -160,14 +169,14 @@ class Search:
         """Candidates of the small problem at a state's pose, until one is accepted."""
         sketches, before, retrieved = self.sketches, record.starts, Retrieved(tuple(given))
         small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
-        while not (record.accepted or self.late):
+        while not (record.accepted or record.settled or self.late):
             retrieved = small.to_next_candidate(retrieved, self.rng)
             if retrieved.candidate is None:
                 break
             optima = tuple((o.state.waves, o.misfit / 2) for o in retrieved.optima)
             record = replace(record, starts=before + retrieved.starts, optima=optima)
             self.progress(f"start {record.starts}")
-            record = self._tried(record, retrieved.candidate)
+            record = _with_returns(self._tried(record, retrieved.candidate), retrieved)
         return record
 
     def _maximised_again(self, record: Record, state: State) -> Record:
@@ -175,17 +184,17 @@ class Search:
         sketches, problem = self.sketches, self.sketches.problem(state, 1.0)
         best = maximize(problem, state, max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
         record = replace(record, optima=((best.state.waves, -best.objective),))
-        origin, made, again = best.state, 0, 0
-        while not (record.accepted or self.late) and again < ENOUGH and record.starts < self.max_starts:
+        origin, made = best.state, 0
+        while not (record.accepted or record.settled or self.late) and record.starts < self.max_starts:
             end = _searched_from(problem, _further_start(origin, made, sketches.optics, self.rng))
             made += 1
             record = _with_optimum(replace(record, starts=record.starts + 1), end)
             self.progress(f"start {record.starts}")
             if end.objective > best.objective + SAME_OPTIMUM:
-                best, again = end, 0
-                record = self._tried(record, end.state)
+                best = end
+                record = replace(self._tried(record, end.state), returns=0)
             elif end.objective > best.objective - SAME_OPTIMUM:
-                again += 1
+                record = replace(record, returns=record.returns + 1)
         return record
 
     def _excess(self, sketched: State) -> float:
@@ -209,6 +218,7 @@ class Search:
         outcome = self._freed(self.whole, state)
         if not outcome.verdict.accepted and self.missing:
             outcome = self._with_missing(outcome)
+        record = replace(record, tried=(*record.tried, (candidate, outcome.freed.solution.objective)))
         if record.best is not None and outcome.freed.solution.objective <= record.best.freed.solution.objective:
             return record
         return replace(record, best=outcome)
@@ -222,9 +232,13 @@ class Search:
         return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
 
     def _with_missing(self, plain: Outcome) -> Outcome:
-        """The maximum with the missing parts free, if it then is believed."""
+        """The maximum with the missing parts free, if it then is believed. It is sought where slopes promise what is needed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
+        names = [part.name for part in self.missing]
+        promised = calls(plain.freed.problem, state, names, self.f_number_std)
+        if max(call.gain for call in promised.values()) < CALLED_FOR:
+            return plain
         problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=self.missing)))
         outcome = self._freed(problem, state)
         gained = outcome.freed.solution.objective - plain.freed.solution.objective
@@ -258,6 +272,14 @@ def _with_optimum(record: Record, end: Solution) -> Record:
     if any(abs(end.objective + misfit) <= SAME_OPTIMUM for _, misfit in record.optima):
         return record
     return replace(record, optima=(*record.optima, (end.state.waves, -end.objective)))
+
+
+def _with_returns(record: Record, retrieved: Retrieved) -> Record:
+    """The record, its returns those starts of the small problem whose ends led to the best maximum of the whole likelihood."""
+    assert record.best is not None
+    least = record.best.freed.solution.objective - SAME_OPTIMUM
+    best = [state for state, objective in record.tried if objective > least]
+    return replace(record, returns=sum(o.met for o in retrieved.optima if any(o.state is state for state in best)))
 
 
 def _further_start(origin: State, made: int, optics: Optics, rng: np.random.Generator) -> State:

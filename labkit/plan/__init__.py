@@ -1,6 +1,8 @@
 """What to do and with what: the plan, a TOML file checked before anything happens."""
 
 from labkit.plan.plan import Plan
+from labkit.plan.sensor import MeasuredTone, Sensor
+from labkit.plan.table import Table
 from labkit.plan.tables import (
     CameraSettings,
     Channel,
@@ -8,8 +10,6 @@ from labkit.plan.tables import (
     FitSettings,
     Lens,
     RailSettings,
-    Sensor,
-    Table,
     TargetSpec,
 )
 
@@ -19,6 +19,7 @@ __all__ = [
     "DisplaySettings",
     "FitSettings",
     "Lens",
+    "MeasuredTone",
     "Plan",
     "RailSettings",
     "Sensor",

@@ -10,17 +10,9 @@ from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
 from labkit.plan.fields import problem, repeated
-from labkit.plan.tables import (
-    CameraSettings,
-    Channel,
-    DisplaySettings,
-    FitSettings,
-    Lens,
-    RailSettings,
-    Sensor,
-    Table,
-    TargetSpec,
-)
+from labkit.plan.sensor import Sensor
+from labkit.plan.table import Table
+from labkit.plan.tables import CameraSettings, Channel, DisplaySettings, FitSettings, Lens, RailSettings, TargetSpec
 from labkit.plan.text import plain, read_tables, read_text, write_tables
 
 REFERENCE_NM = 450.0

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Field,
-    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
 
-from labkit.errors import PlanError
 from labkit.plan.fields import (
     Address,
     Allowed,
@@ -35,15 +29,23 @@ from labkit.plan.fields import (
     problem,
     repeated,
 )
-from labkit.plan.messages import message
-from labkit.plan.text import plain
+from labkit.plan.table import Table
 from labkit.uncertain import Uncertain
 
 LAST_NOLL = 66
 """The last Zernike mode that can be fitted: all of the tenth radial order."""
 
-NEEDED = {"sierpinski": "order", "tribar": "order", "checkerboard": "cells", "noise": "cells", "image": "file"}
-"""Kind of target -> the field that it cannot do without."""
+NEEDED = {
+    **{
+        "sierpinski": ("order",),
+        "tribar": ("order",),
+        "checkerboard": ("cells",),
+        "noise": ("cells",),
+        "image": ("file",),
+    },
+    "disks": ("grid", "diameter_mm"),
+}
+"""Kind of target -> the fields that it cannot do without."""
 
 ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02, 0.03, 1e-4, 0.005
 """Relative standard errors of engravings, of a target's size, and of a colour's wavelength, that a plan does not state."""
@@ -51,29 +53,9 @@ ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02
 WITHIN_CHANNEL = 0.05
 """Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
 
-SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
-CFA = '"mono", "RGB" or four letters such as "RGGB"'
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
-
-
-class Table(BaseModel):
-    """A table of the plan: frozen, and unknown keys are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Self:
-        """Of dicts and lists such as TOML gives; a target's file is relative to `folder`.
-
-        Raises PlanError, one line that names every field that is wrong.
-        """
-        tables = plain(tables)
-        try:
-            return cls.model_validate(tables, context={"folder": Path(folder)})
-        except ValidationError as error:
-            raise PlanError(message(error, cls, tables)) from None
 
 
 Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
@@ -104,65 +86,6 @@ class Lens(Table):
     def _possible(self) -> Lens:
         _refuse_larger(self, "focal_length_mm", "focal_length_std_mm")
         _refuse_larger(self, "f_number", "f_number_std")
-        return self
-
-
-USUAL_SPREAD_PX = 0.5
-"""Of a low-pass filter that is to be fitted, where a fit begins: a camera's is 0.4 to 1."""
-
-
-def _spread(given: Any) -> Any:
-    """Of a low-pass filter, as a plan may state it."""
-    spreads = given if isinstance(given, (list, tuple)) else (given, given)
-    numbers = len(spreads) == 2 and all(type(s) in (int, float) and 0 <= s <= 3 for s in spreads)
-    if not (numbers or given == "fit"):
-        raise not_allowed(SPREAD)
-    return tuple(given) if isinstance(given, list) else given
-
-
-class LowPassFilter(Table):
-    """An optical low-pass filter before the sensor: how far apart its spots lie, in pixel pitches of the file.
-
-    spread_px: along rows and columns alike, or [rows, columns], or "fit". turned: by 45 degrees.
-    """
-
-    spread_px: Annotated[float | tuple[float, float] | Literal["fit"], BeforeValidator(_spread)]
-    turned: bool = False
-
-    @property
-    def squares(self) -> tuple[float, float]:
-        """Of the spreads along rows and columns, pixels squared; where a fit is to begin."""
-        spread = USUAL_SPREAD_PX if self.spread_px == "fit" else self.spread_px
-        rows, columns = spread if isinstance(spread, tuple) else (spread, spread)
-        return float(rows) ** 2, float(columns) ** 2
-
-
-class Sensor(Table):
-    """Sampling of the file, and what the file does not state of itself.
-
-    pixel_pitch_um is between neighbouring samples of the file; fill_factor is active area over pitch squared;
-    cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono", or "RGB" of pictures in colours, demosaiced already.
-    tone_curve: what pictures that are no raw files went through, to be undone; "file": what each one states, sRGB where
-    it is in colours and states nothing.
-    """
-
-    pixel_pitch_um: Annotated[Number, AfterValidator(Allowed(0.1, 1000))]
-    fill_factor: Annotated[Number, AfterValidator(Allowed(0.001, 1))] = 1.0
-    cfa_pattern: Annotated[str, matches("mono|RGB|[A-Z]{4}", CFA)] | None = None
-    black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
-    white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
-    low_pass_filter: LowPassFilter | None = None
-    tone_curve: Literal["file", "linear", "sRGB"] = "file"
-
-    @property
-    def active_um(self) -> float:
-        """Side of a square pixel's active area."""
-        return self.pixel_pitch_um * math.sqrt(self.fill_factor)
-
-    @model_validator(mode="after")
-    def _white_above_black(self) -> Sensor:
-        if self.black_level is not None and self.white_level is not None and self.white_level <= self.black_level:
-            raise problem(f"white_level = {self.white_level:g}: allowed is above black_level = {self.black_level:g}")
         return self
 
 
@@ -205,20 +128,26 @@ class Channel(Table):
         return self
 
 
+Cells = Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))]
+
+
 class TargetSpec(Table):
     """What was photographed. `file` is absolute once a plan is loaded.
 
     order: of a carpet, or octaves of a tri-bar target; cells: along a side of a checkerboard or of noise, which `seed` draws;
-    angle_deg: by which a slanted edge leans. size_std_mm: standard error of the size; 1e-4 of it where it is left out.
+    angle_deg: by which a slanted edge leans; grid, diameter_mm: of disks, [rows, columns]. size_std_mm: standard error of the
+    size; 1e-4 of it where it is left out.
     """
 
     kind: Annotated[str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
     size_mm: Length
     size_std_mm: Error | None = None
     order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
-    cells: Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))] | None = None
+    cells: Cells | None = None
     seed: Annotated[Count, AfterValidator(Allowed(0, 2**32 - 1, whole=True))] = 0
     angle_deg: Annotated[Number, AfterValidator(Allowed(-45, 45))] = 5.0
+    grid: Annotated[tuple[Cells, Cells] | None, Field(description="[rows, columns], each from 1 to 4096")] = None
+    diameter_mm: Length | None = None
     surround: Literal["black", "white", "unknown"] = "black"
     file: Path | None = None
     corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
@@ -244,9 +173,9 @@ class TargetSpec(Table):
     @model_validator(mode="after")
     def _complete(self, info: ValidationInfo) -> TargetSpec:
         _refuse_larger(self, "size_mm", "size_std_mm")
-        key = NEEDED.get(self.kind)
-        if key is not None and getattr(self, key) is None:
-            raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
+        for key in NEEDED.get(self.kind, ()):
+            if getattr(self, key) is None:
+                raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
         checked = (info.context or {}).get("files") != "unchecked"  # a plan that is only read about needs no picture
         if checked and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')

@@ -13,6 +13,7 @@ import numpy as np
 import rawpy
 
 from labkit.errors import RawError
+from labkit.images.files import Numbers
 from labkit.plan import Sensor
 from labkit.raw.captured_stderr import captured_stderr
 from labkit.raw.formats import Container, recognise
@@ -29,12 +30,26 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
     no photograph, or states otherwise than `sensor`.
     """
     try:
-        container = recognise(path)
-        mosaic = _read_libraw(path, container) if container.kind == "raw" else _read_numbers(path, container, sensor)
+        mosaic = _read_recognised(path, sensor) if sensor.headerless_px is None else _read_headerless(path, sensor)
         _refuse_contradiction(mosaic, sensor)
     except RawError as error:
         raise RawError(f"{path}: {error}") from error.__cause__
     return mosaic
+
+
+def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
+    container = recognise(path)
+    return _read_libraw(path, container) if container.kind == "raw" else _read_numbers(path, container, sensor)
+
+
+def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
+    """A file of bare 16-bit numbers, the lower byte first, row by row: nothing in it says what it is, so the plan must."""
+    assert sensor.headerless_px is not None
+    (rows, cols), size = sensor.headerless_px, path.stat().st_size if path.is_file() else None
+    if size != 2 * rows * cols:
+        have = "there is no such file" if size is None else f"it has {size}"
+        raise RawError(f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}")
+    return _bare_mosaic(np.fromfile(path, dtype="<u2").reshape(rows, cols), Container("headerless"), sensor)
 
 
 def _read_libraw(path: Path, container: Container) -> Mosaic:
@@ -82,9 +97,13 @@ def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
     picture, coarse = read_file(path, container)
     if is_processed(picture, container, sensor):
         return processed_mosaic(path, container, picture, coarse, sensor)
-    counts = picture.numbers
     if picture.bits not in (8, 16):
         raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
+    return _bare_mosaic(picture.numbers, container, sensor)
+
+
+def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosaic:
+    """Of numbers, with what the plan states of them. Raises RawError where it does not."""
     needed = {
         "cfa_pattern": '"RGGB" or "mono"',
         "black_level": "the count of no light",

@@ -33,7 +33,7 @@ MAKE, MODEL, EXPOSURE_S, ISO, DNG_VERSION, DNG_MODEL = 271, 272, 33434, 34855, 5
 class Container:
     """What a file is, and what its tags state of camera and exposure."""
 
-    kind: Literal["raw", "tiff", "png", "pgm", "jpeg"]
+    kind: Literal["raw", "tiff", "png", "pgm", "jpeg", "headerless"]
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None

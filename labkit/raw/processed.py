@@ -15,10 +15,10 @@ from labkit.errors import InputError, RawError
 from labkit.images.encoding import read_encoding, srgb
 from labkit.images.files import Picture, read_picture
 from labkit.images.jpeg import read_jpeg
-from labkit.plan import Sensor
+from labkit.plan import MeasuredTone, Sensor
 from labkit.raw.formats import Container
 from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
-from labkit.raw.tone import FULL_COUNTS, ToneCurve, stated_curve, tone_curve
+from labkit.raw.tone import FULL_COUNTS, ToneCurve, measured_curve, stated_curve, tone_curve
 
 COARSE = (
     "JPEG stores its colours at half resolution: R and B are blurred by that; take channel G alone, or JPEGs without "
@@ -96,6 +96,12 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
         return None
     if sensor.tone_curve == "sRGB":
         return tone_curve("sRGB, as the plan states", [srgb], picture.white)
+    colours = picture.numbers.shape[-1] if picture.numbers.ndim == 3 else 1
+    if isinstance(sensor.tone_curve, MeasuredTone):
+        measured = sensor.tone_curve
+        if len(measured.numbers) not in (1, colours):
+            raise InputError(f"has {colours} colours, but sensor.tone_curve in the plan has {len(measured.numbers)}")
+        return measured_curve(measured.light, measured.numbers, picture.white)
     encoding = read_encoding(path)
     if picture.bits == 16 and not encoding.stated:
         raise RawError(
@@ -103,7 +109,7 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
             'add to [sensor]: tone_curve = "linear" or "sRGB"'
         )
     curve = stated_curve(encoding, picture.white)
-    if len(curve.levels) not in (1, picture.numbers.shape[-1] if picture.numbers.ndim == 3 else 1):
+    if len(curve.levels) not in (1, colours):
         raise InputError("has an ICC profile of other colours than its own: give sensor.tone_curve")
     return curve
 

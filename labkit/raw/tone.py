@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from labkit.errors import RawError
 from labkit.images.encoding import Curve, Encoding, profile_curves, profile_name, srgb
@@ -65,3 +66,21 @@ def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
         power = encoding.power
         return tone_curve(f"the file's gamma, {power:.3g}", [lambda stored: stored**power], white)
     return tone_curve("sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], white)
+
+
+def measured_curve(light: Sequence[float], numbers: Sequence[Sequence[float]], white: int) -> ToneCurve:
+    """Through measured points, of numbers from 0 to white.
+
+    light: rising; numbers: rising, shares of full scale, for each colour. Smooth and never falling between the points
+    (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5, 1984), straight beyond them; light is 0 where the number is.
+    """
+    stored = np.linspace(0.0, 1.0, white + 1)
+    levels = []
+    for points in numbers:
+        (first, second), (last_but_one, last) = points[:2], points[-2:]
+        below = light[0] + (stored - first) * (light[1] - light[0]) / (second - first)
+        above = light[-1] + (stored - last) * (light[-1] - light[-2]) / (last - last_but_one)
+        between = PchipInterpolator(points, light)(np.clip(stored, first, last))
+        level = np.where(stored < first, below, np.where(stored > last, above, between))
+        levels.append((level - level[0]) / (level[-1] - level[0]))
+    return ToneCurve("the plan's measured curve", FULL_COUNTS * np.clip(levels, 0.0, 1.0))

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from labkit.errors import InputError, RawError, printable
-from labkit.files import writing
+from labkit.errors import RawError, printable
+from labkit.files import write_new
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.exif import DIAGONAL_35MM_MM, Exif, read_exif
@@ -70,12 +70,7 @@ def draft_plan(image: Path) -> Draft:
 
 def write_draft(draft: Draft, path: Path) -> None:
     """Write a draft as a new file. Raises InputError where there is one already, or where it cannot be written."""
-    with writing(path):
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(draft.text)
-        except FileExistsError:
-            raise InputError(f"{path} is there already: give another name with --out") from None
+    write_new(path, draft.text)
 
 
 def _look(image: Path) -> _Photograph:

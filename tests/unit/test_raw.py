@@ -220,13 +220,29 @@ def test_an_independent_simulators_raw_is_read() -> None:
     np.testing.assert_array_equal(mosaic.black, np.full((2, 2), 600))
 
 
+def test_a_headerless_file_is_read_as_the_plan_says_and_refused_where_it_cannot_be(tmp_path: Path) -> None:
+    path = tmp_path / "numbers.raw"
+    path.write_bytes(bytes([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]))
+    keys: dict[str, object] = {"pixel_pitch_um": 5.0, "cfa_pattern": "mono", "black_level": 0, "white_level": 4095}
+    mosaic = read_raw(path, Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
+    np.testing.assert_array_equal(mosaic.counts, [[0x0201, 0x0403, 0x0605], [0x0807, 0x0A09, 0x0C0B]])
+    with pytest.raises(RawError, match=r"3 × 3 numbers of 16 bit .* are 18 bytes: it has 12"):
+        read_raw(path, Sensor.from_tables({**keys, "headerless_px": [3, 3]}))
+    with pytest.raises(RawError, match="no such file"):
+        read_raw(tmp_path / "none.raw", Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
+    with pytest.raises(RawError, match=r"does not state these; add to \[sensor\]: black_level"):
+        read_raw(path, Sensor.from_tables({**keys, "black_level": None, "headerless_px": [2, 3]}))
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the reference photographs are not beside this checkout")
 def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
-    crop = np.fromfile(SHARED / "real" / "DSC_1339_768x512_rggb.raw", dtype="<u2").reshape(512, 768)
+    path = SHARED / "real" / "DSC_1339_768x512_rggb.raw"
+    crop = np.fromfile(path, dtype="<u2").reshape(512, 768)
     tifffile.imwrite(tmp_path / "crop.tif", crop)
     sensor = Sensor(pixel_pitch_um=4.9, cfa_pattern="RGGB", black_level=600, white_level=15520)
-    mosaic = read_raw(tmp_path / "crop.tif", sensor)
+    mosaic = read_raw(path, sensor.model_copy(update={"headerless_px": (512, 768)}))
     np.testing.assert_array_equal(mosaic.counts, crop)
+    np.testing.assert_array_equal(read_raw(tmp_path / "crop.tif", sensor).counts, crop)
     # two greens half a cell apart see nearly the same, and neither what red or blue see
     light = mosaic.counts - mosaic.black_map()
     r, g1, g2, b = (light[row::2, col::2] for row in range(2) for col in range(2))

@@ -1,0 +1,236 @@
+"""Best focus and size against wavelength in real photographs: python examples/real_disks.py ../shared/real/disks WORK
+
+A printed grid of black disks, photographed through seven filters of 10 nm at seven exposures by B. Llanos, University of
+Alberta (github.com/bllanos/chromatic-aberration). `labkit import` and `labkit fit` make a session of each band in WORK, a new
+folder.
+
+What one range can tell: the amount of defocus in each band, not its sign, nor where the lens is focused in millimetres of
+range, for the size of the disks is not recorded either. Which bands lie on the same side is decided by what is smooth. Under
+this uneven light defocus and astigmatism may trade places in a band: it then lies off the curve.
+"""
+
+import argparse
+import itertools
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from labkit.plan import Sensor
+from labkit.raw.decode import read_raw
+
+Floats = npt.NDArray[np.float64]
+
+BANDS = {
+    400: ("G", 3916),
+    450: ("B", 50),
+    500: ("G", 250),
+    550: ("G", 25),
+    600: ("R", 100),
+    650: ("R", 250),
+    700: ("R", 500),
+}
+"""Wavelength, nm: the colour that sees it best, and the longest exposure, ms, that clips none of its pixels."""
+
+EXPOSURES_MS = (25, 50, 100, 250, 500, 2000, 3916)
+ROWS, COLS = (1, 3), (1, 4)
+"""Of the disks in the picture those that are fitted: 2 × 3 in the middle. More take longer and leave the same residuals."""
+
+DIAMETER = 0.4465
+"""Over the distance of two disks, ± 0.0005: by how much light is missing in a square, which blur does not change."""
+
+F_NUMBER, REFERENCE_NM = 4.0, 550.0
+SENSOR = Sensor(pixel_pitch_um=3.45, cfa_pattern="GBRG", black_level=0, white_level=255)
+
+PLAN = """
+[lens]
+focal_length_mm = 8.0
+f_number = {f_number}
+[sensor]
+pixel_pitch_um = 3.45
+cfa_pattern = "GBRG"
+black_level = 0
+white_level = 255
+[[channel]]
+name = "{channel}"
+wavelength_nm = {nm}
+[fit]
+zernike_noll = [4, 11]
+reference_wavelength_nm = {reference}
+[target]
+kind = "disks"
+grid = [2, 3]
+size_mm = 18.0           # any will do: without a range it sets no scale
+diameter_mm = {diameter}
+surround = "unknown"     # more disks
+corners_px = {corners}
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of each band, in the order of BANDS: focus_um, std_um: defocus at the sensor; chi2: of a parabola through them, and
+    next_chi2 with the next best signs; size: relative to 550 nm; centre_px: (bands, 2) (row, col) relative to 550 nm;
+    settled: whether the optimum was accepted. nonlinear: largest departure of a ladder of exposures from a line, relative."""
+
+    focus_um: Floats
+    std_um: Floats
+    chi2: float
+    next_chi2: float
+    size: Floats
+    centre_px: Floats
+    settled: tuple[bool, ...]
+    nonlinear: float
+
+
+def check(photographs: Path, work: Path) -> Outcome:
+    """Import and fit a photograph of each band in WORK/400 to WORK/700, and draw WORK/real_disks.png."""
+    work.mkdir(parents=True)
+    corners = corners_of(disks_of(photographs))
+    fits = [fitted(photographs, work / str(nm), nm, corners) for nm in BANDS]
+    um = 8 * F_NUMBER**2 * np.sqrt(12) * REFERENCE_NM * 1e-3  # of a wave RMS of defocus
+    waves, std = (np.array([fit[key][0] for fit in fits]) for key in ("waves_rms", "std"))
+    chi2, next_chi2, signs = smoothest(waves, std)
+    places = np.array([fit["corners_px"][0] for fit in fits])
+    sizes = np.array([np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places])
+    middle = list(BANDS).index(550)
+    outcome = Outcome(
+        um * waves * signs,
+        um * std,
+        chi2,
+        next_chi2,
+        sizes / sizes[middle],
+        places.mean(axis=1) - places[middle].mean(axis=0),
+        tuple(fit["optimum"]["accepted"] for fit in fits),
+        nonlinearity(photographs),
+    )
+    draw(outcome, work / "real_disks.png")
+    return outcome
+
+
+def photograph(folder: Path, nm: int, ms: int) -> Path:
+    """Of a band and an exposure."""
+    (path,) = folder.glob(f"d1_disks32cmV2_{nm}nm_{ms}ms_*.tif")
+    return path
+
+
+def disks_of(folder: Path) -> npt.NDArray[np.bool_]:
+    """(rows, cols) True on disks, and a little around, as those who took the photographs have marked them."""
+    mask = cv2.imread(str(folder / "d1_disks32cmV2_maskDisks.png"), cv2.IMREAD_GRAYSCALE)
+    assert mask is not None
+    return np.asarray(mask > 0)
+
+
+def corners_of(disks: npt.NDArray[np.bool_]) -> Floats:
+    """(4, 2) corners (row, col) of the squares of the disks that are fitted: a grid looks the same one disk farther on."""
+    _, _, box, middle = cv2.connectedComponentsWithStats(disks.astype(np.uint8))
+    whole = (box[:, 0] > 0) & (box[:, 1] > 0) & (box[:, :2] + box[:, 2:4] < disks.shape[::-1]).all(axis=1)
+    whole[0] = False  # what is no disk
+    at = middle[whole]
+    # columns lie 68 px apart and lean by 3.5 px a row, rows 63 px and 1.45 px a column
+    steps = np.array([[68.0, 1.45], [-3.5, 63.3]])
+    grid = np.rint((at - at[np.argmin(at.sum(axis=1))]) @ np.linalg.inv(steps))
+    homography, _ = cv2.findHomography(grid, at)
+    (top, bottom), (left, right) = ((first - 0.5, last - 0.5) for first, last in (ROWS, COLS))
+    ends = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    return np.asarray(cv2.perspectiveTransform(ends[None], homography)[0][:, ::-1])
+
+
+def fitted(photographs: Path, folder: Path, nm: int, corners: Floats) -> dict[str, Any]:
+    """The wavefront of a band as results.json has it, made in a new folder as from the shell."""
+    channel, ms = BANDS[nm]
+    folder.mkdir()
+    path = photograph(photographs, nm, ms)
+    shutil.copyfile(path, folder / path.name)
+    (folder / "frames.csv").write_text(f"file,kind,range_mm\n{path.name},target,\n")
+    values = {"channel": channel, "nm": float(nm), "corners": np.round(corners, 2).tolist(), "diameter": 9 * DIAMETER}
+    (folder / "plan.toml").write_text(PLAN.format(**values, f_number=F_NUMBER, reference=REFERENCE_NM))
+    labkit = Path(sys.executable).with_name("labkit")
+    subprocess.run([labkit, "import", folder / "frames.csv", folder / "plan.toml", folder / "session"], check=True)
+    subprocess.run([labkit, "fit", folder / "session", "--plain", "--patience", "15", "--workers", "1"], check=True)
+    results = json.loads((folder / "session" / "results" / "latest" / "results.json").read_text())
+    wavefront: dict[str, Any] = results["wavefronts"][0]
+    return wavefront
+
+
+def smoothest(waves: Floats, std: Floats) -> tuple[float, float, Floats]:
+    """Chi² of the parabola in wavelength that the defocus fits best, whatever its sign in each band; that of the next best
+    signs; and these signs. All signs the other way round fit as well: the first is +."""
+    nm = np.array(list(BANDS), dtype=np.float64)
+    design = np.vander((nm - REFERENCE_NM) / 150, 3) / std[:, None]
+    tried = []
+    for others in itertools.product((1.0, -1.0), repeat=len(nm) - 1):
+        signs = np.array((1.0, *others))
+        seen = signs * waves / std
+        tried.append((float(np.sum((seen - design @ np.linalg.lstsq(design, seen)[0]) ** 2)), tuple(signs)))
+    (best, chosen), (following, _) = sorted(tried)[:2]
+    return best, following, np.array(chosen)
+
+
+def nonlinearity(photographs: Path) -> float:
+    """Largest departure of white's counts from a line in the exposure, relative, over bands and colours.
+
+    Of exposures in which no colour clips, for what spills from full pixels is not the ladder's; of means above 10 of 255, and
+    three of them at least. The line need not go through 0: numbers were cut to 8 bit.
+    """
+    away = cv2.distanceTransform((~disks_of(photographs)).astype(np.uint8), cv2.DIST_L2, 5) > 8
+    worst = 0.0
+    for nm in BANDS:
+        every = [(ms, read_raw(photograph(photographs, nm, ms), SENSOR)) for ms in EXPOSURES_MS]
+        ladder = [(ms, mosaic) for ms, mosaic in every if (mosaic.counts >= mosaic.white).mean() < 1e-4]
+        for colour in "RGB":
+            steps = np.array([(ms, mosaic.counts[away & mosaic.channel_mask(colour)].mean()) for ms, mosaic in ladder])
+            steps = steps[steps[:, 1] > 10]
+            if len(steps) >= 3:
+                design = np.column_stack((steps[:, 0], np.ones(len(steps)))) / steps[:, 1:]
+                line = design @ np.linalg.lstsq(design, np.ones(len(steps)))[0]
+                worst = max(worst, float(np.abs(1 - line).max()))
+    return worst
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Best focus with its parabola, and size and place, against wavelength."""
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    focus, lateral = figure.subplots(1, 2)
+    nm = np.array(list(BANDS), dtype=np.float64)
+    focus.errorbar(nm, outcome.focus_um, outcome.std_um, fmt="o", capsize=3)
+    fine = np.linspace(nm[0], nm[-1], 200)
+    focus.plot(fine, np.polyval(np.polyfit(nm, outcome.focus_um, 2, w=1 / outcome.std_um), fine))
+    focus.set(xlabel="wavelength, nm", ylabel="defocus at the sensor, µm, or its negative")
+    lateral.plot(nm, 1e5 * (outcome.size - 1), "o-", label="size, 1e-5")
+    lateral.plot(nm, 100 * outcome.centre_px[:, 0], "s-", label="row of the middle, 0.01 px")
+    lateral.plot(nm, 100 * outcome.centre_px[:, 1], "^-", label="column of the middle, 0.01 px")
+    lateral.set(xlabel="wavelength, nm", ylabel="beside 550 nm")
+    lateral.legend()
+    figure.savefig(path, dpi=100)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("photographs", type=Path)
+    parser.add_argument("work", type=Path)
+    asked = parser.parse_args()
+    outcome = check(asked.photographs, asked.work)
+    print("nm    defocus/um     size      row/px  col/px  optimum")
+    for k, nm in enumerate(BANDS):
+        row, col = outcome.centre_px[k]
+        print(
+            f"{nm}  {outcome.focus_um[k]:+6.1f} ± {outcome.std_um[k]:.1f}  {outcome.size[k]:.5f}  {row:+6.2f}  {col:+6.2f}  "
+            + ("accepted" if outcome.settled[k] else "open")
+        )
+    print(
+        f"a parabola through the defocus: chi2 {outcome.chi2:.1f} of 4 degrees; with other signs {outcome.next_chi2:.0f}"
+    )
+    print(f"exposures depart from a line by {outcome.nonlinear:.2%} at most\ndrawn: {asked.work / 'real_disks.png'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""What every table of a plan has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from labkit.errors import PlanError
+from labkit.plan.messages import message
+from labkit.plan.text import plain
+
+
+class Table(BaseModel):
+    """A table of the plan: frozen, and unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @classmethod
+    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Self:
+        """Of dicts and lists such as TOML gives; a target's file is relative to `folder`.
+
+        Raises PlanError, one line that names every field that is wrong.
+        """
+        tables = plain(tables)
+        try:
+            return cls.model_validate(tables, context={"folder": Path(folder)})
+        except ValidationError as error:
+            raise PlanError(message(error, cls, tables)) from None
