@@ -70,6 +70,11 @@ def _failed(error: BaseException, console: Console) -> int:
     if isinstance(error, OSError):
         error_line(f"{error.filename or 'the system'}: {error.strerror or error}")
         return 2
+    if isinstance(error, MemoryError):
+        error_line(
+            f"there is not enough memory{f' ({error})' if str(error) else ''}: close other programs, or use another machine"
+        )
+        return 1
     error_line(f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where")
     return 1
 
