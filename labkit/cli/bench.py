@@ -43,7 +43,11 @@ def devices(
         console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in (
-        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in connected.usb]),
+        ("Cameras", connected.cameras and [[camera.address, camera.model] for camera in connected.cameras]),
+        (
+            "USB",
+            connected.usb and [[d.where, d.vendor_product, d.name, "camera" * d.is_camera] for d in connected.usb],
+        ),
         ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
         (
             "Installed drivers",
@@ -51,7 +55,7 @@ def devices(
         ),
     ):
         console.say(title)
-        console.table(rows or [["none"]], indent="  ")
+        console.table(rows or [["not looked at" if rows is None else "none"]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))
