@@ -76,6 +76,15 @@ def test_resuming_what_is_complete_names_a_damaged_photograph(
     assert "dark_0.dng: does not fit its checksum" in said
 
 
+def test_faults_ordered_in_a_plan_come_to_pass(plan: Path, tmp_path: Path) -> None:
+    plan.write_text(plan.read_text().replace('"simulated:"', '"simulated:camera.unplug=3,rail.stall=1x2"'))
+    assert run(["capture", str(plan), str(tmp_path / "s"), "--no-preflight"]) == 0
+    session = Session.open(tmp_path / "s")
+    trouble = [(event["device"], event["attempt"]) for event in session.events if event["event"] == "trouble"]
+    assert trouble == [("rail", 1), ("rail", 2), ("camera", 1)]
+    assert len(session.frames) == 10
+
+
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("command", [["capture", "pipe", "s"], ["import", "pipe", "plan.toml", "s"]])
 def test_a_pipe_in_the_place_of_a_file_is_refused_at_once(
