@@ -206,7 +206,7 @@ def test_seed_and_faults_are_ordered_in_the_address(address: str, order: tuple[i
 )  # fmt: skip
 def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
     with pytest.raises(
-        PlanError, match="allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit"
+        PlanError, match=r"allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit"
     ):
         open_camera(address, plan(), DeviceContext())
 
