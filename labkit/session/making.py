@@ -66,8 +66,8 @@ def remove_abandoned(folder: Path) -> None:
     for path in folder.glob(".*"):
         found = HALF_MADE.fullmatch(path.name)
         if found and path.is_dir() and not path.is_symlink():
-            locked = (path / JOURNAL).exists() and is_being_written(path / JOURNAL)
-            if not locked and not _is_alive(int(found[1])):
+            # of a process of this machine the lock is not even asked for: it may be about to take it
+            if not _is_alive(int(found[1])) and not ((path / JOURNAL).exists() and is_being_written(path / JOURNAL)):
                 shutil.rmtree(path, ignore_errors=True)
 
 

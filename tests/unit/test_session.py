@@ -323,3 +323,11 @@ def test_half_made_sessions_are_removed_unless_a_process_is_at_work_on_them(
     with Session.append(held):  # as by a process of another machine
         Session.create(tmp_path / "other", PLAN, tmp_path).close()
     assert [folder.exists() for folder in (gone, held, ours)] == [False, True, True]
+
+
+def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touched(
+    session_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session_folder.rename(tmp_path / f".s.{os.getpid()}.new")  # it may be about to take it
+    monkeypatch.setattr("labkit.session.making.is_being_written", lambda journal: pytest.fail("its lock was asked for"))
+    Session.create(tmp_path / "other", PLAN, tmp_path).close()
