@@ -65,9 +65,10 @@ def remove_abandoned(folder: Path) -> None:
     """Remove half-made sessions in a folder that no process is at work on, here or on another machine."""
     for path in folder.glob(".*"):
         found = HALF_MADE.fullmatch(path.name)
-        if found and path.is_dir() and not path.is_symlink():
-            # of a process of this machine the lock is not even asked for: it may be about to take it
-            if not _is_alive(int(found[1])) and not ((path / JOURNAL).exists() and is_being_written(path / JOURNAL)):
+        # of a process of this machine the lock is not even asked for: it may be about to take it
+        if found and path.is_dir() and not path.is_symlink() and not _is_alive(int(found[1])):
+            journal = path / JOURNAL
+            if not (journal.exists() and is_being_written(journal)):
                 shutil.rmtree(path, ignore_errors=True)
 
 
