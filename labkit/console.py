@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import StringIO
 from typing import Any
@@ -20,12 +20,14 @@ from labkit.types import Progress as Report
 
 @dataclass(slots=True)
 class Console:
-    """How to speak to whoever ran the command. hint: what to say where a command is cut short; bar: the one that moves."""
+    """How to speak to whoever ran the command. hint: what to say where a command is cut short; interrupted_by: a signal's name;
+    bar: the one that moves."""
 
     quiet: bool = False
     json: bool = False
     debug: bool = False
     hint: str = ""
+    interrupted_by: str = ""
     bar: Progress | None = None
 
     def say(self, text: str) -> None:
@@ -98,5 +100,6 @@ class Console:
 
 
 def error_line(text: object) -> None:
-    """One line on stderr that a terminal can print, whatever the message holds."""
-    print(f"labkit: {printable(' '.join(str(text).split()))}", file=sys.stderr)
+    """One line on stderr that a terminal can print, whatever the message holds; none where the terminal is gone."""
+    with suppress(OSError):
+        print(f"labkit: {printable(' '.join(str(text).split()))}", file=sys.stderr)

@@ -16,7 +16,8 @@ from labkit.devices.registry import open_devices
 from labkit.plan import Plan
 from labkit.report.html import write_report
 from labkit.results import Results
-from labkit.session.session import Session, refuse_existing
+from labkit.session.making import refuse_existing
+from labkit.session.session import Session
 
 PLAN = """\
 # A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.

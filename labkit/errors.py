@@ -8,6 +8,7 @@ LabkitError                 something failed: one line, exit status 1
 │   ├── TargetError         a target that cannot be made or is not in the frame
 │   └── DataError           frames that cannot answer what was asked
 ├── FitError                an estimate that did not come about
+├── LostTasksError          work whose processes were killed, or that lacked memory
 └── DeviceError             a device did not do what it was asked
     ├── DeviceTimeoutError
     ├── CameraError
@@ -15,6 +16,11 @@ LabkitError                 something failed: one line, exit status 1
     │   └── RailLimitError
     └── DisplayError
 """
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 LONGEST = 60
 """Characters of a value that a message repeats."""
@@ -63,6 +69,15 @@ class DataError(InputError):
 
 class FitError(LabkitError):
     """An estimate did not come about."""
+
+
+class LostTasksError(LabkitError):
+    """Tasks that did not come to an end though tried alone. lost: each task and why."""
+
+    def __init__(self, lost: Sequence[tuple[Any, str]]) -> None:
+        self.lost = tuple(lost)
+        reasons = "; ".join(dict.fromkeys(why for _, why in lost))
+        super().__init__(f"{len(lost)} of the tasks did not come to an end: {reasons}; try with --workers 1")
 
 
 class DeviceError(LabkitError):

@@ -1,24 +1,48 @@
-"""Where work runs: here, or in processes of this machine. Nothing else in labkit knows which."""
+"""Where work runs: here, or in processes of this machine. Nothing else in labkit knows which.
+
+Processes end with the one that began them, however that ends: each watches it. One that is killed, by the system for lack
+of memory as a rule, costs nothing but time: what was under way then is tried again, one task at a time.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import ExitStack, contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing.connection import wait
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TypeVar
+from tempfile import mkdtemp
+from typing import Protocol, TypeVar
 
 import cv2
 from threadpoolctl import threadpool_limits
 
+from labkit.errors import LostTasksError
+from labkit.files import writing
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+KILLED = "the process at work on it was killed, by the system for lack of memory as a rule"
+SHORT = "there is not enough memory"
+
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Run(Protocol):
+    """Maps a function over tasks, as `Workers` does."""
+
+    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
+        """Yield (index, result) as they finish. Raises LostTasksError in the end for those that never did."""
+        ...
 
 
 def default_workers() -> int:
@@ -41,9 +65,10 @@ def run_all(function: Callable[[Task], Result], tasks: Sequence[Task], workers: 
 class Workers:
     """Processes that work through one list of tasks after another, or this process itself where one is asked for.
 
-    As a context it is a function: of a function and tasks, which travel by pickle where there are several workers. It yields
-    (index, result) as they finish. The first exception, an interrupt too, ends the rest at once and is raised. Raises
-    ValueError for less than one worker.
+    As a context it is a function, `Run`: of a function and tasks, which travel by pickle where there are several workers.
+    The first exception, an interrupt too, ends the rest at once and is raised; but a task whose process is killed, or that
+    lacks memory, is tried again alone, and if it fails so too, LostTasksError names it after all others are done.
+    Raises ValueError for less than one worker.
     """
 
     def __init__(self, count: int) -> None:
@@ -51,8 +76,8 @@ class Workers:
             raise ValueError(f"workers must be at least 1, not {count}")
         self._count = count
         self._others = set(multiprocessing.active_children())
-        self._open = ExitStack()
         self._pool: ProcessPoolExecutor | None = None
+        self._folder: Path | None = None
 
     def __enter__(self) -> Workers:
         return self
@@ -60,58 +85,151 @@ class Workers:
     def __exit__(self, *raised: object) -> None:
         if raised[0] is not None:
             self._end()
-        self._open.close()
+        self._close_pool()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
+        """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
+        lost: dict[int, str] = {}
         if self._count == 1:
-            for index, task in enumerate(tasks):
-                yield index, function(task)
-            return
-        try:
-            futures = self._submitted(function, tasks)
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            self._end()
-            raise
+            yield from _here(function, tasks, lost)
+        else:
+            try:
+                yield from self._spread(function, tasks, lost)
+            except BaseException:
+                self._end()
+                raise
+        if lost:
+            raise LostTasksError([(tasks[index], why) for index, why in lost.items()])
 
-    def _submitted(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> dict[Future[Result], int]:
+    def _spread(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: dict[int, str]
+    ) -> Iterator[tuple[int, Result]]:
+        """All at once; those that were under way when a process was killed, or that lacked memory, one at a time."""
+        left = self._stored(tasks)
+        suspects: list[int] = []
+        while left:
+            now = {suspects[0]: left[suspects.pop(0)]} if suspects else dict(left)
+            failed: dict[int, str] = {}
+            for index, result in self._round(function, now, failed):
+                del left[index]
+                yield index, result
+            if len(now) == 1:
+                lost |= failed
+                left = {index: path for index, path in left.items() if index not in failed}
+            else:
+                suspects += failed
+
+    def _round(
+        self, function: Callable[[Task], Result], stored: Mapping[int, Path], failed: dict[int, str]
+    ) -> Iterator[tuple[int, Result]]:
+        """Some tasks, all at once; `failed` is filled with those that lacked memory, or may be why a process was killed."""
+        futures = self._submitted(function, stored)
+        for future in as_completed(futures):
+            index = futures[future]
+            try:
+                result = future.result()
+            except MemoryError:
+                failed[index] = SHORT
+            except BrokenProcessPool:
+                if _begun(stored[index]).exists():
+                    failed[index] = KILLED
+            else:
+                yield index, result
+        if any(isinstance(future.exception(), BrokenProcessPool) for future in futures):
+            self._close_pool()
+            if not failed:  # killed before it had begun anything
+                failed |= dict.fromkeys((i for f, i in futures.items() if f.exception() is not None), KILLED)
+        for index in failed:
+            _begun(stored[index]).unlink(missing_ok=True)
+
+    def _stored(self, tasks: Sequence[Task]) -> dict[int, Path]:
+        """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""
+        if self._folder is None:
+            self._folder = Path(mkdtemp(prefix="labkit-"))
+        stored = {index: self._folder / str(index) for index in range(len(tasks))}
+        for path, task in zip(stored.values(), tasks, strict=True):
+            with writing(path):
+                path.write_bytes(pickle.dumps(task))
+            _begun(path).unlink(missing_ok=True)
+        return stored
+
+    def _submitted(self, function: Callable[[Task], Result], stored: Mapping[int, Path]) -> dict[Future[Result], int]:
         with _interrupt_held():
             if self._pool is None:
                 # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
                 context = multiprocessing.get_context("spawn")
-                pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=pin_threads)
-                self._folder = self._open.enter_context(TemporaryDirectory(prefix="labkit-"))
-                self._pool = self._open.enter_context(pool)
-            futures = {}
-            for index, task in enumerate(tasks):
-                stored = Path(self._folder) / str(index)
-                stored.write_bytes(pickle.dumps(task))
-                futures[self._pool.submit(_run_stored, function, stored)] = index
-            return futures
+                assert self._folder is not None
+                begin = partial(_begin, self._folder)
+                self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=begin)
+            return {self._pool.submit(_run_stored, function, path): index for index, path in stored.items()}
+
+    def _close_pool(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
 
     def _end(self) -> None:
         for worker in set(multiprocessing.active_children()) - self._others:
             worker.terminate()
 
 
+def _here(
+    function: Callable[[Task], Result], tasks: Sequence[Task], lost: dict[int, str]
+) -> Iterator[tuple[int, Result]]:
+    for index, task in enumerate(tasks):
+        try:
+            result = function(task)
+        except MemoryError:
+            lost[index] = SHORT
+        else:
+            yield index, result
+
+
+def _begin(folder: Path) -> None:
+    """What a worker does first."""
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    pin_threads()
+
+
+def _end_with_parent(folder: Path) -> None:
+    """Wait for the end of the process that began this one, clear up after it, and end too, whatever is being computed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _begun(stored: Path) -> Path:
+    """A file that is there once work on a task has begun."""
+    return stored.with_name(f"{stored.name}.begun")
+
+
 def _run_stored(function: Callable[[Task], Result], stored: Path) -> Result:
-    """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""
+    _begun(stored).touch()
     return function(pickle.loads(stored.read_bytes()))
 
 
 @contextmanager
 def _interrupt_held() -> Iterator[None]:
-    """Hold Ctrl-C until the end. Processes that are begun meanwhile never see one: whoever began them ends them."""
+    """Hold Ctrl-C, SIGTERM and SIGHUP until the end. Processes that are begun meanwhile never see a Ctrl-C: whoever began
+    them ends them."""
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # processes inherit it
     in_main = threading.current_thread() is threading.main_thread()
-    held: list[object] = []  # by way of another thread, whose mask is its own
-    handler = signal.signal(signal.SIGINT, lambda *caught: held.append(caught)) if in_main else None
+    held: list[int] = []  # by way of another thread, whose mask is its own
+    handlers = {}
+    if in_main:
+        # those that are ignored, as under nohup, or end the process, as everywhere but on the command line, stay so
+        handlers = {number: kept for number in INTERRUPTS if callable(kept := signal.getsignal(number))}
+        for number in handlers:
+            signal.signal(number, lambda caught, _: held.append(caught))
     try:
         yield
     finally:
-        if in_main:
-            signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if held:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(held[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -12,6 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import InputError, SessionError
+
+
+def open_standard_streams() -> None:
+    """Open descriptors 0 to 2 where they are closed: the next file that is opened would be one, and whatever is printed, a
+    crash's dump too, would end up in it."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest that is free
+
+
+def refuse_special(path: Path) -> None:
+    """Raise OSError for a pipe, a device or a socket: to read one may never end, or begin."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "a pipe or a device; a file is needed", str(path))
 
 
 def write_atomically(path: Path, content: bytes) -> None:

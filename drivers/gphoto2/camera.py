@@ -66,7 +66,10 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
     """The camera at that address, opened when it is first needed. Raises PlanError."""
     port = address.partition(":")[2]
     if port and not re.fullmatch(r"usb:\d+,\d+", port):
-        raise PlanError(f'address "{address}": allowed is gphoto2: for the only camera, or such as gphoto2:usb:001,004')
+        network = " (not over a network: ptpip: is not driven)" if port.startswith("ptpip") else ""
+        raise PlanError(
+            f'address "{address}": allowed is gphoto2: for the only camera on USB, or such as gphoto2:usb:001,004{network}'
+        )
     if find_spec("gphoto2") is None:
         raise PlanError(f'address "{address}" needs the package gphoto2: pip install gphoto2')
     settings = plan.camera
@@ -78,8 +81,19 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
     )
 
 
+def find_cameras() -> list[tuple[str, str]]:
+    """(address, model) of every camera on USB that libgphoto2 knows, its virtual one too. Raises CameraError."""
+    if find_spec("gphoto2") is None:
+        raise CameraError("the package gphoto2 is missing: pip install gphoto2")
+    link = Link()
+    try:
+        return [(f"gphoto2:{port}", _printable(model)) for model, port in link.ask("find", ASK_S)]
+    finally:
+        link.close(CLOSE_S)
+
+
 class Gphoto2Camera(ClosesItself):
-    """A Camera, Adjustable and Checkable.
+    """A Camera, Adjustable, Checkable and Candid.
 
     port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
     the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from the end of
@@ -108,6 +122,12 @@ class Gphoto2Camera(ClosesItself):
         self._wanted: Wanted | None = None
         self._body: dict[str, Setting] = {}
         self._info: CameraInfo | None = None
+        self._overcome: list[str] = []
+
+    def overcome(self) -> tuple[str, ...]:
+        """Trouble that it has got over by itself since this was asked last."""
+        overcome, self._overcome = tuple(self._overcome), []
+        return overcome
 
     def identify(self) -> CameraInfo:
         """Who it is; finds it again if it had dropped off."""
@@ -159,6 +179,7 @@ class Gphoto2Camera(ClosesItself):
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
                     raise _error(what, trouble, attempt) from trouble
+                self._overcome.append(f"{what}, try {attempt}: {trouble}")
                 self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
             finally:

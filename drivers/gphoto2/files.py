@@ -11,6 +11,7 @@ import rawpy
 from labkit.drivers.gphoto2.link import IO, TIMEOUT, Trouble
 from labkit.errors import CameraError, RawError
 from labkit.raw.formats import recognise
+from labkit.raw.libraw import opened_raw
 
 SUFFIXES = (
     (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),
@@ -55,7 +56,7 @@ def _checked_suffix(raw: Path) -> str:
     """The suffix of a raw file by its content, whatever the camera calls it. Raises Trouble for a damaged file."""
     try:
         container = recognise(raw)
-        with rawpy.imread(str(raw)) as opened:
+        with opened_raw(raw) as opened:
             sizes = opened.sizes
     except (RawError, rawpy.LibRawError) as error:
         raise Trouble(IO, f"what came is no whole raw file ({error})") from error

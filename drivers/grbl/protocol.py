@@ -40,11 +40,30 @@ ERRORS = {
 }
 """Errors that a rail may meet, by GRBL's documentation."""
 
-INCHES, SOFT_LIMITS, HARD_LIMITS = 13, 20, 21
+IDLE_DELAY, REPORTS, INCHES, SOFT_LIMITS, HARD_LIMITS = 1, 10, 13, 20, 21
 MAX_TRAVEL, MAX_RATE, ACCELERATION = 130, 110, 120
 HOMING, HOMING_DIRECTION, LOCATE_RATE, SEEK_RATE, PULL_OFF = 22, 23, 24, 25, 27
-NEEDED = (INCHES, HOMING, HOMING_DIRECTION, LOCATE_RATE, SEEK_RATE, PULL_OFF, MAX_RATE, ACCELERATION, MAX_TRAVEL)
+NEEDED = (
+    REPORTS,
+    INCHES,
+    HOMING,
+    HOMING_DIRECTION,
+    LOCATE_RATE,
+    SEEK_RATE,
+    PULL_OFF,
+    MAX_RATE,
+    ACCELERATION,
+    MAX_TRAVEL,
+)
 """Settings that a rail is driven by; their numbers are the same in GRBL 1.1 and grblHAL."""
+
+MACHINE_POSITION, HAL_OFFSET, HAL_PARSER_STATE = 1, 32, 512
+"""Bits of $10: what reports hold. GRBL tells the work offset in any case; grblHAL's parser state would come unasked."""
+
+ALWAYS_ON = 255
+"""As $1: motors are held at rest too."""
+
+FACTORY_TRAVEL_MM = 200.0
 
 HAL_ORIGIN_AT_HOME = 8
 """Bit of grblHAL's $22; GRBL has it compiled in, the Z among its options."""
@@ -70,6 +89,38 @@ def read_report(line: str) -> Report | None:
         return None
     offset = OFFSET.search(found["rest"])
     return Report(found["state"], float(found["x"]), found["kind"] == "M", float(offset["x"]) if offset else None)
+
+
+def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
+    """What a rail cannot be driven with, in words that name the setting; None if nothing is."""
+    reports = int(settings[REPORTS])
+    if settings[INCHES]:
+        return "reports in inches ($13=1); set $13=0"
+    if not int(settings[HOMING]) & 1:
+        return "has homing turned off ($22=0), so its position cannot be known; set $22=1"
+    if is_hal and not reports & (MACHINE_POSITION | HAL_OFFSET):
+        return (
+            f"reports work positions without their offset ($10={reports}), so its position cannot be known; set $10=511"
+        )
+    if is_hal and reports & HAL_PARSER_STATE:
+        return f"reports its parser's state unasked ($10={reports}), which labkit takes for an answer; set $10=511"
+    return None
+
+
+def doubts(settings: Mapping[int, float]) -> tuple[str, ...]:
+    """Settings other than docs/bench.md asks for, with which a rail runs all the same, in words."""
+    found = []
+    if (delay := settings.get(IDLE_DELAY, ALWAYS_ON)) != ALWAYS_ON:
+        found.append(
+            f"$1={delay:g}: motors are let go {delay:g} ms after each move, and the carriage may creep; set $1=255"
+        )
+    if not settings.get(SOFT_LIMITS, 0):
+        found.append("$20=0: soft limits are off; set $20=1")
+    if not settings.get(HARD_LIMITS, 0):
+        found.append("$21=0: hard limits are off; wire the switches and set $21=1")
+    if settings[MAX_TRAVEL] == FACTORY_TRAVEL_MM:
+        found.append("$130=200, as from the factory: is it the rail's travel in mm?")
+    return tuple(found)
 
 
 def travel(settings: Mapping[int, float], is_hal: bool, options: str) -> Travel:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from labkit.devices.context import DeviceContext
+from labkit.devices.protocols import Check
 from labkit.drivers.grbl import protocol as grbl
 from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
 from labkit.errors import DeviceTimeoutError, RailError
@@ -40,7 +41,7 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> GrblRail:
 
 
 class GrblRail(SerialRail):
-    """A Rail. The controller is woken and checked at once. Raises RailError, DeviceTimeoutError."""
+    """A Rail, Checkable. The controller is woken and checked at once. Raises RailError, DeviceTimeoutError."""
 
     NAME = "the GRBL rail"
 
@@ -58,6 +59,10 @@ class GrblRail(SerialRail):
         self._offset_mm: float | None = None
         self._settings: dict[int, float] = {}
         self._wake()
+
+    def check(self, frames: int) -> Check:
+        """What to look at by hand: settings that are not as docs/bench.md asks."""
+        return Check((), tuple(f"the rail's {words}" for words in grbl.doubts(self._settings)))
 
     def home(self) -> None:
         """Find the zero at the limit switch; connects again where the line was lost, clears alarms.
@@ -192,10 +197,8 @@ class GrblRail(SerialRail):
         self._settings = {int(found[1]): float(found[2]) for found in read}
         if missing := [f"${number}" for number in grbl.NEEDED if number not in self._settings]:
             raise RailError(f"{self} did not report its settings {', '.join(missing)}; try again")
-        if self._settings[grbl.INCHES]:
-            raise RailError(f"{self} reports in inches ($13=1); set $13=0")
-        if not int(self._settings[grbl.HOMING]) & 1:
-            raise RailError(f"{self} has homing turned off ($22=0), so its position cannot be known; set $22=1")
+        if words := grbl.unfit(self._settings, is_hal):
+            raise RailError(f"{self} {words}")
         try:
             self._reach = grbl.travel(self._settings, is_hal, options)
             _ = self.travel_mm

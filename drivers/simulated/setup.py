@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import zlib
 from collections.abc import Iterable
 
@@ -12,20 +13,23 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.panels import panel_info
 from labkit.devices.shared import Lease
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
-from labkit.errors import PlanError
+from labkit.drivers.simulated.world import FAULTS, BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.errors import PlanError, shown
 from labkit.plan import Plan, RailSettings
 from labkit.target import open_target
 
 MOST_PIXELS = 640
 """Largest side of the simulated sensor: beyond it the brute force wants more than 2 GB."""
 
+SEED = re.compile(r"seed=([0-9]{1,9})")
+FAULT = re.compile(r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?")
+
 WHITE_COUNTS = 10_350.0
 """What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
 
 
 def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Bench]:
-    """The one bench of a context's devices, at an address such as "simulated:" or "simulated:seed=3".
+    """The one bench of a context's devices, at an address such as "simulated:" or "simulated:seed=3,camera.timeout=2".
 
     It is there as long as any of them is open. Raises PlanError for an address that is not understood, or another than
     the context's bench has.
@@ -33,7 +37,7 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
     others = [key for key, part in context.shared.items() if isinstance(part, Bench) and key != address]
     if others:
         raise PlanError(f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address')
-    lease = context.shared.lease(address, lambda: Bench(settings_for(plan, _seed(address))))
+    lease = context.shared.lease(address, lambda: _bench(address, plan))
     if not isinstance(lease.part, Bench):
         lease.close()
         raise PlanError(f'"{address}" is no bench but {type(lease.part).__name__}')
@@ -79,13 +83,30 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
     return BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
 
 
-def _seed(address: str) -> int:
-    """The seed in "simulated:seed=3"; 1 if none is given."""
-    query = address.partition(":")[2]
-    key, _, value = query.partition("=")
-    if query and (key != "seed" or not value.isdecimal()):
-        raise PlanError(f'address "{address}": allowed is simulated: or simulated:seed=N with a whole N')
-    return int(value) if query else 1
+def _bench(address: str, plan: Plan) -> Bench:
+    seed, faults = ordered(address)
+    return Bench(settings_for(plan, seed), faults)
+
+
+def ordered(address: str) -> tuple[int, tuple[Fault, ...]]:
+    """Seed, 1 if none is given, and faults of an address such as "simulated:seed=3,camera.timeout=2,rail.stall=1x4": the
+    second exposure times out, the first four moves stall. Raises PlanError.
+    """
+    seed, faults = 1, list[Fault]()
+    words = address.partition(":")[2]
+    for word in words.split(",") if words else ():
+        if found := SEED.fullmatch(word):
+            seed = int(found[1])
+        elif (found := FAULT.fullmatch(word)) and found["kind"] in FAULTS.get(found["device"], ()):
+            fault = Fault(found["device"], found["kind"], int(found["call"]), int(found["times"] or 1))  # type: ignore[arg-type]
+            faults.append(fault)
+        else:
+            kinds = ", ".join(f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds)
+            raise PlanError(
+                f'address "{address}": {shown(word)}: allowed is seed=N, and faults as in camera.timeout=2 (at the second '
+                f"exposure) or camera.timeout=2x3 (three times from there): {kinds}"
+            )
+    return seed, tuple(faults)
 
 
 def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:

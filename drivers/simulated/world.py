@@ -174,6 +174,14 @@ class BenchSettings:
     """At least; a fast lens gets as many as its diffraction needs."""
 
 
+FAULTS = {
+    "camera": ("timeout", "unplug", "card_full"),
+    "rail": ("stall", "limit", "lost_steps"),
+    "display": ("sleep",),
+}
+"""Kinds of `Fault`, by device."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """Trouble on a device's call number `call` (from 1: exposures, moves, pictures shown), `times` calls in a row.

@@ -81,10 +81,10 @@ def run_plan(
     log = CaptureLog(session, devices.observers, progress or no_progress, done, total)
     try:
         _Capture(session, devices, log, ask).run(check, warn)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         with suppress(DeviceError):  # homing, at the next start, mends a rail that did not even stop
             devices.rail.stop()
-        log.note("interrupted")
+        log.note("interrupted", by=str(interrupt) or "Ctrl-C")
         raise
     except LabkitError as error:
         log.show("stopped", error=str(error))

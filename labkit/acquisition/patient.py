@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.sequence import Shot, bench_settings
 from labkit.devices.context import Devices
-from labkit.devices.protocols import Attentive, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
+from labkit.devices.protocols import Attentive, Candid, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
 from labkit.errors import DeviceError, DisplayError, RailLimitError
 from labkit.files import writing
 from labkit.plan import Plan
@@ -95,6 +95,12 @@ class PatientDevices:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")
 
+    def _note_overcome(self, device: str) -> None:
+        """Trouble that a device got over by itself."""
+        of = getattr(self.devices, device)
+        for error in of.overcome() if isinstance(of, Candid) else ():
+            self._log.note("overcome", device=device, error=error)
+
     def photograph(self, picture: Picture, name: str) -> RawFrame:
         """Expose, again if the display lost the picture that it shows meanwhile. name: of the file, without suffix."""
         display = self.devices.display
@@ -129,10 +135,13 @@ class PatientDevices:
             try:
                 if attempt > 1:
                     recover()
-                return action()
+                result = action()
+                self._note_overcome(device)
+                return result
             except RailLimitError:
                 raise
             except DeviceError as error:
+                self._note_overcome(device)
                 self._log.note("trouble", device=device, attempt=attempt, error=str(error))
                 if attempt == TRIES:
                     raise

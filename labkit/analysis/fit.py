@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labkit.analysis.joint import Joint, climb
+from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import observe
@@ -15,7 +16,7 @@ from labkit.analysis.session_parts import WORDS, model_parts, parts_tried, words
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.wavefronts import SessionFits, fit_session
-from labkit.errors import DataError, SessionError
+from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
@@ -29,6 +30,10 @@ from labkit.types import Progress, no_progress
 
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
+
+GO_ON = "fit again: that goes on where this one ended"
+
+"""Fits that are done are kept."""
 
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
@@ -64,28 +69,45 @@ def fit(
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    with Workers(workers or default_workers()) as run:
+    with Workers(workers or default_workers()) as processes:
+        run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    noted = [*_noted(session, plan), *assumed, *map(str, filter(None, [change]))]
-    common = (plan, _checksum(session, plan), list(dict.fromkeys(noted)))
+    common = (plan, _checksum(session, plan), _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     parts = {} if change is None or not split else {"-before": change.before, "-after": change.after}
-    _written(folder, {"": whole, **{end: _results(part, *common, True) for end, part in parts.items()}})
-    return replace(whole, folder=folder)
+    every = {"": whole} | {end: _results(part, *common, True) for end, part in parts.items()}
+    return _written(folder, every, run, fits.lost)
 
 
-def _written(folder: Path, every: Mapping[str, Results]) -> None:
-    """every: by what is to stand behind the folder's name."""
-    for end, results in every.items():
-        results.write(folder.with_name(folder.name + end))
+def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]) -> Results:
+    """The results of the whole session, in their folder. every: by what is to stand behind the folder's name.
+
+    Fits are kept as long as some are missing or not written.
+    """
+    made = {wavefront.key for wavefront in every[""].wavefronts}
+    if lost and kept_keys(folder) - made:
+        raise FitError(
+            f"{'; '.join(lost)}; {folder} holds earlier results of it, which stay; with fewer workers, {GO_ON}"
+        )
+    try:
+        for end, results in every.items():
+            results.write(folder.with_name(folder.name + end))
+    except InputError as error:
+        raise InputError(
+            f"{error}; make room and {GO_ON}" + (f", but {kept.problem}" if kept.problem else "")
+        ) from error
+    if not lost:
+        kept.clear()
+    return replace(every[""], folder=folder)
 
 
-def _noted(session: Session, plan: Plan) -> list[str]:
-    """What the session's files tell: of their damage, against the plan, of programs that have altered them."""
+def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:
+    """What the session's files tell: of their damage, against the plan, of programs that have altered them; and `found`."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
-    return [*session.warnings, *stated, *(note for frame in session.frames for note in frame.meta.get("altered", ()))]
+    altered = (note for frame in session.frames for note in frame.meta.get("altered", ()))
+    return list(dict.fromkeys([*session.warnings, *stated, *altered, *found]))
 
 
 def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[str]) -> Results:
@@ -96,6 +118,7 @@ def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, n
 
 def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
     """Of fits, all or a part of a session's. wanted: whether they were to tell best focus."""
+    left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     warnings = [*words_of_parts(fits, found), *warnings_of(fits)]
     focus = None if lens is None else as_focus(lens)
@@ -109,8 +132,8 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
         budget={} if lens is None else budget(lens),
         model_parts=found,
         parts_tried=parts_tried(fits),
-        warnings=(*noted, *warnings, *_doubts(wavefronts)),
-        unanswered="; ".join(warnings) if wanted and focus is None else None,
+        warnings=(*noted, *fits.lost, *warnings, *_doubts(wavefronts)),
+        unanswered="; ".join([*left_out, *(warnings if wanted and focus is None else ())]) or None,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.local_fits import Task, problem_at
 from labkit.analysis.wavefronts import SessionFits
-from labkit.execute import Workers
+from labkit.execute import Run
 from labkit.imaging.model import Optics
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import Start, State
@@ -52,7 +52,7 @@ class Joint:
     log_likelihoods: tuple[float, ...]
 
 
-def climb(session: SessionFits, run: Workers, progress: Progress) -> Joint:
+def climb(session: SessionFits, run: Run, progress: Progress) -> Joint:
     """Gauss-Newton over everything at once, from the two levels' end.
 
     The numbers of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by member,
@@ -82,7 +82,7 @@ def climb(session: SessionFits, run: Workers, progress: Progress) -> Joint:
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def _all_reached(legs: Sequence[Leg], run: Workers) -> list[Reached]:
+def _all_reached(legs: Sequence[Leg], run: Run) -> list[Reached]:
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 

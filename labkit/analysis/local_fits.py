@@ -145,6 +145,11 @@ class Question:
     local: LocalFit
     parts: tuple[str, ...]
 
+    @property
+    def label(self) -> str:
+        """Of the fit."""
+        return self.local.task.label
+
 
 def answer(question: Question) -> dict[str, Call]:
     """What the fit says."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
 from labkit.analysis.twins import choose_twins
-from labkit.execute import Workers
+from labkit.errors import FitError, LostTasksError
+from labkit.execute import Result, Run
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import LowPass
 from labkit.inference.fit import canonical
@@ -29,6 +31,8 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
+Input = TypeVar("Input", Task, Question)
+
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 
@@ -39,7 +43,8 @@ class SessionFits:
     lens: None where no ranges, or no defocus, are there to tell of one. members: which fits it is made of; the others were
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
     belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
-    about; missing: one that those call for which their model does not explain, and that was not taken in.
+    about; missing: one that those call for which their model does not explain, and that was not taken in. lost: observations
+    that have no fit, in words.
     """
 
     fits: tuple[LocalFit, ...]
@@ -50,13 +55,14 @@ class SessionFits:
     open_channels: tuple[str, ...] = ()
     tried: tuple[Tried, ...] = ()
     missing: str | None = None
+    lost: tuple[str, ...] = ()
 
 
 def fit_session(
     observations: Sequence[Observation],
     plan: Plan,
     target: Target,
-    run: Workers,
+    run: Run,
     progress: Progress,
     patience_s: float = PATIENCE_S,
     diagnose: bool = True,
@@ -66,7 +72,8 @@ def fit_session(
     Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. One that does not
     show soon is sought again from the other. The rest begin at what these predict. Those that the session finds not to belong
     are made again from what the others predict.
-    diagnose: whether parts of the camera that the fits call for are taken into the model.
+    diagnose: whether parts of the camera that the fits call for are taken into the model. A fit whose process is killed
+    costs no other one. Raises FitError where all are.
     """
     chain = _Chain(tuple(observations), plan, target, run, progress, patience_s, diagnose)
     anchors = chain.anchors()
@@ -87,13 +94,14 @@ class _Chain:
     observations: tuple[Observation, ...]
     plan: Plan
     target: Target
-    run: Workers
+    run: Run
     progress: Progress
     patience_s: float
     diagnose: bool
     fits: dict[int, LocalFit] = field(default_factory=dict)
     tried: list[Tried] = field(default_factory=list)
     missing: str | None = None
+    lost: dict[str, str] = field(default_factory=dict)
 
     def anchors(self) -> list[int]:
         """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
@@ -113,7 +121,7 @@ class _Chain:
         tasks = [self._task(k, known) for k in places]
         tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
         self.progress(len(self.fits), len(self.observations), "fitting")
-        for index, fit in self.run(fit_task, tasks):
+        for index, fit in self._done(fit_task, tasks):
             self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
             self.progress(len(self.fits), len(self.observations), tasks[index].label)
 
@@ -132,7 +140,7 @@ class _Chain:
         known = self._joined()
         if known.lens is None or known.lens.model.shared:
             return
-        places = [list(self.fits)[k] for k in sorted(known.members)]
+        places = [sorted(self.fits)[k] for k in sorted(known.members)]
         clear = sorted(places, key=lambda k: -abs(self.fits[k].member.measured.waves[0]))
         tasks = []
         for k in places:
@@ -144,7 +152,7 @@ class _Chain:
             cone = replace(fit.optics, f_number=self.fits[others[0]].fit.f_number)
             alike = (self.fits[others[0]].fit.waves,)
             tasks.append(replace(self.fits[k].task, optics=cone, starts=(), alike=alike, patience_s=RECONCILE_S))
-        for index, fit in self.run(fit_task, tasks):
+        for index, fit in self._done(fit_task, tasks):
             if fit.objective > self.fits[places[index]].fit.objective + SAME_OPTIMUM:
                 self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
@@ -170,9 +178,8 @@ class _Chain:
             self.tried += [Tried(name, gain, (), True) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
             self.progress(len(self.fits), len(self.observations), "what the model lacks")
-            summed = together(
-                [of for _, of in self.run(answer, [Question(self.fits[k], tuple(names)) for k in places])]
-            )
+            answers = [of for _, of in self._done(answer, [Question(self.fits[k], tuple(names)) for k in places])]
+            summed = together(answers) if answers else {}
             name = called_for(summed)
             gained = name is not None and self.diagnose and self._taken_in(name, places)
             self.tried += [
@@ -214,24 +221,39 @@ class _Chain:
             for k in places
         ]
         before = [self.fits[k].fit for k in places]
-        for index, fit in self.run(fit_task, tasks):
+        for index, fit in self._done(fit_task, tasks):
             old = before[index]
             without = old.left if old.left_without is None else old.left_without
             self.fits[places[index]] = LocalFit(tasks[index], replace(canonical(fit), left_without=without))
 
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
-        before = self._joined()
+        if not self.fits:
+            raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
+        before, order = self._joined(), sorted(self.fits)
         again = {} if before.lens is None else self._tasks_again(before, before.lens)
-        for index, fit in self.run(fit_task, list(again.values())):
+        for index, fit in self._done(fit_task, list(again.values())):
             place = list(again)[index]
             self.progress(len(self.fits), len(self.observations), f"{again[place].label} again")
-            made, old = LocalFit(again[place], canonical(fit)), self.fits[place].fit
+            made, old = LocalFit(again[place], canonical(fit)), self.fits[order[place]].fit
             if fit.objective > old.objective - SAME_OPTIMUM:
-                self.fits[place] = made
+                self.fits[order[place]] = made
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
-        return _honest(replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing))
+        lost = tuple(self._left_out())
+        return _honest(replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost))
+
+    def _done(self, function: Callable[[Input], Result], tasks: Sequence[Input]) -> Iterator[tuple[int, Result]]:
+        """What comes of tasks; those that memory was too short for are noted, and what was there before them stays."""
+        try:
+            yield from self.run(function, tasks)
+        except LostTasksError as error:
+            self.lost |= {task.label: why for task, why in error.lost}
+
+    def _left_out(self) -> list[str]:
+        """Observations without a fit, in words."""
+        fitted = {fit.task.label for fit in self.fits.values()}
+        return [f"{label} is left out: {why}" for label, why in self.lost.items() if label not in fitted]
 
     def _joined(self) -> SessionFits:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.

@@ -14,12 +14,16 @@ import typer
 
 from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
 from labkit.console import Console
-from labkit.errors import PlanError
+from labkit.errors import LabkitError, PlanError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
     from labkit.devices.operator import Operator
     from labkit.plan import Plan
+    from labkit.session.session import Session
+
+SAFE = "every photograph so far is safe, "
+DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -39,7 +43,11 @@ def devices(
         console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in (
-        ("USB", [[d.where, d.vendor_product, d.name, "camera" if d.is_camera else ""] for d in connected.usb]),
+        ("Cameras", connected.cameras and [[camera.address, camera.model] for camera in connected.cameras]),
+        (
+            "USB",
+            connected.usb and [[d.where, d.vendor_product, d.name, "camera" * d.is_camera] for d in connected.usb],
+        ),
         ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
         (
             "Installed drivers",
@@ -47,7 +55,7 @@ def devices(
         ),
     ):
         console.say(title)
-        console.table(rows or [["none"]], indent="  ")
+        console.table(rows or [["not looked at" if rows is None else "none"]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))
@@ -195,7 +203,9 @@ def capture(
     from labkit.acquisition.capture import run_plan as run_capture
     from labkit.acquisition.sequence import missing, picture_for
     from labkit.plan import Plan
-    from labkit.session.session import JOURNAL, begin, refuse_existing
+    from labkit.session.journal import JOURNAL
+    from labkit.session.making import refuse_existing
+    from labkit.session.session import begin
 
     console: Console = ctx.obj
     wanted = Plan.load(plan)
@@ -204,15 +214,15 @@ def capture(
     with ExitStack() as stack:
         begun = resume and (session / JOURNAL).exists()
         if begun and not missing(opened := stack.enter_context(begin(plan, session, resume))):
-            _report_capture(console, session, len(opened.frames), ", all that the plan asks for")
+            _report_complete(console, opened)
             return
         page = f"web://{listen}" if listen else "web:" if monitor else None
         bench, operator = stack.enter_context(_open_bench(console, wanted, simulate, page))
         picture_for(wanted, bench)  # a plan that cannot be run here begins no session
-        again = _resume_command(plan, session, simulate, monitor, listen)
-        console.hint = f"; every photograph so far is safe, go on with: {again}"
+        console.hint = f"; go on with: {_resume_command(ctx)}"
         if not begun:
             opened = stack.enter_context(begin(plan, session, resume))
+        stack.enter_context(_saying_what_is_safe(console, opened))
         for warning in opened.warnings:
             console.warn(warning)
         report = stack.enter_context(console.progress("capturing"))
@@ -238,11 +248,38 @@ def _open_bench(
         yield stack.enter_context(open_devices(plan, "simulated:" if simulate else None, context)), context.operator
 
 
-def _resume_command(plan: Path, session: Path, simulate: bool, monitor: bool, listen: str | None) -> str:
-    """What to type to go on with a capture that was interrupted."""
-    flags = [flag for flag, given in (("--simulate", simulate), ("--monitor", monitor)) if given]
-    flags += ["--listen", listen] if listen else []
-    return shlex.join(["labkit", "capture", str(plan), str(session), "--resume", *flags])
+@contextmanager
+def _saying_what_is_safe(console: Console, session: Session) -> Iterator[None]:
+    """Where a capture is cut short, it is said that photographs are safe only where they are."""
+    from labkit.session.verify import is_safe
+
+    try:
+        yield
+    except BaseException:
+        if session.frames:
+            safe = SAFE if is_safe(session) else DAMAGED
+            console.hint = f"; {safe}{console.hint.removeprefix('; ')}"
+        raise
+
+
+def _resume_command(ctx: typer.Context) -> str:
+    """What to type to go on with a capture that was interrupted: as it was given, with --resume."""
+    console: Console = ctx.obj
+    given = {"resume": True, **ctx.params, "quiet": console.quiet, "json": console.json, "debug": console.debug}
+    words = [str(given.pop(name)) for name in ("plan", "session")]
+    for name, value in {**given, "resume": True}.items():
+        if value:
+            words += [f"--{name.replace('_', '-')}"] if value is True else [f"--{name}", str(value)]
+    return shlex.join(["labkit", "capture", *words])
+
+
+def _report_complete(console: Console, session: Session) -> None:
+    """Raises LabkitError for photographs that are damaged."""
+    from labkit.session.verify import altered
+
+    if damage := altered(session):
+        raise LabkitError(f"{session.folder} has all that the plan asks for, but {'; '.join(damage)}")
+    _report_capture(console, session.folder, len(session.frames), ", all that the plan asks for")
 
 
 def _report_capture(console: Console, session: Path, frames: int, remark: str = "") -> None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn
 
 import typer
 from typer.exceptions import TyperException
@@ -14,12 +18,20 @@ from typer.exceptions import TyperException
 from labkit.cli.app import app
 from labkit.console import Console, error_line
 from labkit.errors import LabkitError
+from labkit.files import open_standard_streams
 
 GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
 
 
+INTERRUPTS = (signal.SIGTERM, signal.SIGHUP)
+"""Beside Ctrl-C."""
+
+
 def main() -> None:
     """Run the command line and leave with its exit status."""
+    open_standard_streams()
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for good
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.exit(run(sys.argv[1:]))
 
 
@@ -34,9 +46,10 @@ def run(args: Sequence[str]) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        status = typer.main.get_command(app).main(
-            [*flags, *rest], prog_name="labkit", standalone_mode=False, obj=console
-        )
+        with _interrupts(console):
+            status = typer.main.get_command(app).main(
+                [*flags, *rest], prog_name="labkit", standalone_mode=False, obj=console
+            )
         sys.stdout.flush()
     except BrokenPipeError:
         # whoever read our output has had enough; Python must not complain about it again on exit
@@ -47,6 +60,28 @@ def run(args: Sequence[str]) -> int:
     if status == 130:
         return _interrupted(console)
     return status if isinstance(status, int) else 0
+
+
+@contextmanager
+def _interrupts(console: Console) -> Iterator[None]:
+    """SIGTERM and SIGHUP end a command as Ctrl-C does: what was begun is brought to an end, and a line says so."""
+
+    def interrupt(number: int, frame: object) -> NoReturn:
+        for each in INTERRUPTS:
+            signal.signal(each, signal.SIG_IGN)  # a terminal that is closed sends several: one is enough
+        console.interrupted_by = signal.Signals(number).name
+        raise KeyboardInterrupt(console.interrupted_by)
+
+    ours = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in INTERRUPTS}
+    before = {number: handler for number, handler in before.items() if ours and handler == signal.SIG_DFL}
+    for number in before:  # but not under nohup, which has SIGHUP ignored
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _failed(error: BaseException, console: Console) -> int:
@@ -64,16 +99,23 @@ def _failed(error: BaseException, console: Console) -> int:
         else:
             error_line(f"{usage} See labkit --help.")
         return error.exit_code
+    words, status = _words(error, console)
+    error_line(words)
+    return status
+
+
+def _words(error: BaseException, console: Console) -> tuple[str, int]:
+    """What to say of an error, and the exit status."""
     if isinstance(error, LabkitError):
-        error_line(f"{error}{console.hint}")
-        return error.exit_status
+        return f"{error}{console.hint}", error.exit_status
     if isinstance(error, OSError):
-        error_line(f"{error.filename or 'the system'}: {error.strerror or error}")
-        return 2
-    error_line(f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where")
-    return 1
+        return f"{error.filename or 'the system'}: {error.strerror or error}{console.hint}", 2
+    if isinstance(error, MemoryError):
+        return f"there is not enough memory{f': {error}' if str(error) else ''}; close other programs{console.hint}", 1
+    return f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where{console.hint}", 1
 
 
 def _interrupted(console: Console) -> int:
-    error_line(f"interrupted{console.hint}")
+    by = f" by {console.interrupted_by}" if console.interrupted_by else ""
+    error_line(f"interrupted{by}{console.hint}")
     return 130

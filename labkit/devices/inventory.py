@@ -12,7 +12,8 @@ from pathlib import Path
 import usb.core
 from serial.tools import list_ports
 
-from labkit.devices.registry import GROUPS, installed
+from labkit.devices.registry import GROUPS, finders, installed
+from labkit.errors import DeviceError
 
 IMAGE_CLASS = 6
 """USB interface class of still cameras (PTP), by the USB class codes."""
@@ -52,35 +53,44 @@ class SerialPort:
 
 
 @dataclass(frozen=True, slots=True)
-class Connected:
-    """What is connected; drivers: names of those installed for each of `GROUPS`; notes: what could not be looked at."""
+class FoundCamera:
+    """A camera as its driver sees it, and the address that opens it."""
 
-    usb: tuple[UsbDevice, ...]
+    address: str
+    model: str
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """What is connected; usb, cameras: None where it was not looked at, and `notes` say why; drivers: names of those
+    installed for each of `GROUPS`."""
+
+    cameras: tuple[FoundCamera, ...] | None
+    usb: tuple[UsbDevice, ...] | None
     serial: tuple[SerialPort, ...]
     drivers: dict[str, tuple[str, ...]]
     notes: tuple[str, ...]
 
 
 def list_connected() -> Connected:
-    """List USB devices, serial ports and entry points. `notes` says what could not be looked at."""
-    notes: tuple[str, ...] = ()
+    """List cameras, USB devices, serial ports and entry points. `notes` says what could not be looked at."""
+    cameras, notes = _cameras()
+    devices: tuple[UsbDevice, ...] | None = None
     try:
         devices = tuple(_usb_devices())
     except usb.core.NoBackendError:
-        devices = ()
-        notes = ("USB was not looked at: libusb is missing (Debian: apt-get install libusb-1.0-0)",)
+        notes += ("USB was not looked at: libusb is missing (Debian: apt-get install libusb-1.0-0)",)
     except usb.core.USBError as error:
-        devices = ()
-        notes = (f"USB was not looked at: {error}",)
+        notes += (f"USB was not looked at: {error}",)
     if not PROC.is_dir():
         notes += (f"which programs hold a device is not known: this system has no {PROC}",)
     ports = tuple(_serial_ports())
-    for device in devices:
+    for device in devices or ():
         if device.is_camera:
             notes += _hindrances(f"usb:{device.where}", device.permitted, device.holders)
     for port in ports:
         notes += _hindrances(port.path, port.permitted, port.holders)
-    return Connected(devices, ports, {device: installed(device) for device in GROUPS}, notes)
+    return Connected(cameras, devices, ports, {device: installed(device) for device in GROUPS}, notes)
 
 
 def udev_rules(connected: Connected) -> str:
@@ -91,7 +101,7 @@ def udev_rules(connected: Connected) -> str:
     ]
     rules = [
         (device.vendor_product, device.name, 'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {ids}, {access}')
-        for device in connected.usb
+        for device in connected.usb or ()
         if device.is_camera
     ]
     rules += [
@@ -145,6 +155,19 @@ def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[st
         advice = "; let it go with: gio mount -s gphoto2" if any("gvfs" in name for name in names) else ""
         notes += (f"{where}: in use by {', '.join(names)}{advice}",)
     return notes
+
+
+def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
+    """Those that drivers see, None if no driver could look; and notes of those that could not."""
+    found: tuple[FoundCamera, ...] | None = None
+    notes: tuple[str, ...] = ()
+    for name, find in finders().items():
+        try:
+            seen = tuple(FoundCamera(address, printable(model)) for address, model in find())
+            found = (*(found or ()), *seen)
+        except DeviceError as error:
+            notes += (f"cameras of {name}: were not looked at: {error}",)
+    return found, notes
 
 
 def _usb_devices() -> Iterator[UsbDevice]:

@@ -145,6 +145,15 @@ class Camera(AbstractContextManager["Camera"], Protocol):
 
 
 @runtime_checkable
+class Candid(Protocol):
+    """A device that gets over trouble by itself, and tells of it."""
+
+    def overcome(self) -> tuple[str, ...]:
+        """What it was since this was asked last, in words."""
+        ...
+
+
+@runtime_checkable
 class Coverable(Protocol):
     """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
 

@@ -1,14 +1,15 @@
 """Devices by address: what stands before the colon is the driver's name, an entry point.
 
 Groups `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and `labkit.controllers`; each entry is a
-callable (address, plan, context) -> device. What they receive is theirs to use and not to change.
+callable (address, plan, context) -> device. What they receive is theirs to use and not to change. A callable of group
+`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError.
 A lab adds its own device by an entry point of a package of its own.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from importlib.metadata import entry_points
 from typing import Any
@@ -29,9 +30,17 @@ GROUPS = {
 }
 
 
+FINDERS = "labkit.finders"
+
+
 def installed(device: str) -> tuple[str, ...]:
     """Names of the drivers installed for one of `GROUPS`."""
     return tuple(sorted(entry_points(group=GROUPS[device]).names))
+
+
+def finders() -> dict[str, Callable[[], Sequence[tuple[str, str]]]]:
+    """What lists the devices that drivers see, by the driver's name."""
+    return {entry.name: entry.load() for entry in entry_points(group=FINDERS)}
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Camera:

@@ -193,7 +193,7 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     """
     problem, start = _wide_enough(problem, start)
     given, precision = _known_shape(problem.model.optics, f_number_std)
-    modes, best, taken, halvings = start.state.waves.size, None, np.empty(0), 0
+    best, taken, halvings = None, np.empty(0), 0
     for rounds in range(1, ROUNDS + 1):
         expansion = expand(problem, start, exact=rounds > 1)
         fallen = best is not None and expansion.objective < best.objective - FALLEN
@@ -211,7 +211,12 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
             break
         best, taken, halvings = expansion, step, 0
         problem, start = _stepped(problem, expansion, step)
-    step = step if near else np.zeros_like(step)
+    return _ended(expansion, step if near else np.zeros_like(step), covariance, rounds, settled)
+
+
+def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool) -> Freed:
+    """After a last step (p,) from an expansion, which is not drawn: its picture lies on the slopes."""
+    problem, modes = expansion.problem, expansion.state.waves.size
     state, relative = expansion.moved(step), expansion.foreseen(step)
     solution = Solution(
         state,

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from labkit.errors import LONGEST, PlanError, shown
+from labkit.files import refuse_special
 from labkit.plan.messages import dotted, plain_number
 
 DEEPEST = 6
@@ -27,6 +28,7 @@ LONG_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){64}")
 def read_text(path: Path) -> str:
     """A plan's text, without a byte order mark. Raises PlanError for a file that is not there or not UTF-8."""
     try:
+        refuse_special(path)
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise PlanError(str(error.strerror)) from error

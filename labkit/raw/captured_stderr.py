@@ -16,7 +16,8 @@ def captured_stderr() -> Iterator[list[str]]:
     """
     lines: list[str] = []
     kept = os.dup(2)
-    with tempfile.TemporaryFile() as sink:
+    # in memory where the system has that: TMPDIR may be full
+    with open(os.memfd_create("stderr"), "w+b") if hasattr(os, "memfd_create") else tempfile.TemporaryFile() as sink:
         os.dup2(sink.fileno(), 2)
         try:
             yield lines

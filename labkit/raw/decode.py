@@ -17,6 +17,7 @@ from labkit.images.files import Numbers
 from labkit.plan import Sensor
 from labkit.raw.captured_stderr import captured_stderr
 from labkit.raw.formats import Container, recognise
+from labkit.raw.libraw import opened_raw
 from labkit.raw.mosaic import MONO, Mosaic, pattern_of
 from labkit.raw.processed import is_processed, processed_mosaic, read_file
 
@@ -55,7 +56,7 @@ def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
 def _read_libraw(path: Path, container: Container) -> Mosaic:
     with captured_stderr() as chatter:
         try:
-            with rawpy.imread(str(path)) as raw:
+            with opened_raw(path) as raw:
                 mosaic = _mosaic_of(raw, container)
         except rawpy.LibRawError as error:
             reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)

@@ -18,6 +18,7 @@ from labkit.errors import InputError
 from labkit.images.files import PNG, TIFF, png_chunks
 from labkit.images.jpeg import JPEG, read_header
 from labkit.raw.captured_stderr import captured_stderr
+from labkit.raw.libraw import opened_raw
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""
@@ -100,7 +101,7 @@ def _of_raw(path: Path) -> Exif:
     """Of raw files that are no TIFF, as LibRaw has it."""
     with captured_stderr():
         try:
-            with rawpy.imread(str(path)) as raw:
+            with opened_raw(path) as raw:
                 other, lens = raw.other, raw.lens
         except rawpy.LibRawError:
             return Exif()

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import tifffile
 
 from labkit.errors import InputError, RawError, shown
+from labkit.files import refuse_special
 from labkit.images.files import check_strips, format_of
 from labkit.images.jpeg import JPEG
 from labkit.raw.exif import read_exif
@@ -42,6 +43,7 @@ class Container:
 def recognise(path: Path) -> Container:
     """What `path` holds, by its content. Raises RawError for a file that is no photograph, or not whole."""
     try:
+        refuse_special(path)
         with path.open("rb") as file:
             head = file.read(32)
     except OSError as error:

@@ -43,7 +43,7 @@ def write_report(results: Results | Path | str) -> Path:
             old.unlink()
     html = _render(contents(results, focused, set(drawn)), drawn)
     path = results.folder / "report.html"
-    write_atomically(path, html.encode())
+    write_atomically(path, html.encode(errors="replace"))  # the folder may have a name of any bytes
     return path
 
 

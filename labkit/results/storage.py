@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from labkit.errors import DataError, PlanError
-from labkit.files import write_atomically
+from labkit.files import write_atomically, writing
 from labkit.plan import Plan
 from labkit.results.model import (
     Focus,
@@ -71,7 +71,8 @@ def write(folder: Path, content: Json, wavefronts: Sequence[Wavefront]) -> Path:
 
     content: of results.json. Returns its path. Raises InputError where the folder cannot be written to.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     files = {  # made before the first is written: files of two fits never lie side by side for long
         PSFS: _packed(psfs(wavefronts)),
         RESIDUALS: _packed(_residuals(wavefronts)),

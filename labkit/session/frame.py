@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from labkit.errors import SessionError
 from labkit.files import is_name
 from labkit.session.journal import Event
 from labkit.types import FRAME_KINDS, FrameKind
@@ -52,6 +53,23 @@ def event_problem(event: Event) -> str | None:
             if key in event and not allowed(event[key]):
                 return f'"{name}" with {key} = {_short(event[key])}'
     return None
+
+
+def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
+    """Lines that commit a photograph again, in words: it counts once. A journal of earlier labkits only can have them.
+
+    Raises SessionError where they say another thing of it than the first.
+    """
+    first: dict[str, tuple[int, Event]] = {}
+    again = []
+    for number, event in enumerate(events, start=1):
+        if event["event"] == "frame":
+            at, before = first.setdefault(event["file"], (number, event))
+            if [event[key] for key in PHOTOGRAPH] != [before[key] for key in PHOTOGRAPH]:
+                raise SessionError(f"{journal}: lines {at} and {number} contradict each other about {event['file']}")
+            if at != number:
+                again.append(f"{journal}: line {number} is of {event['file']} again, as line {at}: it counts once")
+    return tuple(again)
 
 
 def pending(events: Sequence[Event]) -> Event | None:

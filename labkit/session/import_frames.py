@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 import re
-import shutil
 from collections import Counter
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -15,14 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import DataError, InputError, RawError, shown
-from labkit.files import sync_folder
+from labkit.files import refuse_special
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
 from labkit.raw.altered_picture import Alterations, alterations
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import difference, exposure_problem
 from labkit.raw.mosaic import MONO, Mosaic
-from labkit.session.session import Session, refuse_existing
+from labkit.session.making import made_beside, refuse_existing
+from labkit.session.session import Session
 from labkit.session.stated import contradictions
 from labkit.session.stored_plan import plan_source
 from labkit.target import open_target
@@ -75,23 +74,16 @@ def import_frames(
     refuse_existing(session_folder)
     rows = read_rows(csv_path, source.plan)
     checked = _check_photographs(csv_path, rows, source.plan, progress)
-    beside = session_folder.parent / f".{session_folder.name}.{os.getpid()}.import"
-    try:
-        with Session.create(beside, source.text, source.folder) as session:
-            names = _names(rows)
-            for done, (row, name, found) in enumerate(zip(rows, names, checked, strict=True)):
-                progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
-                meta: dict[str, Any] = {"exposure_s": found.exposure_s, "iso": found.iso, "origin": row.file}
-                if found.altered:
-                    meta["altered"] = list(found.altered)
-                if row.further:
-                    meta["columns"] = row.further
-                session.add_frame(row.path, name, row.kind, row.range_mm, **meta)
-        beside.rename(session_folder)
-    except BaseException:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise
-    sync_folder(session_folder.parent)
+    with made_beside(session_folder, "import") as beside, Session.create(beside, source.text, source.folder) as session:
+        names = _names(rows)
+        for done, (row, name, found) in enumerate(zip(rows, names, checked, strict=True)):
+            progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
+            meta: dict[str, Any] = {"exposure_s": found.exposure_s, "iso": found.iso, "origin": row.file}
+            if found.altered:
+                meta["altered"] = list(found.altered)
+            if row.further:
+                meta["columns"] = row.further
+            session.add_frame(row.path, name, row.kind, row.range_mm, **meta)
     made = Session.open(session_folder)
     stated = contradictions(((row.file, row.kind, row.path) for row in rows), source.plan)
     notes = [note for found in checked for note in (*found.notes, *found.altered)]
@@ -128,6 +120,7 @@ def _refuse(csv_path: Path, problems: list[str]) -> None:
 def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """The header, and number and cells of each line that is not empty; separated by commas, or else by semicolons."""
     try:
+        refuse_special(csv_path)
         text = csv_path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DataError(f"{csv_path}: {error.strerror}") from error

@@ -17,13 +17,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
-from labkit.errors import SessionError
-from labkit.files import writing
+from labkit.errors import InputError, SessionError
+from labkit.files import open_standard_streams, write_atomically, writing
 
 Event = dict[str, Any]
 
+JOURNAL = "journal.jsonl"
+
 RESERVED = ("event", "time", "after", "check")
 """Fields of every line, which no event may use for something else."""
+
+GO_ON = "then go on with --resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,8 @@ def is_being_written(path: Path) -> bool:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
+    except OSError:  # a file system without locks: nobody can write there
+        return False
     return False
 
 
@@ -117,6 +123,7 @@ class JournalWriter:
 
         Raises SessionError if another writer has it or it is damaged, InputError if it cannot be written.
         """
+        open_standard_streams()
         self.path = path  # a session is made elsewhere and then renamed
         with writing(path):
             self._file = path.open("a+b", buffering=0)
@@ -126,20 +133,28 @@ class JournalWriter:
         except BlockingIOError:
             self._file.close()
             raise SessionError(f"session {path.parent} is being written by another process; wait for it") from None
+        except OSError as error:
+            self._file.close()
+            raise InputError(
+                f"cannot lock {path}: {error.strerror}; put the session on a disk of this machine"
+            ) from error
         except BaseException:
             self._file.close()
             raise
-        self._end = os.fstat(self._file.fileno()).st_size, self.journal.last_check
+        whole = os.fstat(self._file.fileno()).st_size - len(self.journal.torn)
+        self._end = whole, self.journal.last_check
 
     def append(self, event: str, **fields: Any) -> Event:
         """Write one event with the time of now; it is on the disk when this returns.
 
-        Raises InputError if it cannot be, ValueError for a field whose name is reserved.
+        Raises InputError if it cannot be, SessionError if the file is no longer the one that was written to, ValueError
+        for a field whose name is reserved.
         """
         if wrong := [name for name in fields if name in RESERVED]:
             raise ValueError(
                 f"fields {', '.join(wrong)} of event {event!r}: the journal itself uses {', '.join(RESERVED)}"
             )
+        self._refuse_strange_file()
         self._catch_up()
         size, last_check = self._end
         entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
@@ -161,6 +176,25 @@ class JournalWriter:
     def close(self) -> None:
         """Give the lock back."""
         self._file.close()
+
+    def _refuse_strange_file(self) -> None:
+        """Raise SessionError where the journal was removed, replaced or shortened; what it held is saved beside it."""
+        ours, whole = os.fstat(self._file.fileno()), self._end[0]
+        try:
+            there = os.stat(self.path)
+        except OSError:
+            happened = "was removed"
+        else:
+            happened = "" if os.path.samestat(ours, there) else "was replaced by another file"
+        if happened:
+            saved = self.path.with_name(f"{self.path.name}.saved")
+            write_atomically(saved, os.pread(self._file.fileno(), ours.st_size, 0))
+            raise SessionError(f"{self.path} {happened} while it was being written: rename {saved} to that, {GO_ON}")
+        if ours.st_size < whole:
+            raise SessionError(
+                f"{self.path} was cut from {whole} to {ours.st_size} bytes while it was being written: "
+                f"put back a whole copy, {GO_ON}"
+            )
 
     def _catch_up(self) -> None:
         """Know the file's end again after a line that was written, but not to the end of `append`: Ctrl-C, a full disk."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import shutil
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,14 +19,17 @@ from labkit.errors import PlanError, SessionError
 from labkit.files import check_name, copy_durably, sha256_of, sync_folder, writing
 from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
-from labkit.session.frame import FRAMES, NEEDED, Frame, event_problem, frame_of, pending
-from labkit.session.journal import Event, JournalWriter, read_journal
+from labkit.session.frame import FRAMES, NEEDED, Frame, doubled, event_problem, frame_of, pending
+from labkit.session.journal import JOURNAL, Event, JournalWriter, read_journal
+from labkit.session.making import made_beside
 from labkit.session.stored_plan import PLAN, changed_tables, plan_as_run, plan_damage, plan_source, store_plan
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
 
-JOURNAL, RESULTS, INCOMING, EXPOSING = "journal.jsonl", "results", ".incoming", ".exposing"
+RESULTS, INCOMING, EXPOSING = "results", ".incoming", ".exposing"
 """INCOMING is a photograph on its way into frames/, EXPOSING the folder that a camera writes the next one to."""
+
+MOST_NAMED = 20  # files in a message
 
 
 class Session:
@@ -45,7 +49,6 @@ class Session:
         unchained: int = 0,
     ) -> None:
         self.folder = folder
-        self.warnings = warnings
         self.unchained = unchained
         self._events = events
         self._writer = writer
@@ -53,6 +56,8 @@ class Session:
         for number, event in enumerate(events, start=1):
             if problem := event_problem(event):
                 raise SessionError(f"{folder / JOURNAL}: line {number} cannot be used: it is {problem}")
+        self.doubled = doubled(events, folder / JOURNAL)
+        self.warnings = (*warnings, *self.doubled)
         if not events or events[0]["event"] != "created":
             raise SessionError(f"{folder / JOURNAL} does not begin as a journal: nothing in it can be used")
 
@@ -65,22 +70,16 @@ class Session:
         """
         folder = Path(folder)
         plan = Plan.parse(plan_text, Path(plan_folder))
-        refuse_existing(folder)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = folder.parent / f".{folder.name}.{os.getpid()}.new"
-        with writing(folder):
-            (beside / FRAMES).mkdir(parents=True)
         with ExitStack() as on_failure:
-            on_failure.callback(shutil.rmtree, beside, ignore_errors=True)
-            fields = store_plan(plan, plan_text, beside, (JOURNAL, FRAMES, RESULTS))
-            writer = JournalWriter(beside / JOURNAL)
-            on_failure.callback(writer.close)
-            created = writer.append("created", labkit_version=__version__, **fields)
-            sync_folder(beside)
-            with writing(folder):
-                beside.rename(folder)
+            with made_beside(folder, "new") as beside:
+                with writing(folder):
+                    (beside / FRAMES).mkdir()
+                fields = store_plan(plan, plan_text, beside, (JOURNAL, FRAMES, RESULTS))
+                writer = JournalWriter(beside / JOURNAL)
+                on_failure.callback(writer.close)
+                created = writer.append("created", labkit_version=__version__, **fields)
+                sync_folder(beside)
             writer.path = folder / JOURNAL
-            sync_folder(folder.parent)
             on_failure.pop_all()
         return cls(folder, [created], writer)
 
@@ -128,8 +127,9 @@ class Session:
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """Every committed frame, in the order of the journal."""
-        return tuple(frame_of(event, self.folder) for event in self._events if event["event"] == "frame")
+        """Every committed frame, in the order of the journal; each once."""
+        frames = (frame_of(event, self.folder) for event in self._events if event["event"] == "frame")
+        return tuple({frame.file: frame for frame in frames}.values())
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -227,17 +227,7 @@ class Session:
         for path in leftovers(self.folder):
             with writing(path):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
-        self.warnings = tuple(warnings)
-
-
-def refuse_existing(folder: Path) -> None:
-    """Raise SessionError unless a session can be made at `folder`."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        hint = "; to go on with it, use --resume" if (folder / JOURNAL).exists() else ""
-        raise SessionError(f"{folder} is there already: give a new folder{hint}")
-    above = next(parent for parent in folder.absolute().parents if parent.exists())
-    if not above.is_dir():
-        raise SessionError(f"{folder} cannot be made: {above} is no folder")
+        self.warnings = (*warnings, *self.doubled)
 
 
 def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
@@ -252,6 +242,7 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
         return Session.create(folder, source.text, source.folder)
     with ExitStack() as on_failure:
         session = on_failure.enter_context(Session.append(folder))
+        refuse_unlisted(session)
         if not session.frames:  # a crash may have cut a change of plan short
             if session.plan_damage() or changed_tables(session.plan, source.plan):
                 session.replan(source.text, source.folder)
@@ -262,6 +253,28 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
             )
         on_failure.pop_all()
     return session
+
+
+def unlisted(session: Session) -> list[Path]:
+    """What lies in frames/ and does not stand in the journal."""
+    known = {event["file"] for event in session.events if event["event"] == "frame"}
+    if adding := pending(session.events):
+        known.add(adding["file"])
+    folder = session.folder / FRAMES
+    return [path for path in sorted(folder.iterdir()) if path.name not in known] if folder.is_dir() else []
+
+
+def refuse_unlisted(session: Session) -> None:
+    """Raise SessionError for photographs that the journal does not know: it has lost its end."""
+    if strange := unlisted(session):
+        aside = str(session.folder / "aside")
+        first = shlex.join(["mv", *map(str, strange[:MOST_NAMED]), aside])
+        raise SessionError(
+            f"{len(strange)} photographs in {session.folder / FRAMES} stand in no line of {session.folder / JOURNAL}, "
+            f"{strange[0].name} for one: it has lost lines. Put back a whole copy of it; or have them taken again, once they "
+            f"are moved away{' (labkit verify names all)' if len(strange) > MOST_NAMED else ''}: "
+            f"{shlex.join(['mkdir', '-p', aside])} && {first}"
+        )
 
 
 def _journal_in(folder: Path) -> Path:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labkit.errors import SessionError
+from labkit.errors import SessionError, printable
 from labkit.files import check_name, checksum_problem, copy_durably, sha256_of, write_atomically
 from labkit.plan import Plan
 from labkit.plan.text import read_text
@@ -49,7 +49,7 @@ def store_plan(plan: Plan, text: str, folder: Path, taken: Sequence[str]) -> dic
         text = _with_target_file(text, name)
         fields["target_sha256"] = copy_durably(plan.target.file, folder / check_name(name))
         fields["target_file"] = name
-        fields["target_source"] = str(plan.target.file)
+        fields["target_source"] = printable(str(plan.target.file))
     write_atomically(folder / PLAN, text.encode())
     return {**fields, "plan_sha256": hashlib.sha256(text.encode()).hexdigest()}
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from labkit.errors import SessionError
 from labkit.files import checksum_problem
-from labkit.session.frame import FRAMES, pending
-from labkit.session.journal import is_being_written
-from labkit.session.session import JOURNAL, Session, leftovers
+from labkit.session.frame import pending
+from labkit.session.journal import JOURNAL, is_being_written
+from labkit.session.session import Session, leftovers, unlisted
 
 
 def verify(session: Session) -> list[str]:
     """What is wrong with a session, a line each: frames against their checksums, the journal against the folder."""
-    problems = session.plan_damage() + altered(session)
-    known = {frame.file for frame in session.frames}
-    if adding := pending(session.events):
-        known.add(adding["file"])
-    folder = session.folder / FRAMES
-    present = sorted(folder.iterdir()) if folder.is_dir() else []
-    return problems + [f"{path}: not in the journal" for path in present if path.name not in known]
+    problems = [*session.plan_damage(), *altered(session), *session.doubled]
+    return problems + [f"{path}: not in the journal" for path in unlisted(session)]
 
 
 def remarks(session: Session) -> list[str]:
@@ -34,6 +30,15 @@ def remarks(session: Session) -> list[str]:
     return lines + [
         f"{path}: left by a capture that was stopped; the next one removes it" for path in leftovers(session.folder)
     ]
+
+
+def is_safe(session: Session) -> bool:
+    """Whether all that a session holds in memory stands in its journal and lies in its folder, by a quick look."""
+    try:
+        kept = {frame.file for frame in Session.open(session.folder).frames}
+        return all(frame.file in kept and frame.path.stat().st_size for frame in session.frames)
+    except (SessionError, OSError):
+        return False
 
 
 def altered(session: Session) -> list[str]:

@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import usb.core
 
+from labkit.cli import run
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings
 from labkit.devices.registry import open_camera
 from labkit.drivers.gphoto2 import camera as gphoto2_camera
-from labkit.drivers.gphoto2.camera import Gphoto2Camera
+from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
 from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import CameraError, DeviceError, DeviceTimeoutError, PlanError
@@ -125,6 +127,31 @@ def test_frames_come_out_of_the_real_library_with_their_settings(scene: Scene, t
     assert settings["battery"] == "50%"
     assert settings["free_images"] == 150
     assert not (tmp_path / ".incoming").exists()
+
+
+def test_the_librarys_own_cameras_are_listed_by_address(
+    scene: Scene, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert find_cameras() == [("gphoto2:usb:001,001", "Nikon DSC D750")]
+
+    def no_backend(find_all: bool) -> None:
+        raise usb.core.NoBackendError("No backend available")
+
+    monkeypatch.setattr(usb.core, "find", no_backend)
+    assert run(["devices", "--json"]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert said["cameras"] == [{"address": "gphoto2:usb:001,001", "model": "Nikon DSC D750"}]
+    assert said["usb"] is None
+    assert run(["devices", "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
+    assert run(["devices"]) == 0
+    assert "USB\n  not looked at\n" in capfd.readouterr().out
+
+
+def test_a_camera_on_a_network_is_refused_with_what_is_allowed() -> None:
+    plan = Plan.parse(plan_text(SMALL), Path())
+    with pytest.raises(PlanError, match=r"the only camera on USB.*\(not over a network: ptpip: is not driven\)"):
+        open_camera("gphoto2:ptpip:192.168.1.2", plan, DeviceContext())
 
 
 def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(make: MakeCamera, scene: Scene) -> None:

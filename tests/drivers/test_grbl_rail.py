@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Rail, Travel
+from labkit.devices.protocols import Check, Rail, Travel
 from labkit.devices.shared import SharedParts
 from labkit.drivers.grbl.protocol import Report, homing_s, moving_s, read_report, travel
 from labkit.drivers.grbl.rail import GrblRail, open_rail
@@ -138,6 +138,30 @@ def test_reports_of_work_positions_are_counted_from_the_machines_zero() -> None:
 def test_settings_that_no_rail_can_be_driven_with_are_refused(settings: dict[int, float], words: str) -> None:
     with a_port(settings) as port, pytest.raises(RailError, match=words):
         a_rail(port)
+
+
+@pytest.mark.parametrize("reports", [2, 0, 1023], ids=["no offset", "nothing", "parser state"])
+def test_reports_of_grblhal_that_a_position_cannot_be_told_from_are_refused_at_once(reports: int) -> None:
+    with a_port({10: reports}, GRBL_HAL) as port, pytest.raises(RailError, match=rf"\(\$10={reports}\).*set \$10=511"):
+        a_rail(port)
+
+
+def test_reports_of_grblhals_work_positions_with_their_offset_are_enough() -> None:
+    with a_port({10: 32}, GRBL_HAL) as port, a_rail(port) as rail:
+        with port.lock:
+            controller_of(port).offset_mm[0] = -37.5
+        rail.home()
+        assert rail.move_to(-100.0) == pytest.approx(-100.0, abs=STEP_MM)
+
+
+def test_settings_other_than_the_docs_ask_for_are_named_for_a_person_to_look_at() -> None:
+    with a_port() as port, a_rail(port) as rail:
+        assert rail.check(1) == Check()
+    with a_port({1: 25, 20: 0, 21: 0, 130: 200}) as port, a_rail(port) as rail:
+        check = rail.check(1)
+    assert check.problems == ()
+    assert [words.split()[2].rstrip(":;,") for words in check.by_hand] == ["$1=25", "$20=0", "$21=0", "$130=200"]
+    assert "motors are let go 25 ms after each move, and the carriage may creep; set $1=255" in check.by_hand[0]
 
 
 def test_homing_without_a_switch_ends_with_the_alarm_in_words() -> None:

@@ -17,7 +17,7 @@ from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.drivers.simulated.display import SimulatedDisplay
 from labkit.drivers.simulated.rail import SimulatedRail
-from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.simulated.setup import ordered, settings_for
 from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
 from labkit.plan import Plan
@@ -182,9 +182,32 @@ def test_two_simulated_worlds_in_one_room_are_refused() -> None:
         pass
 
 
-@pytest.mark.parametrize("address", ["simulated:seed=x", "simulated:sed=3", "simulated:3", "simulated:seed=-1"])
+@pytest.mark.parametrize(
+    ("address", "order"),
+    [
+        ("simulated:", (1, ())),
+        ("simulated:camera.timeout=2", (1, (Fault("camera", "timeout", 2),))),
+        (
+            "simulated:rail.stall=1x4,seed=3,display.sleep=5",
+            (3, (Fault("rail", "stall", 1, 4), Fault("display", "sleep", 5))),
+        ),
+    ],
+)
+def test_seed_and_faults_are_ordered_in_the_address(address: str, order: tuple[int, tuple[Fault, ...]]) -> None:
+    assert ordered(address) == order
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "simulated:seed=x", "simulated:sed=3", "simulated:3", "simulated:seed=-1", "simulated:camera.stall=1",
+        "simulated:camera.timeout=0", "simulated:camera.timeout", "simulated:,", "simulated:rail.stall=1x",
+    ],
+)  # fmt: skip
 def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
-    with pytest.raises(PlanError, match="allowed is simulated: or simulated:seed=N"):
+    with pytest.raises(
+        PlanError, match=r"allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit"
+    ):
         open_camera(address, plan(), DeviceContext())
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -218,18 +219,25 @@ def test_progress_shows_the_time_left_on_a_terminal(frames: Path, plan: Path, tm
     assert "\x1b" not in out
 
 
-def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(quick_plan: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(
+    number: signal.Signals, quick_plan: Path, tmp_path: Path
+) -> None:
     session = tmp_path / "session"
     command = labkit("capture", quick_plan, session)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        # the journal is there before the first photograph, and the capture takes seconds after that
-        while not (session / "journal.jsonl").exists():
+        # before the first photograph; the capture takes seconds after that
+        while not ((session / "journal.jsonl").exists() and '"began"' in (session / "journal.jsonl").read_text()):
             assert process.poll() is None
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert f"labkit capture {quick_plan} {session} --resume" in one_line(err)
     assert out == ""
+    by = "Ctrl-C" if number == signal.SIGINT else number.name
+    assert err.startswith("labkit: interrupted" if number == signal.SIGINT else f"labkit: interrupted by {by}; ")
+    assert Session.open(session).events[-1]["event"] == "interrupted"
+    assert Session.open(session).events[-1]["by"] == by
     assert run(["verify", str(session)]) == 0
     assert run(["capture", str(quick_plan), str(session), "--resume"]) == 0
     assert len(Session.open(session).frames) == 10
@@ -256,9 +264,8 @@ def test_a_capture_that_its_camera_ends_says_how_to_go_on(
     monkeypatch.setattr(SimulatedCamera, "expose", unplugged)
     session = tmp_path / "a session"
     assert run(["capture", str(quick_plan), str(session), "--no-preflight"]) == 1
-    resume = f"labkit capture {quick_plan} '{session}' --resume"
-    said = one_line(capfd.readouterr().err)
-    assert said == f"labkit: it is gone; every photograph so far is safe, go on with: {resume}\n"
+    resume = f"labkit capture {quick_plan} '{session}' --resume --no-preflight"
+    assert one_line(capfd.readouterr().err) == f"labkit: it is gone; go on with: {resume}\n"
 
 
 def test_resuming_with_another_plan_is_refused(
@@ -269,3 +276,12 @@ def test_resuming_with_another_plan_is_refused(
     plan.write_text(PLAN.replace("3100", "3150").replace("550.0", "540.0"))
     assert run(["capture", str(plan), str(session), "--resume"]) == 2
     assert "differs in [channel], [rail]" in one_line(capfd.readouterr().err)
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_do_no_harm(closed: str, frames: Path, plan: Path, tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    command = " ".join(map(shlex.quote, labkit("import", frames, plan, session)))
+    done = subprocess.run(f"{command} {closed}", shell=True, timeout=60, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert run(["verify", str(session)]) == 0

@@ -91,7 +91,7 @@ def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
                 running.send_signal(signal.SIGINT)
                 assert list(questions(wire)) == []
             assert running.wait(timeout=300) == 130
-            assert "--resume --listen 127.0.0.1:0" in running.stderr.read()
+            assert "--resume --no-preflight --listen 127.0.0.1:0" in running.stderr.read()
         finally:
             running.kill()
 

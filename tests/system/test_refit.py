@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.cli import run
 from labkit.devices.registry import open_devices
-from labkit.errors import DataError
+from labkit.errors import DataError, InputError
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.session.session import Session
@@ -84,3 +87,35 @@ def test_where_the_target_stood_is_kept(session: Path) -> None:
     # the cut has the target in it, with a margin, in pixels of the whole frame
     assert (corners.min(axis=(0, 1)) > [top, left]).all()
     assert (corners.max(axis=(0, 1)) < [top + rows, left + columns]).all()
+
+
+def labkit(*args: str) -> list[str]:
+    return [sys.executable, "-c", "from labkit.cli import main; main()", *args]
+
+
+@pytest.mark.slow
+def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
+    session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> None:
+        raise InputError(f"cannot write {path}: No space left on device")
+
+    folder = session / "results" / "again"
+    command = labkit("fit", str(session), "--workers", "2", "--name", "again", "--noll", "4:5")
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        while not list(folder.glob(".fits/[!.]*")) and process.poll() is None:
+            time.sleep(0.005)
+        process.kill()
+        process.communicate(timeout=5)  # workers hold stderr open, and end with it
+    kept = {path: path.stat().st_mtime_ns for path in folder.glob(".fits/[!.]*")}
+    assert kept
+    with monkeypatch.context() as patch:
+        patch.setattr("labkit.results.storage.write_atomically", full)
+        with pytest.raises(InputError, match="No space left on device; make room and fit again: that goes on where"):
+            fit(session, workers=1, name="again", noll=(4, 5))
+    assert kept.items() <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
+    monkeypatch.setattr(
+        "labkit.analysis.local_fits.fit_wavefront", lambda *task, **options: pytest.fail("fitted twice")
+    )
+    assert len(fit(session, workers=1, name="again", noll=(4, 5))) == 2
+    assert not (folder / ".fits").exists()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import sys
 import tempfile
 import time
@@ -66,6 +67,9 @@ class CameraOnTheBench:
 
     def configure(self, settings: ExposureSettings) -> None:
         self._camera.configure(settings)
+
+    def overcome(self) -> tuple[str, ...]:
+        return self._camera.overcome()
 
     def check(self, frames: int) -> Check:
         return self._camera.check(frames)
@@ -157,6 +161,18 @@ def test_a_capture_that_the_camera_stops_is_completed_by_resuming(
     assert len(session.frames) == 11
     assert verify(session) == []
     assert kept.items() <= {frame.file: frame.sha256 for frame in session.frames}.items()
+
+
+def test_trouble_that_the_camera_gets_over_by_itself_stands_in_the_journal(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker, photograph: Path
+) -> None:
+    fault = {"call": "file_get", "kind": -7, "at": 7, "times": 1}
+    session = tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault)
+    assert len(session.frames) == 11
+    overcome = [event for event in session.events if event["event"] == "overcome"]
+    assert [event["device"] for event in overcome] == ["camera"]
+    assert re.match(r"photographing \w+, try 1: ", overcome[0]["error"])
+    assert not [event for event in session.events if event["event"] == "trouble"]
 
 
 def _counts(session: Session) -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -11,7 +13,41 @@ from pathlib import Path
 
 import pytest
 
+from labkit.errors import InputError, LostTasksError
+from labkit.execute import SHORT, Workers, run_all
+
+HOURS = """
+import time
 from labkit.execute import run_all
+if __name__ == "__main__":
+    results = run_all(time.sleep, [0, 3600, 3600], 2)
+    next(results)
+    print("under way", flush=True)
+    next(results)
+"""
+
+
+def kill_the_first_time(task: tuple[Path, int]) -> int:
+    """The process at work is killed, unless this was tried before."""
+    tried, number = task
+    if not tried.exists():
+        tried.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def kill_at(number: int) -> int:
+    """Every process that works on number 2 is killed."""
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def lack_memory_at(number: int) -> int:
+    """Number 2 needs too much."""
+    if number == 2:
+        raise MemoryError("954 MB")
+    return number
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -66,3 +102,66 @@ def test_large_tasks_and_results_travel() -> None:
         (0, b"A" * 3_000_000),
         (1, b"B" * 3_000_000),
     ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
+def test_workers_end_with_their_parent_however_it_dies_and_leave_no_files(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    script, files = tmp_path / "hours.py", tmp_path / "files"
+    script.write_text(HOURS)
+    files.mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(files)},
+    ) as parent:
+        assert parent.stdout is not None
+        parent.stdout.readline()
+        parent.send_signal(number)
+        parent.communicate(
+            timeout=5
+        )  # until every process that holds its streams open has ended: workers do so in 0.1 s
+    assert parent.returncode == -number
+    assert list(files.iterdir()) == []
+
+
+def test_tasks_under_way_when_a_worker_is_killed_are_tried_again(tmp_path: Path) -> None:
+    tasks = [(tmp_path / str(k), k) for k in range(2)] + [(tmp_path, k) for k in range(2, 6)]
+    assert sorted(run_all(kill_the_first_time, tasks, 2)) == [(k, k) for k in range(6)]
+
+
+def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
+    results = run_all(kill_at, range(6), 2)
+    assert sorted(next(results)[0] for _ in range(5)) == [0, 1, 3, 4, 5]
+    with pytest.raises(LostTasksError, match="1 of the tasks did not come to an end: the process at work") as caught:
+        next(results)
+    assert [task for task, _ in caught.value.lost] == [2]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_task_that_lacks_memory_is_named_and_all_others_are_done(workers: int) -> None:
+    results = run_all(lack_memory_at, [1, 2, 3], workers)
+    assert sorted([next(results), next(results)]) == [(0, 1), (2, 3)]
+    with pytest.raises(LostTasksError) as caught:
+        next(results)
+    assert caught.value.lost == ((2, SHORT),)
+
+
+def test_workers_go_on_with_the_next_tasks_after_one_was_lost() -> None:
+    with Workers(2) as run:
+        with pytest.raises(LostTasksError):
+            list(run(kill_at, [1, 2, 3]))
+        assert sorted(run(kill_at, [3, 4])) == [(0, 3), (1, 4)]
+
+
+def test_a_full_folder_for_temporary_files_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=f"cannot write {tmp_path}/labkit-.*: No space left on device"):
+        list(run_all(factorial, [1, 2], 2))
+    assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,9 @@
 """Sessions of photographs taken elsewhere, and every way in which they can be refused: nothing is made then."""
 
+import shutil
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -263,6 +267,26 @@ def test_a_channel_that_the_camera_lacks_is_refused(folder: Folder) -> None:
 def test_a_target_that_cannot_be_made_is_refused(folder: Folder) -> None:
     folder.plan = PLAN.replace("sierpinski", "sierpinsky")
     assert "sierpinsky" in folder.refusal(TargetError)
+
+
+KILLED = """
+import os, signal, sys
+from labkit.session.import_frames import import_frames
+def progress(done, of, what):
+    if what == "copying target.dng":
+        os.kill(os.getpid(), signal.SIGKILL)
+import_frames(*sys.argv[1:], progress)
+"""
+
+
+def test_an_import_that_was_killed_leaves_nothing_for_good(folder: Folder) -> None:
+    folder.run()
+    shutil.rmtree(folder.session)
+    command = [sys.executable, "-c", KILLED, "frames.csv", "plan.toml", str(folder.session)]
+    assert subprocess.run(command, cwd=folder.path, timeout=60).returncode == -signal.SIGKILL
+    assert [path.name.rpartition(".")[2] for path in folder.session.parent.iterdir()] == ["import"]
+    assert len(folder.run().frames) == 3
+    assert list(folder.session.parent.iterdir()) == [folder.session]
 
 
 def test_an_existing_session_is_not_touched(folder: Folder) -> None:

@@ -12,7 +12,14 @@ import usb.core
 from serial.tools import list_ports
 
 from labkit.devices import inventory
-from labkit.devices.inventory import Connected, SerialPort, UsbDevice, holders, list_connected, udev_rules
+from labkit.devices.inventory import Connected, FoundCamera, SerialPort, UsbDevice, holders, list_connected, udev_rules
+from labkit.errors import CameraError
+
+
+@pytest.fixture(autouse=True)
+def no_finders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """libgphoto2 is not asked here."""
+    monkeypatch.setattr(inventory, "finders", dict)
 
 
 class FakeUsbDevice(list[list[SimpleNamespace]]):
@@ -49,8 +56,23 @@ def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.
 
     monkeypatch.setattr(usb.core, "find", no_backend)
     found = list_connected()
-    assert found.usb == ()
+    assert found.usb is None
     assert "apt-get install libusb" in found.notes[0]
+
+
+def test_cameras_are_listed_as_their_drivers_see_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inventory, "finders", lambda: {"a": lambda: [("a:1", "One\n")], "b": lambda: []})
+    assert list_connected().cameras == (FoundCamera("a:1", "One?"),)
+
+
+def test_a_driver_that_cannot_look_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hung() -> list[tuple[str, str]]:
+        raise CameraError("it hung")
+
+    monkeypatch.setattr(inventory, "finders", lambda: {"a": hung})
+    found = list_connected()
+    assert found.cameras is None
+    assert "cameras of a: were not looked at: it hung" in found.notes
 
 
 def test_serial_ports_are_listed_by_path(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,7 +139,7 @@ def test_a_missing_permission_points_to_the_rule(monkeypatch: pytest.MonkeyPatch
 
 
 def connection(**changes: Any) -> Connected:
-    empty = Connected((), (), {}, ())
+    empty = Connected((), (), (), {}, ())
     return replace(empty, **changes)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from unittest.mock import Mock
 import pytest
 
 from labkit.errors import InputError, SessionError
-from labkit.session.session import Session
+from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
 from tests.plans import PORTRAIT, plan_text
 
@@ -196,3 +198,90 @@ def test_a_journal_that_cannot_be_written_is_named_where_the_session_is_now(
                 session.log("moved")
         session.log("moved")
     assert len(Session.open(tmp_path / "new").events) == 3
+
+
+@pytest.mark.parametrize(
+    ("strike", "words"),
+    [
+        (lambda journal: journal.unlink(), "was removed"),
+        (lambda journal: journal.rename(journal.with_name("other")), "was removed"),
+        (
+            lambda journal: (journal.with_name("copy").write_bytes(b""), journal.with_name("copy").rename(journal)),
+            "was replaced",
+        ),
+    ],
+    ids=["removed", "renamed", "replaced"],
+)
+def test_a_journal_that_is_taken_away_while_it_is_written_is_noticed_and_saved(
+    folder: Path, strike: Callable[[Path], object], words: str, tmp_path: Path
+) -> None:
+    with Session.append(folder) as session:
+        strike(folder / "journal.jsonl")
+        with pytest.raises(
+            SessionError, match=f"{words}.*rename .*journal.jsonl.saved to that, then go on with --resume"
+        ):
+            session.add_frame(tmp_path / "photo.dng", "dark_3.dng", "dark", None)
+    (folder / "journal.jsonl.saved").rename(folder / "journal.jsonl")
+    with Session.append(folder) as session:
+        assert len(session.frames) == 3
+    assert verify(Session.open(folder)) == []
+
+
+def test_a_journal_whose_end_is_cut_off_while_it_is_written_is_noticed(folder: Path) -> None:
+    with Session.append(folder) as session:
+        change(folder, lambda lines: lines[:5])
+        with pytest.raises(
+            SessionError, match=r"was cut from .* bytes while it was being written: put back a whole copy"
+        ):
+            session.log("moved")
+
+
+def test_a_journal_that_has_lost_its_end_says_how_to_go_on(folder: Path, tmp_path: Path) -> None:
+    change(folder, lambda lines: lines[:3])
+    plan = tmp_path / "plan.toml"
+    plan.write_text(plan_text(PORTRAIT))
+    with pytest.raises(SessionError, match=r"2 photographs .*dark_1\.dng for one: it has lost lines") as caught:
+        begin(plan, folder, resume=True)
+    subprocess.run(str(caught.value).rpartition(": ")[2], shell=True, check=True)
+    with begin(plan, folder, resume=True) as session:
+        session.add_frame(tmp_path / "photo.dng", "dark_1.dng", "dark", None)
+    assert len(Session.open(folder).frames) == 2
+
+
+def test_a_photograph_whose_line_is_doubled_counts_once(folder: Path) -> None:
+    change(folder, lambda lines: [*unchained(lines), *unchained(lines[-1:]) * 16])
+    session = Session.open(folder)
+    assert [frame.file for frame in session.frames] == ["dark_0.dng", "dark_1.dng", "dark_2.dng"]
+    assert len(session.warnings) == 16
+    assert "line 8 is of dark_2.dng again, as line 7: it counts once" in session.warnings[0]
+    assert verify(session) == list(session.warnings)
+
+
+def test_lines_that_contradict_each_other_about_a_photograph_are_named(folder: Path) -> None:
+    change(folder, lambda lines: [*unchained(lines), by_itself({**json.loads(lines[-1]), "kind": "bias"})])
+    with pytest.raises(SessionError, match=r"lines 7 and 8 contradict each other about dark_2\.dng"):
+        Session.open(folder)
+
+
+CRASH = """
+import os, sys
+os.close(2)
+from labkit.session.session import Session, begin
+with Session.append(sys.argv[1]) as session:
+    os.write(2, b"Segmentation fault\\n")
+    session.log("moved")
+"""
+
+
+def test_what_is_printed_where_standard_error_is_closed_is_not_in_the_journal(folder: Path) -> None:
+    subprocess.run([sys.executable, "-c", CRASH, str(folder)], check=True, timeout=60)
+    assert Session.open(folder).events[-1]["event"] == "moved"
+
+
+def test_a_file_system_without_locks_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fcntl.flock", Mock(side_effect=OSError(37, "No locks available")))
+    with pytest.raises(
+        InputError, match=r"cannot lock .*journal\.jsonl: No locks available; put the session on a disk"
+    ):
+        Session.append(folder)
+    assert remarks(Session.open(folder)) == []

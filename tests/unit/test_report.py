@@ -252,3 +252,9 @@ def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pyt
         write_report(folder)
     assert (folder / "report.html").read_text() == "old"
     assert not [p for p in folder.rglob("*") if p.name.startswith(".")]
+
+
+def test_a_report_may_lie_under_a_name_of_any_bytes(tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    folder.mkdir()
+    assert "Results folder" in write_report(written(folder)).read_text()

@@ -2,6 +2,8 @@
 
 import json
 import os
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -277,3 +279,55 @@ def test_resuming_what_never_began_begins_it(tmp_path: Path) -> None:
     plan_path.write_text(PLAN)
     with begin(plan_path, tmp_path / "new", resume=True) as session:
         assert session.frames == ()
+
+
+def test_a_session_is_made_where_a_link_to_an_empty_folder_is(tmp_path: Path) -> None:
+    (tmp_path / "disk" / "night").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "night")
+    with Session.create(tmp_path / "link", PLAN, tmp_path) as session:
+        session.log("began")
+    assert (tmp_path / "link").is_symlink()
+    assert [event["event"] for event in Session.open(tmp_path / "disk" / "night").events] == ["created", "began"]
+
+
+def test_a_session_in_the_place_of_the_folder_one_is_in_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SessionError, match=r"^\. is the folder you are in, .*: give the name of a new one"):
+        Session.create(".", PLAN, tmp_path)
+
+
+def test_who_is_slower_in_making_a_session_is_told(
+    session_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def overtaken(plan: object, text: str, beside: Path, taken: object) -> dict[str, str]:
+        Session.open(session_folder).folder.rename(tmp_path / "new")
+        return {"plan_sha256": ""}
+
+    monkeypatch.setattr("labkit.session.session.store_plan", overtaken)
+    with pytest.raises(SessionError, match="new is there already: give a new folder; to go on with it, use --resume"):
+        Session.create(tmp_path / "new", PLAN, tmp_path)
+    assert len(Session.open(tmp_path / "new").frames) == 2
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_half_made_sessions_are_removed_unless_a_process_is_at_work_on_them(
+    session_folder: Path, tmp_path: Path
+) -> None:
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    gone, held, ours = (tmp_path / f".s.{pid}.import" for pid in (ended.pid, f"{ended.pid:09d}", os.getpid()))
+    for folder in (gone, held, ours):
+        shutil.copytree(session_folder, folder)
+    with Session.append(held):  # as by a process of another machine
+        Session.create(tmp_path / "other", PLAN, tmp_path).close()
+    assert [folder.exists() for folder in (gone, held, ours)] == [False, True, True]
+
+
+def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touched(
+    session_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session_folder.rename(tmp_path / f".s.{os.getpid()}.new")  # it may be about to take it
+    monkeypatch.setattr("labkit.session.making.is_being_written", lambda journal: pytest.fail("its lock was asked for"))
+    Session.create(tmp_path / "other", PLAN, tmp_path).close()

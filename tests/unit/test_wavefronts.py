@@ -12,6 +12,7 @@ import pytest
 from labkit.analysis.local_fits import PATIENCE_S, Task, answer
 from labkit.analysis.observe import Observation
 from labkit.analysis.wavefronts import ANCHOR_S, fit_session
+from labkit.errors import FitError, LostTasksError
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import NoisePrior, State
@@ -78,7 +79,7 @@ def made(settles: Callable[[Task], bool]) -> list[Batch]:
             batches.append(list(tasks))
         yield from enumerate(as_found(task, settles(task)) for task in tasks)
 
-    fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)  # type: ignore[arg-type]
+    fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
     return batches
 
 
@@ -141,8 +142,32 @@ def test_of_two_fits_that_disagree_the_likelier_modes_are_found() -> None:
         yield from enumerate(map(fitted, tasks))
 
     two = [o for o in observations() if o.range_mm in (3010.0, 3200.0)]
-    session = fit_session(two, plan, TARGET, run, lambda done, of, what: None)  # type: ignore[arg-type]
+    session = fit_session(two, plan, TARGET, run, lambda done, of, what: None)
     assert [f.fit.waves[1] for f in session.fits] == pytest.approx([0.05, 0.05])
     assert session.lens is not None
     assert session.lens.model.shared
     assert [ranges(batch) for batch in batches if batch] == [[3010.0, 3200.0]] * 2
+
+
+def test_a_fit_whose_process_is_killed_costs_no_other_one() -> None:
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        killed = [task for task in tasks if isinstance(task, Task) and task.observation.range_mm == 3010.0]
+        for index, task in enumerate(tasks):
+            if task not in killed:
+                yield index, {} if function is answer else as_found(task, True)
+        if killed:
+            raise LostTasksError([(task, "killed") for task in killed])
+
+    fits = fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
+    assert [f.task.observation.range_mm for f in fits.fits] == [2900.0, 3100.0, 3200.0]
+    assert fits.lost == ("G at 3010 mm is left out: killed",)
+    assert fits.lens is not None
+
+
+def test_where_all_processes_are_killed_it_is_said() -> None:
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        raise LostTasksError([(task, "killed") for task in tasks])
+        yield
+
+    with pytest.raises(FitError, match="no wavefront could be fitted: G at 2900 mm is left out: killed; G at"):
+        fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)

@@ -17,7 +17,7 @@ from labkit.drivers.simulated.controllers.serve import carrying, rail_of, serve
 from labkit.plan import Plan
 
 LEADSCREW = {
-    10: 3, 20: 1, 21: 1, 22: 1, 23: 7, 24: 300, 25: 3000, 27: 2,
+    1: 255, 10: 3, 20: 1, 21: 1, 22: 1, 23: 7, 24: 300, 25: 3000, 27: 2,
     110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500, 130: 295, 131: 295, 132: 295,
 }  # fmt: skip
 """Settings of a rail of 295 mm that homes at its low end, 50 mm/s."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from labkit.drivers.grbl.protocol import HAL_ORIGIN_AT_HOME, HARD_LIMITS, HOMING
+from labkit.drivers.grbl.protocol import HAL_OFFSET, HAL_ORIGIN_AT_HOME, HARD_LIMITS, HOMING
 from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, Firmware
 from labkit.drivers.simulated.controllers.grbl_gcode import GcodeError, clean
 from labkit.drivers.simulated.controllers.grbl_interpreter import Interpreter
@@ -312,7 +312,7 @@ class GrblController:
         fields.append(f"FS:{machine.planned[0].speed * 60:.0f},0" if running else "FS:0,0")
         if machine.on_switch(self.now_s):
             fields.append("Pn:X")
-        if self._turn("WCO", moving):
+        if self._turn("WCO", moving) and (mask & HAL_OFFSET or not self.firmware.is_hal):
             # GRBL puts the two into different reports
             self._until_refresh["Ov"] = max(self._until_refresh["Ov"], 1)
             fields.append(f"WCO:{_axes(self.offset_mm)}")
