@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from labkit.report.style import SOFT, channel_inks
 from labkit.results import Results
 
 CHART_IN = (5.8, 3.0)
+WIDE = 5.0  # power beyond which the axis is logarithmic
 
 
 def spectrum_chart(results: Results) -> Figure:
@@ -27,10 +29,14 @@ def spectrum_chart(results: Results) -> Figure:
         without = [s.without_parts for s in spectra if s.without_parts is not None]
         if without:
             axes.plot(frequency, np.mean(without, axis=0), "--", color=ink.colour, lw=1.2)
-    axes.set(yscale="log", xlabel="spatial frequency, cycles a pixel", ylabel="residuals over noise, power")
+    axes.set(xlabel="spatial frequency, cycles a pixel", ylabel="residuals over noise, power")
     low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.5), max(high, 2.0))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("")
+    if high > WIDE:
+        axes.set(yscale="log", ylim=(0.5, high))
+        axes.yaxis.set_major_locator(LogLocator(10, (1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+    else:
+        axes.set_ylim(min(low, 0.5), max(high, 1.5))
     axes.legend(loc="upper right")
     return figure

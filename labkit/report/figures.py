@@ -113,7 +113,7 @@ def _camera(results: Results) -> Iterator[Drawn]:
     caption = (
         "What the model leaves of the data, over the noise, by spatial frequency in the raw's pixels; each line is the mean "
         "of a channel's fits. Noise alone leaves 1."
-    ) + (" Dashed: before those parts were in the model." if before else "")
+    ) + (" Dashed: of the fits that were made before those parts were in the model." if before else "")
     yield _chart("residual_spectrum", spectrum_chart(results), alt, caption)
 
 
