@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import Dark
-from labkit.calibration.masters import Plane, clipped_mean, outliers, shrunk, smooth_illumination
+from labkit.calibration.lattice import repeating
+from labkit.calibration.masters import Illumination, Plane, clipped_mean, outliers, shrunk, smooth_illumination
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
 from labkit.types import Bools, Floats, Floats32
@@ -19,13 +20,19 @@ from labkit.types import Bools, Floats, Floats32
 LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
 
+LEAST_LIT = 0.2
+"""Of its surroundings' light, what a pixel gets between a panel's pixels that still tells its response."""
+
+PASSES = 3
+"""At most, of light and the panel's pattern, each found beside what the one before left; the second leaves no more than a third."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flat:
     """One range's flats.
 
     frames: how many; illumination: (rows, cols), mean 1 in each channel, NaN where unlit; mean: (rows, cols) counts above
-    dark, NaN where saturated; places: the planes of each channel; level: the counts that illumination 1 means in it;
+    dark, the panel's own pixels taken off where they were seen, NaN where saturated or dark between those; places: the planes of each channel; level: the counts that illumination 1 means in it;
     scatter: from frame to frame, of each channel.
     """
 
@@ -55,7 +62,7 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     places, levels = {}, {}
     for name in names:
         places[name] = stack.first.planes(name)
-        smooth = [smooth_illumination(mean[plane], good[plane]) for plane in places[name]]
+        smooth = [_without_panel(mean[plane], good[plane]) for plane in places[name]]
         levels[name] = float(np.mean([part.level for part in smooth]))
         for plane, part in zip(places[name], smooth, strict=True):
             illumination[plane] = np.where(part.lit, part.relative * part.level / levels[name], np.nan)
@@ -64,6 +71,21 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
     return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter)
+
+
+def _without_panel(flat: Floats, good: Bools) -> Illumination:
+    """A plane's smooth light. Where the panel's own pixels show, they are divided out of the flat (rows, cols), in place, and
+    what is too dark between them becomes NaN."""
+    light = smooth_illumination(flat, good)
+    for _ in range(PASSES):
+        smooth = np.where(light.lit, light.relative * light.level, 1.0)
+        pattern = repeating(np.nan_to_num(flat / smooth - 1), good & light.lit & np.isfinite(flat))
+        if pattern is None:
+            break
+        bright = pattern > LEAST_LIT - 1
+        flat /= np.where(bright, 1 + pattern, np.nan)
+        light = smooth_illumination(np.nan_to_num(flat), good & np.isfinite(flat))
+    return light
 
 
 def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:

@@ -222,7 +222,9 @@ class Search:
         """The maximum with the missing parts free, if it then is believed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
-        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=self.missing)))
+        have = model.optics.parts
+        more = tuple(part for part in self.missing if part.name not in {one.name for one in have})
+        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *more))))
         outcome = self._freed(problem, state)
         gained = outcome.freed.solution.objective - plain.freed.solution.objective
         return outcome if gained > CALLED_FOR and outcome.verdict.accepted else plain
