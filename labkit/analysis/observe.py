@@ -212,7 +212,7 @@ def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pos
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(data.counts, used, data.illumination, data.relative_std, rounding=data.rounding)
-    return frame if calibration.illumination else replace(frame, departures=low_orders(*used.shape))
+    return frame if calibration.light_known else replace(frame, departures=low_orders(*used.shape))
 
 
 def _measured(group: Sequence[Frame]) -> float | None:

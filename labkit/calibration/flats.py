@@ -23,8 +23,8 @@ LEAST_DEFECT = 0.05
 LEAST_LIT = 0.2
 """Of its surroundings' light, what a pixel gets between a panel's pixels that still tells its response."""
 
-PASSES = 3
-"""At most, of light and the panel's pattern, each found beside what the one before left; the second leaves no more than a third."""
+PASSES = 8
+"""Of light and the panel's pattern, at most, each found beside the other: where a tenth of the pixels are full they need as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +32,9 @@ class Flat:
     """One range's flats.
 
     frames: how many; illumination: (rows, cols), mean 1 in each channel, NaN where unlit; mean: (rows, cols) counts above
-    dark, the panel's own pixels taken off where they were seen, NaN where saturated or dark between those; places: the planes of each channel; level: the counts that illumination 1 means in it;
-    scatter: from frame to frame, of each channel.
+    dark, NaN where saturated; places: the planes of each channel; level: the counts that illumination 1 means in it;
+    scatter: from frame to frame, of each channel. panel: (rows, cols) how much brighter or darker than the mean of its
+    surroundings the panel's own pixels make each pixel, NaN where too dark to be of use; None where they are not seen.
     """
 
     frames: int
@@ -42,6 +43,7 @@ class Flat:
     places: Mapping[str, tuple[Plane, ...]]
     level: Mapping[str, float]
     scatter: Mapping[str, tuple[Scatter, ...]]
+    panel: Floats32 | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,33 +61,43 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     mean = clipped_mean(stack.counts) - offset
     good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
-    places, levels = {}, {}
+    places, levels, panel = {}, {}, np.ones(mean.shape, dtype=np.float32)
     for name in names:
         places[name] = stack.first.planes(name)
-        smooth = [_without_panel(mean[plane], good[plane]) for plane in places[name]]
+        found = [_light_and_panel(mean[plane], good[plane], stack.saturated[plane]) for plane in places[name]]
+        smooth = [light for light, _ in found]
+        for plane, (_, pattern) in zip(places[name], found, strict=True):
+            panel[plane] += pattern
         levels[name] = float(np.mean([part.level for part in smooth]))
         for plane, part in zip(places[name], smooth, strict=True):
             illumination[plane] = np.where(part.lit, part.relative * part.level / levels[name], np.nan)
     mean[stack.saturated] = np.nan
+    seen = bool(np.any(panel != 1))
+    panel[panel < LEAST_LIT] = np.nan
     lit = np.isfinite(illumination) & ~stack.saturated
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
-    return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter)
+    return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter, panel if seen else None)
 
 
-def _without_panel(flat: Floats, good: Bools) -> Illumination:
-    """A plane's smooth light. Where the panel's own pixels show, they are divided out of the flat (rows, cols), in place, and
-    what is too dark between them becomes NaN."""
-    light = smooth_illumination(flat, good)
+def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
+    """A plane's smooth light, and the pattern that the panel's own pixels make in it, (rows, cols), mean 0; zero without one.
+
+    flat: (rows, cols) counts; full: saturated pixels, not good.
+    """
+    light, pattern, filled = smooth_illumination(flat, good), np.zeros(flat.shape), flat
     for _ in range(PASSES):
         smooth = np.where(light.lit, light.relative * light.level, 1.0)
-        pattern = repeating(np.nan_to_num(flat / smooth - 1), good & light.lit & np.isfinite(flat))
-        if pattern is None:
+        more = repeating(filled / smooth - 1 - pattern, (good | full) & light.lit)
+        if more is not None:
+            pattern += more
+        elif not (full & (pattern != 0)).any():
             break
-        bright = pattern > LEAST_LIT - 1
-        flat /= np.where(bright, 1 + pattern, np.nan)
-        light = smooth_illumination(np.nan_to_num(flat), good & np.isfinite(flat))
-    return light
+        # the brightest of a pattern may be full: without them light would be too low, so they are what it and pattern say
+        filled = np.where(full, np.maximum(flat, smooth * (1 + pattern)), flat)
+        # a difference errs as the pattern does, to and fro; a quotient would err to one side
+        light = smooth_illumination(filled - smooth * pattern, good | full)
+    return light, pattern
 
 
 def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:
@@ -136,8 +148,10 @@ def _mean_ratio(flats: Sequence[Flat], plane: Plane, name: str, noise: NoiseEsti
     floor = (noise.read_noise or 0.0) ** 2 + ROUNDING_VARIANCE
     for flat in flats:
         expected = flat.illumination[plane].astype(np.float64) * flat.level[name]
+        if flat.panel is not None:
+            expected *= flat.panel[plane]
         weight = np.nan_to_num(flat.frames * expected**2 / ((noise.gain or 0.0) * expected + floor))
-        weight[np.isnan(flat.mean[plane])] = 0.0
+        weight[np.isnan(flat.mean[plane] + expected)] = 0.0
         weighted += weight * np.nan_to_num(flat.mean[plane] / expected)
         weights += weight
     return np.where(weights > 0, weighted / np.maximum(weights, 1e-300), 1.0), weights
