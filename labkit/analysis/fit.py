@@ -10,7 +10,9 @@ from pathlib import Path
 from labkit.analysis.joint import Joint, climb
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
-from labkit.analysis.observe import observe
+from labkit.analysis.observe import Observation, observe
+from labkit.analysis.panel import pixels_per_cell
+from labkit.analysis.seen_pixels import refuse_other_pixels, seen_pixels
 from labkit.analysis.session_parts import model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
@@ -24,11 +26,14 @@ from labkit.results.storage import kept_keys
 from labkit.session.session import Session
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
-from labkit.target import open_target
+from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
 
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
+
+UNMODELLED_S = 5.0
+"""For a search where the model lacks what photographs plainly show: no end would be accepted."""
 
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
@@ -63,7 +68,11 @@ def fit(
     """
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
+    pixels_per_cell(plan, target)  # what is impossible is refused before photographs are looked at
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
+    unmodelled = _panel_notes(plan, target, observations)
+    if unmodelled:
+        assumed, patience_s = [*unmodelled, *assumed], min(patience_s, UNMODELLED_S)
     with Workers(workers or default_workers()) as run:
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
@@ -80,6 +89,18 @@ def _written(folder: Path, every: Mapping[str, Results]) -> None:
     """every: by what is to stand behind the folder's name."""
     for end, results in every.items():
         results.write(folder.with_name(folder.name + end))
+
+
+def _panel_notes(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[str]:
+    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's than it
+    has."""
+    per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
+    if seen is None:
+        return []
+    if plan.target.pixels is None or per_cell is None:
+        return [seen.advice]
+    refuse_other_pixels(plan.target.pixels, per_cell, seen)
+    return []
 
 
 def _noted(session: Session, plan: Plan) -> list[str]:

@@ -30,6 +30,14 @@ def as_shown(plan: Plan, target: Target, channel: str) -> Target:
     return shown if spec.aperture is None else shown.lit(*spec.aperture)
 
 
+def pixels_per_cell(plan: Plan, target: Target) -> int | None:
+    """Along a side of a target's cell; None where the plan wants no pixels drawn. Raises PlanError as `panel_pixels` does."""
+    pixels = panel_pixels(plan, target)
+    if pixels is None:
+        return None
+    return pixels[0] // target.cells.shape[0] if isinstance(target, CellTarget) else 1
+
+
 def panel_pixels(plan: Plan, target: Target) -> tuple[int, int] | None:
     """(rows, columns) of its panel's pixels that a plan's target takes; None where the plan wants none drawn.
 

@@ -10,6 +10,8 @@ import numpy as np
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.wavefronts import SessionFits
 from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.imaging.parts import Aperture, WeakHalo
+from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.types import Floats
@@ -21,19 +23,23 @@ WORDS = {
     "diffusion": "charge that diffuses between pixels",
     "smear": "smear, by a shake or a rolling shutter",
     "veil": "a veil of stray light",
+    "weak_halo": "a halo weaker than diffraction at a clean round edge makes it",
     "spectrum": "light of several wavelengths",
 }
 
 
 def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
-    diffuses and smears, px, and of spectra, nm; a veil's share of the light."""
+    diffuses and smears, px, and of spectra, nm; a veil's share of the light; shares that a panel's stripes are lit over."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
     found = dict[str, Uncertain]()
     for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
         values = dict(of)
-        if name == "veil":
-            found["veil.share"] = next(iter(values.values()))
+        if name == Aperture.name:
+            for key, value in values.items():
+                found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
+        elif name in ("veil", WeakHalo.name):
+            found[f"{name}.share"] = next(iter(values.values()))
         elif name == "spectrum":
             for (_, channel), value in values.items():
                 nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
@@ -62,6 +68,10 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[st
             for key, value in found.items()
             if key.startswith(name + ".") and not key.endswith("spread_px")
         )
+        if name == Aperture.name:
+            across, down = found[f"{name}.lit_across"], found[f"{name}.lit_down"]
+            lines.append(f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch")
+            continue
         changed = "" if session.lens is None else _changed(session.lens, name)
         lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
     return lines

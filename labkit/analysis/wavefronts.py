@@ -16,7 +16,7 @@ from labkit.analysis.panel import as_shown
 from labkit.analysis.twins import choose_twins
 from labkit.execute import Workers
 from labkit.imaging.model import Optics
-from labkit.imaging.parts import LowPass
+from labkit.imaging.parts import LowPass, WeakHalo
 from labkit.inference.fit import canonical
 from labkit.inference.missing_parts import with_part
 from labkit.inference.search import CALLED_FOR
@@ -263,7 +263,7 @@ class _Chain:
         std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
         target = as_shown(self.plan, self.target, observation.channel)
         task = Task(optics, target, observation, std, patience_s=self.patience_s)
-        task = replace(task, missing=(LowPass(),) if self.diagnose else ())
+        task = replace(task, missing=(LowPass(), WeakHalo()) if self.diagnose else ())
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = _nearest(observation, accepted)
         if nearest is None:

@@ -219,15 +219,19 @@ class Search:
         return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
 
     def _with_missing(self, plain: Outcome) -> Outcome:
-        """The maximum with the missing parts free, if it then is believed."""
+        """The maximum with a missing part free, or with all of them, if it then is believed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
         have = model.optics.parts
-        more = tuple(part for part in self.missing if part.name not in {one.name for one in have})
-        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *more))))
-        outcome = self._freed(problem, state)
-        gained = outcome.freed.solution.objective - plain.freed.solution.objective
-        return outcome if gained > CALLED_FOR and outcome.verdict.accepted else plain
+        missing = [part for part in self.missing if part.name not in {one.name for one in have}]
+        for more in [*((part,) for part in missing), *([tuple(missing)] if len(missing) > 1 else [])]:
+            outcome = self._freed(
+                replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *more)))), state
+            )
+            gained = outcome.freed.solution.objective - plain.freed.solution.objective
+            if gained > CALLED_FOR and outcome.verdict.accepted:
+                return outcome
+        return plain
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:

@@ -10,6 +10,7 @@ from labkit.plan.tables import (
     RailSettings,
     Sensor,
     Table,
+    TargetPixels,
     TargetSpec,
 )
 
@@ -23,5 +24,5 @@ __all__ = [
     "RailSettings",
     "Sensor",
     "Table",
-    "TargetSpec",
+    "TargetPixels", "TargetSpec",
 ]

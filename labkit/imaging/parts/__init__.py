@@ -6,5 +6,6 @@ from labkit.imaging.parts.low_pass import LowPass
 from labkit.imaging.parts.part import Part
 from labkit.imaging.parts.smear import Smear
 from labkit.imaging.parts.veil import Veil
+from labkit.imaging.parts.weak_halo import WeakHalo
 
-__all__ = ["Aperture", "Diffusion", "LowPass", "Part", "Smear", "Veil"]
+__all__ = ["Aperture", "Diffusion", "LowPass", "Part", "Smear", "Veil", "WeakHalo"]

@@ -25,12 +25,9 @@ class Aperture:
     across: float = 0.0
     down: float = 0.0
 
+    name: ClassVar[str] = "panel_pixels"
     labels: ClassVar[tuple[str, ...]] = ("across", "down")
     usual: ClassVar[tuple[float, ...]] = (0.15, 0.15)
-
-    @property
-    def name(self) -> str:
-        return "panel_pixels"
 
     @property
     def values(self) -> tuple[float, ...]:
