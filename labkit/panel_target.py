@@ -96,13 +96,15 @@ class PanelTarget:
         return many, self.size_mm[axis] / many
 
     def _stripe(self, axis: int) -> tuple[float, float, float]:
-        """Along an axis, in pixels: where the stripe's middle lies from the pixel's, how wide it is lit, how wide it could be."""
+        """Along an axis, in pixels: where a stripe's middle lies from its pixel's, how wide it is lit, how wide it could be."""
         across, down = self.aperture
         if (axis == 0) == self.lying:
             return (self.place - 1) / STRIPES, across / STRIPES, 1 / STRIPES
         return 0.0, down, 1.0
 
-    def _drawn(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float, by: tuple[_Profile, _Profile]) -> Floats:
+    def _drawn(
+        self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float, by: tuple[_Profile, _Profile]
+    ) -> Floats:
         """(m, n) of profiles along y and x."""
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")

@@ -345,8 +345,8 @@ def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None
     if plan.target.pixels is None and resolved > DRAWN_FROM:
         pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'
         notes.append(
-            f"at {nearest_range_mm:g} mm the display's own pixels are seen, {resolved:.2g} times as large as what the camera resolves, "
-            f"and the plan has no [target.pixels]: add {pixels} to [target] (by how its colours lie in the frame), or stand farther away"
+            f"at {nearest_range_mm:g} mm the display's own pixels are seen, {resolved:.2g} times as large as what the camera "
+            f"resolves, and the plan has no [target.pixels]: add {pixels} to [target], the layout as the frame shows it"
         )
     return notes
 

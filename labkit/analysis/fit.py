@@ -68,10 +68,8 @@ def fit(
     """
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
-    pixels_per_cell(plan, target)  # what is impossible is refused before photographs are looked at
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    unmodelled = _panel_notes(plan, target, observations)
-    if unmodelled:
+    if unmodelled := _panel_notes(plan, target, observations):
         assumed, patience_s = [*unmodelled, *assumed], min(patience_s, UNMODELLED_S)
     with Workers(workers or default_workers()) as run:
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)

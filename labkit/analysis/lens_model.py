@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.imaging.parts import WeakHalo
 from labkit.inference.cone import Measured
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.plan import Plan
@@ -77,8 +78,13 @@ class Member:
     homings: tuple[int, ...] = ()
 
     def part_of(self, label: str) -> tuple[str, ...]:
-        """Whose number a part's is: one camera's, but each channel has its own light."""
-        return (label, self.channel) if label == SPECTRUM_WIDTH else (label,)
+        """Whose number a part's is."""
+        return whose(label, self.channel)
+
+
+def whose(label: str, channel: str) -> tuple[str, ...]:
+    """Whose number a part's is: one camera's, but each channel has its own light, and that light its halo."""
+    return (label, channel) if label == SPECTRUM_WIDTH or label.startswith(WeakHalo.name) else (label,)
 
 
 @dataclass(frozen=True)

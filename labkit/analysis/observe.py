@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from labkit.analysis.panel import as_shown
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
@@ -97,6 +98,8 @@ def observe(
     """
     frames = _chosen(session, range_mm)
     channels = _channels(plan, channel)
+    for name in channels:
+        as_shown(plan, target, name)  # a panel that is impossible is refused before photographs are looked at
     calibration = calibrate(session.frames, plan)
     observations: list[Observation] = []
     warnings = list(calibration.warnings)

@@ -8,8 +8,8 @@ from itertools import groupby
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit
+from labkit.analysis.lens_model import whose
 from labkit.analysis.wavefronts import SessionFits
-from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.imaging.parts import Aperture, WeakHalo
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
@@ -38,7 +38,9 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
         if name == Aperture.name:
             for key, value in values.items():
                 found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
-        elif name in ("veil", WeakHalo.name):
+        elif name == WeakHalo.name:
+            found |= {f"{name}.{channel}.share": value for (_, channel), value in values.items()}
+        elif name == "veil":
             found[f"{name}.share"] = next(iter(values.values()))
         elif name == "spectrum":
             for (_, channel), value in values.items():
@@ -70,7 +72,9 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[st
         )
         if name == Aperture.name:
             across, down = found[f"{name}.lit_across"], found[f"{name}.lit_down"]
-            lines.append(f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch")
+            lines.append(
+                f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
+            )
             continue
         changed = "" if session.lens is None else _changed(session.lens, name)
         lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
@@ -100,7 +104,7 @@ def _of_fits(session: SessionFits) -> dict[tuple[str, ...], Uncertain]:
     for local in session.fits:
         measured, modes = local.fit.measured, len(local.fit.noll)
         for k, label in enumerate(measured.parts, modes):
-            of = (label, local.channel) if label == SPECTRUM_WIDTH else (label,)
+            of = whose(label, local.channel)
             seen.setdefault(of, []).append((measured.values[k], measured.covariance[k, k]))
     return {of: _weighted(np.array(pairs)) for of, pairs in seen.items()}
 

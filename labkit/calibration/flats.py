@@ -23,8 +23,13 @@ LEAST_DEFECT = 0.05
 LEAST_LIT = 0.2
 """Of its surroundings' light, what a pixel gets between a panel's pixels that still tells its response."""
 
+NEAR_PX = 3.0
+"""Pixels of a plane: over so little light is smoothed where a panel is near enough to show its pixels. Its unevenness shows
+too; the noise of the mean, a tenth of a pixel's, counts for nothing beside that of a photograph."""
+
 PASSES = 8
-"""Of light and the panel's pattern, at most, each found beside the other: where a tenth of the pixels are full they need as many."""
+"""Of light and the panel's pattern, at most, each found beside the other: where a tenth of the pixels are full they need
+as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +82,9 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     lit = np.isfinite(illumination) & ~stack.saturated
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
-    return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter, panel if seen else None)
+    return Flat(
+        len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter, panel if seen else None
+    )
 
 
 def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
@@ -97,6 +104,8 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
         filled = np.where(full, np.maximum(flat, smooth * (1 + pattern)), flat)
         # a difference errs as the pattern does, to and fro; a quotient would err to one side
         light = smooth_illumination(filled - smooth * pattern, good | full)
+    if pattern.any():
+        light = smooth_illumination(filled / (1 + np.maximum(pattern, LEAST_LIT - 1)), good | full, NEAR_PX)
     return light, pattern
 
 

@@ -98,7 +98,9 @@ def _peaks(rest: Floats, use: Bools) -> list[Floats]:
     """Frequencies (2,) of what rises out of the noise in a spectrum, cycles a pixel, the strongest first."""
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in rest.shape)) * use
     size = tuple(scipy.fft.next_fast_len(2 * n) for n in rest.shape)  # between a whole number of waves too
-    power = np.abs(scipy.fft.rfft2(np.where(use, rest, 0.0) * window, size)) ** 2 / max(float(np.sum(window**2)), 1e-300)
+    power = np.abs(scipy.fft.rfft2(np.where(use, rest, 0.0) * window, size)) ** 2 / max(
+        float(np.sum(window**2)), 1e-300
+    )
     rows, cols = scipy.fft.fftfreq(size[0])[:, None], scipy.fft.rfftfreq(size[1])[None, :]
     fast = np.hypot(rows, cols) > SLOWEST
     level = float(np.median(power[fast])) / np.log(2)

@@ -170,8 +170,10 @@ class ForwardModel:
         return cls(Scene(torus, target, band * cutoff, reference), blur, rough, wrapped, window_airy)
 
     def shaped(self, optics: Optics) -> "ForwardModel":
-        """The same of another `Optics.shape`; drawings serve both unless an aperture differs. Raises ValueError for a cone wider
-        than spared."""
+        """The same of another `Optics.shape`; drawings serve both unless an `Aperture` is a part of it.
+
+        Raises ValueError for a cone wider than spared.
+        """
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.spectrum, parts=optics.parts)
         target = _lit(self.scene.target, optics)

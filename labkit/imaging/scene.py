@@ -91,9 +91,7 @@ class Scene:
 
     def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes, ...]]:
         """At each pose the half planes of the derivatives of `image` by the aperture of a panel's stripes; none of others."""
-        return [
-            tuple(self.torus.half_spectrum(self._seen(raster, pose)) for raster in self._slopes) for pose in poses
-        ]
+        return [tuple(self.torus.half_spectrum(self._seen(raster, pose)) for raster in self._slopes) for pose in poses]
 
 
 @dataclass(frozen=True, eq=False)

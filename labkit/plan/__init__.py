@@ -24,5 +24,6 @@ __all__ = [
     "RailSettings",
     "Sensor",
     "Table",
-    "TargetPixels", "TargetSpec",
+    "TargetPixels",
+    "TargetSpec",
 ]
