@@ -29,7 +29,7 @@ RIM_PX = 4
 LEAST_PIXELS = 100
 """Of a channel, in that white."""
 
-STRAY = 0.02
+STRAY = 0.01
 """Relative: as much a frequency may be off, the target's corners being known to a pixel."""
 
 FASTEST = 1.1
@@ -166,8 +166,8 @@ def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
 
 def _strongest(picture: Floats, frequency: Floats, extent: float, pixels: int) -> complex:
     """The largest amplitude near a frequency (2,), cycles a pixel."""
-    reach = max(STRAY * float(np.hypot(*frequency)), 0.5 / extent)
-    near = np.arange(-int(np.ceil(2 * extent * reach)), int(np.ceil(2 * extent * reach)) + 1) / (2 * extent)
+    reach = STRAY * float(np.hypot(*frequency))
+    near = np.linspace(-reach, reach, 2 * int(np.ceil(2 * extent * reach)) + 1)
     down, right = (
         np.exp(-2j * np.pi * np.outer(f + near, np.arange(n))) for f, n in zip(frequency, picture.shape, strict=True)
     )

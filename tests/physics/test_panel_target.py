@@ -33,7 +33,9 @@ def summed(target: PanelTarget) -> Floats:
         points = ((np.arange(count) + 0.5) / count - 0.5) * side_mm
         far = (at[:, None] - points) * BANDWIDTH
         inside = np.abs(far) < reach
-        return points, np.where(inside, step.derivative()(np.clip(far, -reach, reach)), 0.0) * BANDWIDTH * side_mm / count
+        return points, np.where(
+            inside, step.derivative()(np.clip(far, -reach, reach)), 0.0
+        ) * BANDWIDTH * side_mm / count
 
     (y, by), (x, bx) = kernel(Y, target.size_mm[0]), kernel(X, target.size_mm[1])
     return np.asarray(by @ target.radiance(y[:, None], x[None, :]) @ bx.T)
