@@ -19,6 +19,9 @@ SLOWEST = 0.04
 APART = 0.03
 """Cycles a pixel: waves nearer to one another than this are one."""
 
+SLOW, LEAST_SLOW = 0.15, 5e-3
+"""Cycles a pixel, and amplitude: waves as slow and weaker may be an uneven panel, which is illumination."""
+
 LEAST_WAVE = 2e-3
 """Amplitude, of the light, of the strongest wave of a pattern: noise and dust have less."""
 
@@ -106,6 +109,8 @@ def _peaks(rest: Floats, use: Bools) -> list[Floats]:
     level = float(np.median(power[fast])) / np.log(2)
     tops = fast & (power == ndimage.maximum_filter(power, 5, mode="wrap"))
     tops &= power > level * (np.log(power.size) + BEYOND_CHANCE)
+    amplitude = 2 * np.sqrt(power * np.sum(window**2)) / max(float(window.sum()), 1e-300)
+    tops &= (amplitude > LEAST_SLOW) | (np.hypot(rows, cols) > SLOW)
     found = sorted(zip(power[tops], *np.nonzero(tops), strict=True), reverse=True)
     peaks: list[Floats] = []
     for _, row, col in found:
