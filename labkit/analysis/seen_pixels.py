@@ -116,7 +116,7 @@ def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> st
     turn = 0j
     for _, group in groupby(waves, key=lambda of: of[0]):
         colours = {COLOUR_WORDS.get(name.lower()): wave for _, name, wave in group}
-        pairs = [pair for pair in ("RG", "GB") if all(colour in colours for colour in pair)]
+        pairs = [(a, b) for a, b in (("R", "G"), ("G", "B")) if a in colours and b in colours]
         turn += sum(complex(colours[b] * np.conj(colours[a])) for a, b in pairs)
     if not turn:
         return None
@@ -128,8 +128,8 @@ def _waves(o: Observation, target: CellTarget) -> tuple[Complexes, float]:
     """Amplitudes (2, n) of the patterns of 1 to n pixels to a cell, along rows and columns of the target, in an observation's
     first frame, relative to white; and the standard error of one."""
     frame, pose = o.frames[0], o.poses[0]
-    down, right = np.indices(frame.counts.shape)
-    white = _white(target, *pose.to_target(down.astype(float), right.astype(float))) & frame.used
+    down, right = (np.asarray(index, float) for index in np.indices(frame.counts.shape))
+    white = _white(target, *pose.to_target(down, right)) & frame.used
     rows, cols = pose.pixel_per_unit()
     per_px = [n / (2 * scale) for n, scale in zip(target.cells.shape, (rows, cols), strict=True)]  # cells
     most = int(FASTEST / max(per_px))

@@ -7,6 +7,8 @@ perspective and field make them.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import scipy.fft
 from scipy import ndimage
@@ -63,8 +65,7 @@ def _tiles(size: int) -> list[tuple[slice, slice]]:
     many = max(1, -(-(size - 2 * BORDER_PX) // (TILE_PX - 2 * BORDER_PX)))
     ends = [round(size * k / many) for k in range(many + 1)]
     return [
-        (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high))
-        for low, high in zip(ends[:-1], ends[1:], strict=True)
+        (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high)) for low, high in pairwise(ends)
     ]
 
 

@@ -94,5 +94,5 @@ def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
 
 @pytest.mark.parametrize("wrong", [{"place": 3}, {"aperture": (0.0, 0.9)}, {"surround": 1.0}])
 def test_impossible_stripes_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(TargetError, match="stripe|pixels"):
+    with pytest.raises(TargetError, match=r"stripe|pixels"):
         replace(striped(0, False), **wrong)  # type: ignore[arg-type]

@@ -55,10 +55,12 @@ def bench() -> Bench:
 def photographed(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Session:
     """Of a plan that says nothing of the panel's pixels."""
     folder = tmp_path_factory.mktemp("close")
-    plan, shared = plan_text(CLOSE), SharedParts({"simulated:": bench})
-    with Session.create(folder / "session", plan, folder) as session:
-        with open_devices(session.plan, context=DeviceContext(shared=shared)) as devices:
-            run_plan(session, devices, check=False)
+    plan, context = plan_text(CLOSE), DeviceContext(shared=SharedParts({"simulated:": bench}))
+    with (
+        Session.create(folder / "session", plan, folder) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
+        run_plan(session, devices, check=False)
     return Session.open(folder / "session")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,7 +85,9 @@ def test_the_pitch_may_be_the_displays_and_must_not_contradict_it() -> None:
     shown = planned(DISPLAY, layout="rgb-stripes")
     assert pixels_per_cell(shown, open_target(shown.target)) == 2
     other = planned(DISPLAY, pitch_mm=0.1245)
-    with pytest.raises(PlanError, match="pitch_mm = 0.1245 contradicts .display., whose panel has pixels of 0.0963 mm"):
+    with pytest.raises(
+        PlanError, match=r"pitch_mm = 0\.1245 contradicts .display., whose panel has pixels of 0.0963 mm"
+    ):
         pixels_per_cell(other, open_target(other.target))
     missing = planned(layout="rgb-stripes")
     with pytest.raises(PlanError, match="pitch_mm is missing"):
@@ -127,8 +128,8 @@ def test_flats_of_stripes_still_tell_light_and_response(tmp_path: Path) -> None:
             # measured: 0.0027 to 0.0037 where pixels differ by 0.006 and the stripes by 0.36
             assert ratio.std() < 0.006
             assert data.noise.gain == pytest.approx(gain, rel=0.02)
-            assert calibration.response is not None
-        assert calibration.response.std() == pytest.approx(PRNU, rel=0.2)
+        assert calibration.response is not None
+    assert calibration.response.std() == pytest.approx(PRNU, rel=0.2)
 
 
 def test_a_flat_without_a_pattern_has_none() -> None:
@@ -168,11 +169,11 @@ def photographed(target: PanelTarget, colour: str, range_mm: float) -> Observati
     )
 
 
-CARPET = CellTarget(np.kron([[0, 0, 0], [0, 1.0, 0], [0, 0, 0]], np.ones((3, 3))), (9.0, 9.0))
+CARPET = CellTarget(np.asarray(np.kron(np.diag([0.0, 1.0, 0.0]), np.ones((3, 3))), float), (9.0, 9.0))
 
 
 @pytest.fixture(scope="module", params=["rgb-stripes", "bgr-stripes", "rgb-rows"])
-def seen(request: pytest.FixtureRequest) -> Iterator[tuple[str, SeenPixels]]:
+def seen(request: pytest.FixtureRequest) -> tuple[str, SeenPixels]:
     layout: str = request.param
     order, way = layout.split("-")
     shown = [
@@ -181,7 +182,7 @@ def seen(request: pytest.FixtureRequest) -> Iterator[tuple[str, SeenPixels]]:
     ]
     found = seen_pixels(shown, CARPET)
     assert found is not None
-    yield layout, found
+    return layout, found
 
 
 def test_photographs_tell_pitch_and_layout(seen: tuple[str, SeenPixels]) -> None:
