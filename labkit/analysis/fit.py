@@ -69,14 +69,13 @@ def fit(
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    if unmodelled := _panel_notes(plan, target, observations):
-        assumed, patience_s = [*unmodelled, *assumed], min(patience_s, UNMODELLED_S)
+    if lacking := _panel_lacking(plan, target, observations):
+        assumed, patience_s = [lacking, *assumed], min(patience_s, UNMODELLED_S)
     with Workers(workers or default_workers()) as run:
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    noted = [*_noted(session, plan), *assumed, *map(str, filter(None, [change]))]
-    common = (plan, _checksum(session, plan), list(dict.fromkeys(noted)))
+    common = (plan, _checksum(session, plan), _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     parts = {} if change is None or not split else {"-before": change.before, "-after": change.after}
     _written(folder, {"": whole, **{end: _results(part, *common, True) for end, part in parts.items()}})
@@ -89,22 +88,23 @@ def _written(folder: Path, every: Mapping[str, Results]) -> None:
         results.write(folder.with_name(folder.name + end))
 
 
-def _panel_notes(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[str]:
-    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's than it
-    has."""
+def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> str | None:
+    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's."""
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
     if seen is None:
-        return []
+        return None
     if plan.target.pixels is None or per_cell is None:
-        return [seen.advice]
+        return seen.advice
     refuse_other_pixels(plan.target.pixels, per_cell, seen)
-    return []
+    return None
 
 
-def _noted(session: Session, plan: Plan) -> list[str]:
-    """What the session's files tell: of their damage, against the plan, of programs that have altered them."""
+def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:
+    """What the session's files tell: of their damage, against the plan, of programs that have altered them; and what was found,
+    each once."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
-    return [*session.warnings, *stated, *(note for frame in session.frames for note in frame.meta.get("altered", ()))]
+    altered = (note for frame in session.frames for note in frame.meta.get("altered", ()))
+    return list(dict.fromkeys([*session.warnings, *stated, *altered, *found]))
 
 
 def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[str]) -> Results:

@@ -24,6 +24,9 @@ from labkit.session.session import Session
 from tests.plans import Tables, plan_text
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
+LIT = 0.003
+"""Of a stripe's share that is lit; measured: 0.0014 across and 0.0002 down."""
+
 PIXELS = "\n[target.pixels]\npitch_mm = 0.1245\n"
 CLOSE: Tables = {
     "lens": {"focal_length_mm": 70.0, "f_number": 8.0},
@@ -37,7 +40,7 @@ CLOSE: Tables = {
         "flats_per_range": 4,
         "darks": 4,
     },
-    "rail": {"address": "simulated:", "ranges_mm": [620.0, 650.0], "range_at_zero_mm": 600.0},
+    "rail": {"address": "simulated:", "ranges_mm": [640.0, 670.0], "range_at_zero_mm": 620.0},
     "display": {"address": "simulated:", "pixel_pitch_mm": 0.1, "pixels": [400, 400]},
 }
 
@@ -68,11 +71,12 @@ def test_the_bench_is_measured_though_its_panels_pixels_are_seen(bench: Bench, p
     plan = photographed.plan.replace(target={"pixels": {"layout": "rgb-stripes"}})
     results = labkit.fit(photographed, plan=plan, name="stripes")
     panel, focus = bench.settings.panel, results.focus
-    assert abs(results.model_parts["panel_pixels.lit_across"].value - panel.lit_across) < 0.01
-    assert abs(results.model_parts["panel_pixels.lit_down"].value - panel.lit_down) < 0.01
+    assert abs(results.model_parts["panel_pixels.lit_across"].value - panel.lit_across) < LIT
+    assert abs(results.model_parts["panel_pixels.lit_down"].value - panel.lit_down) < LIT
     assert focus is not None
-    for channel, best_mm in bench.truth.best_focus_mm.items():
-        assert abs(focus[channel].value - best_mm) < min(0.1, 4 * focus[channel].std)
+    for channel in ("R", "G"):
+        assert abs(focus[channel].value - bench.truth.best_focus_mm[channel]) < 4 * focus[channel].std
+    assert all(w.test is not None and w.test.explains for w in results.wavefronts)
     assert not any("own pixels are seen" in warning for warning in results.warnings)
 
 
