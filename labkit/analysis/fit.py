@@ -70,7 +70,7 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     if lacking := _panel_lacking(plan, target, observations):
-        assumed, patience_s = [lacking, *assumed], min(patience_s, UNMODELLED_S)
+        assumed, patience_s, plain = [lacking, *assumed], min(patience_s, UNMODELLED_S), True
     with Workers(workers or default_workers()) as run:
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
@@ -78,14 +78,14 @@ def fit(
     common = (plan, _checksum(session, plan), _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     parts = {} if change is None or not split else {"-before": change.before, "-after": change.after}
-    _written(folder, {"": whole, **{end: _results(part, *common, True) for end, part in parts.items()}})
-    return replace(whole, folder=folder)
+    return _written(folder, {"": whole, **{end: _results(part, *common, True) for end, part in parts.items()}})
 
 
-def _written(folder: Path, every: Mapping[str, Results]) -> None:
-    """every: by what is to stand behind the folder's name."""
+def _written(folder: Path, every: Mapping[str, Results]) -> Results:
+    """The whole session's, with its folder. every: by what is to stand behind the folder's name, the whole's by nothing."""
     for end, results in every.items():
         results.write(folder.with_name(folder.name + end))
+    return replace(every[""], folder=folder)
 
 
 def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> str | None:
