@@ -82,9 +82,7 @@ class CellTarget:
                 f"a target's sides are longer than 0 mm, not {self.size_mm[0]:g} × {self.size_mm[1]:g} mm"
             )
         cells.flags.writeable = False
-        # Equal rows and equal columns are computed once: of the 243 rows of a carpet only 32 differ.
-        rows, row_of = np.unique(cells, axis=0, return_inverse=True)
-        core, col_of = np.unique(rows, axis=1, return_inverse=True)
+        core, row_of, col_of = distinct(cells)
         for name, value in (("cells", cells), ("_core", core), ("_row_of", row_of), ("_col_of", col_of)):
             object.__setattr__(self, name, value)
 
@@ -122,6 +120,16 @@ class CellTarget:
         inside = (row >= 0) & (row < self.cells.shape[0]) & (col >= 0) & (col < self.cells.shape[1])
         values = self.cells[np.where(inside, row, 0).astype(np.intp), np.where(inside, col, 0).astype(np.intp)]
         return np.where(inside, values, self.surround or 0.0)
+
+
+def distinct(cells: Floats) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]:
+    """A table's rows and columns that differ, and which of them each row and each column is: computed with once.
+
+    Of the 243 rows of a carpet only 32 differ.
+    """
+    rows, row_of = np.unique(cells, axis=0, return_inverse=True)
+    core, col_of = np.unique(rows, axis=1, return_inverse=True)
+    return core, row_of, col_of
 
 
 def open_target(spec: TargetSpec | str) -> Target:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import ceil, floor, isfinite, log, sqrt
+from math import ceil, floor, hypot, isfinite, log, sqrt
 from typing import Any
 
 from labkit.analysis.expected_bound import ExpectedFit, expected_fit, planes_of
@@ -19,6 +19,7 @@ from labkit.analysis.outlook import (
     outlook,
     propose_ranges,
 )
+from labkit.analysis.panel import panel_pixels
 from labkit.devices.panels import panel_info
 from labkit.errors import DataError, PlanError
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
@@ -29,6 +30,7 @@ AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.4
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
 MOST_PX = 10_000  # across the widest sensors
+DRAWN_FROM = 0.2  # of the camera's resolution, on the target: larger pixels of a panel have to be drawn
 NAMED = 4  # of what is not determined
 MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 
@@ -150,7 +152,9 @@ def advise(
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     ranges = _ranges(plan, ranges_mm)
     frames = plan.camera.frames_per_range if plan.camera else 1
-    shots = _Photographs(plan, lens, open_target(plan.target), middle_mm(ranges, lens), electrons, frames)
+    target = open_target(plan.target)
+    panel_pixels(plan, target)  # what is impossible is refused
+    shots = _Photographs(plan, lens, target, middle_mm(ranges, lens), electrons, frames)
     of_light = {range_mm: shots.fit(_shortest(plan), range_mm, shots.defocus(range_mm)) for range_mm in ranges}
     advised = [_at(shots, range_mm, fit) for range_mm, fit in of_light.items()]
     session = _session(shots, of_light)
@@ -337,11 +341,21 @@ def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None
                 f"cells of {cell_mm:.3g} mm are finer than the display's pixels, {pitch_mm:.3g} mm: show order "
                 f"{plan.target.order} at {least:.3g} mm or more, or a lower order"
             )
-    if nearest_range_mm < nearest_mm:
+    resolved = pitch_mm / _resolution_mm(plan, nearest_range_mm)
+    if plan.target.pixels is None and resolved > DRAWN_FROM:
+        pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'
         notes.append(
-            f"nearer than {nearest_mm:.0f} mm the lens resolves the display's own pixels: gaps between them would count"
+            f"at {nearest_range_mm:g} mm the display's own pixels are seen, {resolved:.2g} times as large as what the camera "
+            f"resolves, and the plan has no [target.pixels]: add {pixels} to [target], the layout as the frame shows it"
         )
     return notes
+
+
+def _resolution_mm(plan: Plan, range_mm: float) -> float:
+    """On the target, of lens and pixel together."""
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    pixel_mm = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
+    return float(hypot(_airy_on_target_mm(plan, range_mm), pixel_mm))
 
 
 def _sampling_notes(plan: Plan) -> list[str]:

@@ -9,6 +9,7 @@ from functools import reduce
 import numpy as np
 
 from labkit.imaging.model import Optics
+from labkit.imaging.parts import Aperture
 from labkit.inference.cone import Measured
 from labkit.inference.missing_parts import Call, lacking
 from labkit.inference.search import CALLED_FOR
@@ -50,11 +51,11 @@ def called_for(summed: Mapping[str, Call]) -> str | None:
 
 
 def worth(fits: Sequence[Measured]) -> dict[str, float]:
-    """Of the parts that fits have, by name, the log-likelihood that they would lose without, to second order."""
+    """Of the parts of the camera that fits have, by name, the log-likelihood that they would lose without, to second order."""
     worths = dict[str, float]()
     for measured in fits:
         names = [label.split(".")[0] for label in measured.parts]
-        for name in dict.fromkeys(names):
+        for name in dict.fromkeys(name for name in names if name != Aperture.name):
             at = len(measured.noll) + np.flatnonzero([n == name for n in names])
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))

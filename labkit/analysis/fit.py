@@ -11,7 +11,9 @@ from labkit.analysis.joint import Joint, climb
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
-from labkit.analysis.observe import observe
+from labkit.analysis.observe import Observation, observe
+from labkit.analysis.panel import pixels_per_cell
+from labkit.analysis.seen_pixels import refuse_other_pixels, seen_pixels
 from labkit.analysis.session_parts import WORDS, model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
@@ -25,15 +27,17 @@ from labkit.results.storage import kept_keys
 from labkit.session.session import Session
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
-from labkit.target import open_target
+from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
 
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
 GO_ON = "fit again: that goes on where this one ended"
-
 """Fits that are done are kept."""
+
+UNMODELLED_S = 5.0
+"""For a search where the model lacks what photographs plainly show: no end would be accepted."""
 
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
@@ -69,6 +73,8 @@ def fit(
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
+    if lacking := _panel_lacking(plan, target, observations):
+        assumed, patience_s, plain = [lacking, *assumed], min(patience_s, UNMODELLED_S), True
     with Workers(workers or default_workers()) as processes:
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
@@ -101,6 +107,17 @@ def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: S
     if not lost:
         kept.clear()
     return replace(every[""], folder=folder)
+
+
+def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> str | None:
+    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's."""
+    per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
+    if seen is None:
+        return None
+    if plan.target.pixels is None or per_cell is None:
+        return seen.advice
+    refuse_other_pixels(plan.target.pixels, per_cell, seen)
+    return None
 
 
 def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:

@@ -77,8 +77,13 @@ class Member:
     homings: tuple[int, ...] = ()
 
     def part_of(self, label: str) -> tuple[str, ...]:
-        """Whose number a part's is: one camera's, but each channel has its own light."""
-        return (label, self.channel) if label == SPECTRUM_WIDTH else (label,)
+        """Whose number a part's is."""
+        return whose(label, self.channel)
+
+
+def whose(label: str, channel: str) -> tuple[str, ...]:
+    """Whose number a part's is: one camera's, but each channel has its own light."""
+    return (label, channel) if label == SPECTRUM_WIDTH else (label,)
 
 
 @dataclass(frozen=True)

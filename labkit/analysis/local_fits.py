@@ -9,7 +9,7 @@ import numpy as np
 from labkit.analysis.lens_model import Member
 from labkit.analysis.observe import Observation
 from labkit.imaging.model import ForwardModel, Optics
-from labkit.imaging.parts import LowPass, Part
+from labkit.imaging.parts import Aperture, LowPass, Part
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import Problem, State
@@ -110,6 +110,8 @@ def optics_of(plan: Plan, channel: str) -> Optics:
     low_pass = plan.sensor.low_pass_filter
     parts: list[Part] = [] if low_pass is None else [LowPass(*low_pass.squares, turned=low_pass.turned)]
     fitted = low_pass is not None and low_pass.spread_px == "fit"
+    shown = plan.target.pixels
+    drawn: list[Part] = [] if shown is None or shown.aperture is not None else [Aperture()]
     return Optics(
         wavelength_um=light.wavelength_nm * 1e-3,
         reference_um=plan.reference_wavelength_nm * 1e-3,
@@ -118,7 +120,7 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         active_um=plan.sensor.active_um,
         noll=tuple(range(first, last + 1)),
         spectrum=Spectrum() if light.spectrum is None else Spectrum.of_samples(*light.samples, light.wavelength_nm),
-        parts=tuple(parts) if fitted else (),
+        parts=(*drawn, *(parts if fitted else ())),
         given=() if fitted else tuple(parts),
     )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from labkit.analysis.panel import as_shown
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
@@ -98,6 +99,8 @@ def observe(
     """
     frames = _chosen(session, range_mm)
     channels = _channels(plan, channel)
+    for name in channels:
+        as_shown(plan, target, name)  # a panel that is impossible is refused before photographs are looked at
     calibration = calibrate(session.frames, plan)
     observations: list[Observation] = []
     warnings = list(calibration.warnings)
@@ -213,7 +216,7 @@ def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pos
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(data.counts, used, data.illumination, data.relative_std, rounding=data.rounding)
-    if not calibration.illumination:
+    if not calibration.light_known:
         return replace(frame, departures=low_orders(*used.shape))
     return replace(frame, shine=Shine.seen(data.illumination / data.falloff, used))
 

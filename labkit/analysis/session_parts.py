@@ -8,8 +8,10 @@ from itertools import groupby
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit
+from labkit.analysis.lens_model import whose
 from labkit.analysis.wavefronts import SessionFits
-from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.imaging.parts import Aperture
+from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.types import Floats
@@ -27,13 +29,16 @@ WORDS = {
 
 def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
-    diffuses and smears, px, and of spectra, nm; a veil's share of the light."""
+    diffuses and smears, px, and of spectra, nm; a veil's share of the light; shares that a panel's stripes are lit over."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
     found = dict[str, Uncertain]()
     for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
         values = dict(of)
-        if name == "veil":
-            found["veil.share"] = next(iter(values.values()))
+        if name == Aperture.name:
+            for key, value in values.items():
+                found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
+        elif name == "veil":
+            found[f"{name}.share"] = next(iter(values.values()))
         elif name == "spectrum":
             for (_, channel), value in values.items():
                 nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
@@ -62,6 +67,12 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[st
             for key, value in found.items()
             if key.startswith(name + ".") and not key.endswith("spread_px")
         )
+        if name == Aperture.name:
+            across, down = found[f"{name}.lit_across"], found[f"{name}.lit_down"]
+            lines.append(
+                f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
+            )
+            continue
         changed = "" if session.lens is None else _changed(session.lens, name)
         lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
     return lines
@@ -90,7 +101,7 @@ def _of_fits(session: SessionFits) -> dict[tuple[str, ...], Uncertain]:
     for local in session.fits:
         measured, modes = local.fit.measured, len(local.fit.noll)
         for k, label in enumerate(measured.parts, modes):
-            of = (label, local.channel) if label == SPECTRUM_WIDTH else (label,)
+            of = whose(label, local.channel)
             seen.setdefault(of, []).append((measured.values[k], measured.covariance[k, k]))
     return {of: _weighted(np.array(pairs)) for of, pairs in seen.items()}
 

@@ -13,6 +13,7 @@ from labkit.analysis.lens_fit import LensFit, belongs, fit_lens, fit_session_len
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
+from labkit.analysis.panel import as_shown
 from labkit.analysis.twins import choose_twins
 from labkit.errors import FitError, LostTasksError
 from labkit.execute import Result, Run
@@ -292,7 +293,8 @@ class _Chain:
         observation = self.observations[k]
         optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
         std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
-        task = Task(optics, self.target, observation, std, patience_s=self.patience_s)
+        target = as_shown(self.plan, self.target, observation.channel)
+        task = Task(optics, target, observation, std, patience_s=self.patience_s)
         task = replace(task, missing=(LowPass(),) if self.diagnose else ())
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = _nearest(observation, accepted)

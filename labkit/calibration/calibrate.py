@@ -31,7 +31,7 @@ class Calibration:
 
     offset: counts without light, None = as each file states; illumination: for each range that has flats, NaN where they
     are unlit; response: relative to neighbours, with its posterior standard deviation (relative too); usable: neither
-    hot nor dead.
+    hot nor dead; panel_seen: whether flats show the panel's own pixels, which were taken off.
     """
 
     offset: Floats32 | None
@@ -41,6 +41,12 @@ class Calibration:
     usable: Bools | None
     noise: Mapping[str, NoiseEstimate]
     warnings: tuple[str, ...]
+    panel_seen: bool = False
+
+    @property
+    def light_known(self) -> bool:
+        """Whether flats tell the illumination, low orders and all."""
+        return bool(self.illumination) and not self.panel_seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +104,7 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
         usable=usable,
         noise=noise,
         warnings=(*dark_warnings(kinds), *flat_warnings(flats, noise)),
+        panel_seen=any(flat.panel is not None for flat in flats.values()),
     )
 
 

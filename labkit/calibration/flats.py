@@ -11,13 +11,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import Dark
-from labkit.calibration.masters import Plane, clipped_mean, outliers, shrunk, smooth_illumination
+from labkit.calibration.lattice import repeating
+from labkit.calibration.masters import Illumination, Plane, clipped_mean, outliers, shrunk, smooth_illumination
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
+
+LEAST_LIT = 0.2
+"""Of its surroundings' light, what a pixel gets between a panel's pixels that still tells its response."""
+
+NEAR_PX = 3.0
+"""Pixels of a plane: over so little light is smoothed where a panel is near enough to show its pixels. Its unevenness shows
+too; the noise of the mean, a tenth of a pixel's, counts for nothing beside that of a photograph."""
+
+PASSES = 8
+"""Of light and the panel's pattern, at most, each found beside the other: where a tenth of the pixels are full they need
+as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +38,8 @@ class Flat:
 
     frames: how many; illumination: (rows, cols), mean 1 in each channel, NaN where unlit; mean: (rows, cols) counts above
     dark, NaN where saturated; places: the planes of each channel; level: the counts that illumination 1 means in it;
-    scatter: from frame to frame, of each channel.
+    scatter: from frame to frame, of each channel. panel: (rows, cols) how much brighter or darker than the mean of its
+    surroundings the panel's own pixels make each pixel, NaN where too dark to be of use; None where they are not seen.
     """
 
     frames: int
@@ -35,6 +48,7 @@ class Flat:
     places: Mapping[str, tuple[Plane, ...]]
     level: Mapping[str, float]
     scatter: Mapping[str, tuple[Scatter, ...]]
+    panel: Floats32 | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,18 +66,47 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     mean = clipped_mean(stack.counts) - offset
     good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
-    places, levels = {}, {}
+    places, levels, panel = {}, {}, np.ones(mean.shape, dtype=np.float32)
     for name in names:
         places[name] = stack.first.planes(name)
-        smooth = [smooth_illumination(mean[plane], good[plane]) for plane in places[name]]
+        found = [_light_and_panel(mean[plane], good[plane], stack.saturated[plane]) for plane in places[name]]
+        smooth = [light for light, _ in found]
+        for plane, (_, pattern) in zip(places[name], found, strict=True):
+            panel[plane] += pattern
         levels[name] = float(np.mean([part.level for part in smooth]))
         for plane, part in zip(places[name], smooth, strict=True):
             illumination[plane] = np.where(part.lit, part.relative * part.level / levels[name], np.nan)
     mean[stack.saturated] = np.nan
+    seen = bool(np.any(panel != 1))
+    panel[panel < LEAST_LIT] = np.nan
     lit = np.isfinite(illumination) & ~stack.saturated
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
-    return Flat(len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter)
+    return Flat(
+        len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter, panel if seen else None
+    )
+
+
+def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
+    """A plane's smooth light, and the pattern that the panel's own pixels make in it, (rows, cols), mean 0; zero without one.
+
+    flat: (rows, cols) counts; full: saturated pixels, not good.
+    """
+    light, pattern, filled = smooth_illumination(flat, good), np.zeros(flat.shape), flat
+    for _ in range(PASSES):
+        smooth = np.where(light.lit, light.relative * light.level, 1.0)
+        more = repeating(filled / smooth - 1 - pattern, (good | full) & light.lit)
+        if more is not None:
+            pattern += more
+        elif not (full & (pattern != 0)).any():
+            break
+        # the brightest of a pattern may be full: without them light would be too low, so they are what it and pattern say
+        filled = np.where(full, np.maximum(flat, smooth * (1 + pattern)), flat)
+        # a difference errs as the pattern does, to and fro; a quotient would err to one side
+        light = smooth_illumination(filled - smooth * pattern, good | full)
+    if pattern.any():
+        light = smooth_illumination(filled / (1 + np.maximum(pattern, LEAST_LIT - 1)), good | full, NEAR_PX)
+    return light, pattern
 
 
 def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:
@@ -114,8 +157,10 @@ def _mean_ratio(flats: Sequence[Flat], plane: Plane, name: str, noise: NoiseEsti
     floor = (noise.read_noise or 0.0) ** 2 + ROUNDING_VARIANCE
     for flat in flats:
         expected = flat.illumination[plane].astype(np.float64) * flat.level[name]
+        if flat.panel is not None:
+            expected *= flat.panel[plane]
         weight = np.nan_to_num(flat.frames * expected**2 / ((noise.gain or 0.0) * expected + floor))
-        weight[np.isnan(flat.mean[plane])] = 0.0
+        weight[np.isnan(flat.mean[plane] + expected)] = 0.0
         weighted += weight * np.nan_to_num(flat.mean[plane] / expected)
         weights += weight
     return np.where(weights > 0, weighted / np.maximum(weights, 1e-300), 1.0), weights

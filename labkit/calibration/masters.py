@@ -87,17 +87,17 @@ class Illumination:
     lit: Bools
 
 
-def smooth_illumination(flat: Floats, good: Bools) -> Illumination:
+def smooth_illumination(flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX) -> Illumination:
     """The smooth part of a plane's mean flat.
 
-    flat: (rows, cols) counts with black removed; good: pixels that may be used. A robust polynomial of low order takes
-    the fall-off, a wide Gaussian mean what it leaves; pixel response stays out of both, being uncorrelated.
+    flat: (rows, cols) counts with black removed; good: pixels that may be used; smooth_px: of the Gaussian. A robust polynomial
+    of low order takes the fall-off, a wide Gaussian mean what it leaves; pixel response stays out of both, being uncorrelated.
     """
     lit = _lit(flat, good)
     use = good & lit
     surface = _polynomial(flat, use)
     remainder = np.where(use, flat / surface, 0.0)
-    sigma = min(SMOOTH_PX, min(flat.shape) / 8)
+    sigma = min(smooth_px, min(flat.shape) / 8)
     weight = ndimage.gaussian_filter(use.astype(np.float64), sigma, mode="constant")
     centre = float(np.median(remainder[use]))
     spread = 1.4826 * float(np.median(np.abs(remainder[use] - centre)))

@@ -29,7 +29,7 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
     Raises TargetError if no such size is near, if the panel is too small, or if a radiance is above white.
     """
     cells = target.cells.shape if isinstance(target, CellTarget) else None
-    rows, cols = (_whole_pixels(target.size_mm[i], cells[i] if cells else 1, panel.pitch_mm) for i in range(2))
+    rows, cols = (whole_pixels(target.size_mm[i], cells[i] if cells else 1, panel.pitch_mm) for i in range(2))
     if rows > panel.pixels[0] or cols > panel.pixels[1]:
         raise TargetError(
             f"the target takes {rows} × {cols} pixels of {panel.pitch_mm:g} mm; "
@@ -48,8 +48,8 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
     return PanelPicture(grey, (rows * panel.pitch_mm, cols * panel.pitch_mm))
 
 
-def _whole_pixels(side_mm: float, cells: int, pitch_mm: float) -> int:
-    """Pixels along a side: a whole number for each cell."""
+def whole_pixels(side_mm: float, cells: int, pitch_mm: float) -> int:
+    """Pixels along a side: a whole number for each cell. Raises TargetError where the side is no such number, about."""
     pixels = cells * max(1, round(side_mm / cells / pitch_mm))
     if abs(pixels * pitch_mm / side_mm - 1) > SIZE_TOLERANCE:
         raise TargetError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labkit.devices.protocols import PanelInfo
 from labkit.errors import PlanError
-from labkit.plan import DisplaySettings
+from labkit.plan import DisplaySettings, Plan
 
 PANELS = {
     "ipad-9.7-retina": PanelInfo((1536, 2048), 25.4 / 264),
@@ -26,3 +26,27 @@ def panel_info(settings: DisplaySettings) -> PanelInfo:
             f'display.panel = "{settings.panel}": known are {known}; or give pixel_pitch_mm and pixels instead'
         )
     return PANELS[settings.panel]
+
+
+SAME_PITCH = 0.005
+"""Relative: pitches that differ by more are those of two panels."""
+
+
+def panel_pitch_mm(plan: Plan) -> float | None:
+    """Of the panel's pixels that a plan wants drawn, as [target.pixels] or else [display] states it; None where none are.
+
+    Raises PlanError where neither states it, or they contradict each other.
+    """
+    pixels, shown = plan.target.pixels, None if plan.display is None else panel_info(plan.display).pitch_mm
+    if pixels is None:
+        return None
+    if pixels.pitch_mm is None:
+        if shown is None:
+            raise PlanError("target.pixels.pitch_mm is missing: give it, or the panel as [display] panel")
+        return shown
+    if shown is not None and abs(pixels.pitch_mm / shown - 1) > SAME_PITCH:
+        raise PlanError(
+            f"target.pixels.pitch_mm = {pixels.pitch_mm:g} contradicts [display], whose panel has pixels of {shown:.4g} mm: "
+            "leave pitch_mm out, or correct the one that is wrong"
+        )
+    return pixels.pitch_mm

@@ -12,13 +12,14 @@ from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
-from labkit.imaging.parts import Part
+from labkit.imaging.parts import Aperture, Part
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY, window_for
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.panel_target import PanelTarget
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
 
@@ -97,6 +98,16 @@ class Optics:
         width = [] if self.spectrum.variance is None else [WIDEST**2]
         return np.array([*(usual for part in self.parts for usual in part.usual), *width, 1.0])
 
+    @property
+    def drawn(self) -> tuple[int, Aperture] | None:
+        """The part that the target is drawn by, and where its numbers begin in the shape; None without it."""
+        at = 0
+        for part in self.parts:
+            if isinstance(part, Aperture):
+                return at, part
+            at += len(part.labels)
+        return None
+
     def shaped(self, shape: Floats) -> "Optics":
         """The same of another shape (n,)."""
         numbers = iter(map(float, shape))
@@ -155,6 +166,7 @@ class ForwardModel:
         cutoff = 1 / (optics.airy_um * (1 - spare) * optics.spectrum.shortest)
         guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
+        target = _lit(target, optics)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
         spacing_um = torus.spacing_um / finer
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
@@ -170,10 +182,15 @@ class ForwardModel:
         return cls(Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
 
     def shaped(self, optics: Optics) -> "ForwardModel":
-        """The same of another `Optics.shape`; drawings serve both. Raises ValueError for a cone wider than spared."""
+        """The same of another `Optics.shape`; drawings serve both unless an `Aperture` is a part of it.
+
+        Raises ValueError for a cone wider than spared.
+        """
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.spectrum, parts=optics.parts)
-        return replace(self, blur=blur, rough=replace(blur, torus=self.rough.torus).simple)
+        target = _lit(self.scene.target, optics)
+        scene = self.scene if target is self.scene.target else replace(self.scene, target=target)
+        return replace(self, scene=scene, blur=blur, rough=replace(blur, torus=self.rough.torus).simple)
 
     def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
         """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
@@ -238,6 +255,11 @@ class ForwardModel:
             ]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
+        if by_shape and (drawn := self.optics.drawn) is not None:
+            first = by_lens[0].shape[0] - self.optics.shape.size + drawn[0]
+            for of_frame, slopes, u in zip(by_lens, self.scene.slopes(drawing.poses), used, strict=True):
+                for k, slope in enumerate(slopes, first):
+                    of_frame[k] = self._seen(blur.torus.sample(self._cut(blur, slope) * single), u)
         kernels = (single, *blur.spread(single))
         by_pose = [
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
@@ -317,6 +339,13 @@ class ForwardModel:
     def _lit(self, pixels: Floats, used: Bools) -> Floats:
         """(..., pixels) relative to that."""
         return pixels if self.scene.shine is None else pixels / self.light[used]
+
+
+def _lit(target: Target, optics: Optics) -> Target:
+    """The target as it shines with the optics' aperture, if that is estimated; itself where it does so already."""
+    if optics.drawn is None or not isinstance(target, PanelTarget) or target.aperture == optics.drawn[1].lit:
+        return target
+    return target.lit(*optics.drawn[1].lit)
 
 
 def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:

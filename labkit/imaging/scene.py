@@ -1,7 +1,8 @@
 """A target on the torus, at a pose: rendered from geometry, band-limited, warped (thesis 2.36-2.38)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from labkit.imaging import spline
 from labkit.imaging.grid import Torus
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
+from labkit.panel_target import PanelTarget
 from labkit.target import Target
 from labkit.types import Complexes, Floats
 
@@ -50,8 +52,16 @@ class Scene:
     _raster: "_Raster" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        raster = _Raster.draw(self.target, self.reference, self.cutoff_per_um * self.torus.pitch_um)
+        (raster,) = self._rasters(lambda *at: (self.target.sample(*at) - self.surround,))
         object.__setattr__(self, "_raster", raster)
+
+    def _rasters(self, sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]]) -> "tuple[_Raster, ...]":
+        return _Raster.draw(sampled, self.target.size_mm, self.reference, self.cutoff_per_um * self.torus.pitch_um)
+
+    @cached_property
+    def _slopes(self) -> "tuple[_Raster, ...]":
+        """By the aperture of a panel's stripes."""
+        return self._rasters(self.target.slopes) if isinstance(self.target, PanelTarget) else ()
 
     @property
     def surround(self) -> float:
@@ -60,9 +70,13 @@ class Scene:
 
     def image(self, pose: Pose) -> Floats:
         """Fine image (torus.fine) of the radiance above the surround's. pose: in the pixels of the frame."""
+        return self._seen(self._raster, pose)
+
+    def _seen(self, raster: "_Raster", pose: Pose) -> Floats:
+        """Fine image of a raster at a pose."""
         many, (top, left) = self.torus.oversampling, self.torus.margin
         onto_torus = pose.shifted(-top, -left)
-        corners = onto_torus.to_pixels(*self._raster.outline)
+        corners = onto_torus.to_pixels(*raster.outline)
         low = np.floor(corners.min(axis=0) * many).astype(int)
         high = np.ceil(corners.max(axis=0) * many).astype(int) + 1
         low, high = np.clip(low, 0, self.torus.fine), np.clip(high, 0, self.torus.fine)
@@ -70,7 +84,7 @@ class Scene:
         if np.all(high > low):
             to_torus = np.array([[1 / many, 0, low[0] / many], [0, 1 / many, low[1] / many], [0, 0, 1]])
             window = tuple(slice(*ends) for ends in zip(low, high, strict=True))
-            image[window] = self._raster.at(np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape)
+            image[window] = raster.at(np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape)
             if self.shine is not None:
                 rows, columns = (
                     np.arange(*ends) / many - margin
@@ -83,6 +97,10 @@ class Scene:
         """The half planes of the DFT of `image` at each pose."""
         return Drawing(tuple(poses), tuple(self.torus.half_spectrum(self.image(pose)) for pose in poses))
 
+    def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes, ...]]:
+        """At each pose the half planes of the derivatives of `image` by the aperture of a panel's stripes; none of others."""
+        return [tuple(self.torus.half_spectrum(self._seen(raster, pose)) for raster in self._slopes) for pose in poses]
+
 
 @dataclass(frozen=True, eq=False)
 class _Raster:
@@ -93,18 +111,23 @@ class _Raster:
     step: Floats  # between samples
 
     @classmethod
-    def draw(cls, target: Target, reference: Pose, cutoff_per_px: float) -> "_Raster":
-        half_mm = np.array(target.size_mm) / 2
+    def draw(
+        cls,
+        sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]],
+        size_mm: tuple[float, float],
+        reference: Pose,
+        cutoff_per_px: float,
+    ) -> "tuple[_Raster, ...]":
+        """Of what is sampled as a target of a size is, at the reference's scale."""
+        half_mm = np.array(size_mm) / 2
         pixel_per_mm = float(np.max(reference.pixel_per_unit() / half_mm))
         cutoff_per_mm = cutoff_per_px * pixel_per_mm
         step_mm = 1 / (2 * cutoff_per_mm * SUPERSAMPLING)
         counts = np.ceil(half_mm / step_mm + MARGIN_NYQUIST * SUPERSAMPLING).astype(int)
         y_mm, x_mm = (np.arange(-n, n + 1) * step_mm for n in counts)
-        values = target.sample(y_mm, x_mm, BAND_SHARE * cutoff_per_mm) - (target.surround or 0.0)
-        return cls(
-            spline.coefficients(values),
-            -counts * step_mm / half_mm,
-            step_mm / half_mm,
+        return tuple(
+            cls(spline.coefficients(values), -counts * step_mm / half_mm, step_mm / half_mm)
+            for values in sampled(y_mm, x_mm, BAND_SHARE * cutoff_per_mm)
         )
 
     @property

@@ -235,11 +235,12 @@ class Search:
         """The maximum with the missing parts free, if it then is believed. It is sought where slopes promise what is needed."""
         self.progress("with the camera's parts")
         model, state = self.whole.model, plain.freed.solution.state
-        names = [part.name for part in self.missing]
-        promised = calls(plain.freed.problem, state, names, self.f_number_std)
-        if max(call.gain for call in promised.values()) < CALLED_FOR:
+        have = model.optics.parts
+        missing = tuple(part for part in self.missing if part.name not in {one.name for one in have})
+        promised = calls(plain.freed.problem, state, [part.name for part in missing], self.f_number_std)
+        if max((call.gain for call in promised.values()), default=0.0) < CALLED_FOR:
             return plain
-        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=self.missing)))
+        problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *missing))))
         outcome = self._freed(problem, state)
         gained = outcome.freed.solution.objective - plain.freed.solution.objective
         if gained < CALLED_FOR or not outcome.verdict.accepted:

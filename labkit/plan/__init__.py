@@ -10,6 +10,7 @@ from labkit.plan.tables import (
     FitSettings,
     Lens,
     RailSettings,
+    TargetPixels,
     TargetSpec,
 )
 
@@ -24,5 +25,6 @@ __all__ = [
     "RailSettings",
     "Sensor",
     "Table",
+    "TargetPixels",
     "TargetSpec",
 ]

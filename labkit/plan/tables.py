@@ -53,6 +53,8 @@ ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02
 WITHIN_CHANNEL = 0.05
 """Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
 
+LEAST_LIT = 0.05
+APERTURE = f"[across, down], each {LEAST_LIT:g} to 1"
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
@@ -131,6 +133,26 @@ class Channel(Table):
 Cells = Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))]
 
 
+class TargetPixels(Table):
+    """The pixels of the panel that shows the target, where the camera resolves them.
+
+    pitch_mm: of square pixels; the display's where it is left out. layout: of red, green and blue in each, by columns from left
+    to right ("stripes") or by rows from top to bottom, as the frame shows the panel upright. aperture: (across, down), the
+    share of its third, and of the pitch along it, that a stripe is lit over; estimated where it is left out.
+    """
+
+    pitch_mm: Length | None = None
+    layout: Literal["rgb-stripes", "bgr-stripes", "rgb-rows", "bgr-rows"] = "rgb-stripes"
+    aperture: Annotated[tuple[Number, Number] | None, Field(description=APERTURE)] = None
+
+    @field_validator("aperture")
+    @classmethod
+    def _possible(cls, aperture: tuple[float, float] | None) -> tuple[float, float] | None:
+        if aperture is not None and not all(LEAST_LIT <= share <= 1 for share in aperture):
+            raise not_allowed(APERTURE)
+        return aperture
+
+
 class TargetSpec(Table):
     """What was photographed. `file` is absolute once a plan is loaded.
 
@@ -151,6 +173,7 @@ class TargetSpec(Table):
     surround: Literal["black", "white", "unknown"] = "black"
     file: Path | None = None
     corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
+    pixels: TargetPixels | None = None
 
     @property
     def stated_size(self) -> Uncertain:
@@ -176,6 +199,8 @@ class TargetSpec(Table):
         for key in NEEDED.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
+        if self.pixels is not None and self.surround == "white":
+            raise problem('surround = "white": allowed is "black" or "unknown" where [target.pixels] draws the panel')
         checked = (info.context or {}).get("files") != "unchecked"  # a plan that is only read about needs no picture
         if checked and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')

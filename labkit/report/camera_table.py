@@ -12,6 +12,7 @@ NAMES = {
     "smear": "smear",
     "veil": "veil of stray light",
     "spectrum": "spectrum",
+    "panel_pixels": "the panel's pixels",
 }
 """Parts of the camera, as results name them, in words."""
 
@@ -22,6 +23,8 @@ NUMBERS = {
     "sigma_px": "standard deviation",
     "width_nm": "standard deviation",
     "share": "of all light",
+    "lit_across": "share of its third that a stripe is lit over",
+    "lit_down": "share of the pitch along it",
 }
 
 

@@ -13,7 +13,7 @@ ROOMS = [
     ["files", "arrays", "images"],
     ["plan"],
     ["target"],
-    ["target_file"],
+    ["target_file", "panel_target"],
     ["execute"],
     ["optics"],
     ["imaging"],

@@ -1,0 +1,54 @@
+"""The target as a plan's panel shows it, pixel by pixel, to each colour of the camera."""
+
+from __future__ import annotations
+
+from labkit.devices.panel_image import whole_pixels
+from labkit.devices.panels import panel_pitch_mm
+from labkit.errors import PlanError, TargetError
+from labkit.panel_target import PanelTarget
+from labkit.plan import Plan
+from labkit.plan.plan import COLOUR_WORDS
+from labkit.target import CellTarget, Target
+
+
+def as_shown(plan: Plan, target: Target, channel: str) -> Target:
+    """A plan's target in the stripes that a channel sees of its panel; itself where the plan wants no pixels drawn.
+
+    Raises PlanError for a channel without a colour and as `panel_pixels` does.
+    """
+    spec, pixels = plan.target.pixels, panel_pixels(plan, target)
+    if spec is None or pixels is None:
+        return target
+    order, _, way = spec.layout.partition("-")
+    colour = COLOUR_WORDS.get(channel.lower())
+    if colour is None:
+        raise PlanError(
+            f'channel "{channel}" is none of R, G and B: [target.pixels] draws the stripe that a colour lights; '
+            "take the table out, or name the channel by the colour of its filter"
+        )
+    shown = PanelTarget.of(target, pixels, order.index(colour.lower()), lying=way == "rows")
+    return shown if spec.aperture is None else shown.lit(*spec.aperture)
+
+
+def pixels_per_cell(plan: Plan, target: Target) -> int | None:
+    """Along a side of a target's cell; None where the plan wants no pixels drawn. Raises PlanError as `panel_pixels` does."""
+    pixels = panel_pixels(plan, target)
+    if pixels is None:
+        return None
+    return pixels[0] // target.cells.shape[0] if isinstance(target, CellTarget) else 1
+
+
+def panel_pixels(plan: Plan, target: Target) -> tuple[int, int] | None:
+    """(rows, columns) of its panel's pixels that a plan's target takes; None where the plan wants none drawn.
+
+    Raises PlanError where the pitch is not known, contradicts the display's, or the target is no whole number of such pixels.
+    """
+    pitch_mm = panel_pitch_mm(plan)
+    if pitch_mm is None:
+        return None
+    cells = target.cells.shape if isinstance(target, CellTarget) else (1, 1)
+    try:
+        down, across = (whole_pixels(side, n, pitch_mm) for side, n in zip(target.size_mm, cells, strict=True))
+    except TargetError as error:
+        raise PlanError(f"target.pixels: {error}, or correct target.pixels.pitch_mm") from None
+    return down, across

@@ -1,0 +1,127 @@
+"""A pattern that repeats over a flat: the pixels of a panel so close that the camera sees them. It is no illumination.
+
+It stands in a few sharp peaks of the spectrum, aliased by the sensor as it may be, with noise and pixel response alike
+between them. Each peak's wave is found by demodulation: amplitude and phase may vary slowly over the frame, as
+perspective and field make them.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import scipy.fft
+from scipy import ndimage
+
+from labkit.types import Bools, Floats
+
+SLOWEST = 0.04
+"""Cycles a pixel of a plane: slower waves are the illumination's, which is smoothed over 16 pixels."""
+
+APART = 0.03
+"""Cycles a pixel: waves nearer to one another than this are one."""
+
+SLOW, LEAST_SLOW = 0.15, 5e-3
+"""Cycles a pixel, and amplitude: waves as slow and weaker may be an uneven panel, which is illumination."""
+
+LEAST_WAVE = 2e-3
+"""Amplitude, of the light, of the strongest wave of a pattern: noise and dust have less."""
+
+BEYOND_CHANCE = 12.0
+"""By so much more than the logarithm of their number a power must exceed the mean: chance does so once in 160 000 planes."""
+
+SMOOTH_PX, KNOT_PX = 10.0, 4.0
+"""Standard deviation of the mean that a wave's amplitude is found by: 1/50 000 of a wave 0.075 cycles a pixel away is in it.
+And how far apart the places are that it is found at, linear between them."""
+
+MOST_WAVES, ROUNDS = 40, 3
+"""Of a pattern; and how often each is found anew beside the others, whenever more have shown."""
+
+TILE_PX, BORDER_PX = 256, 24
+"""Larger planes are looked at in tiles of this side, which lie over one another by twice the border: all of a tile's waves have
+about the same frequencies."""
+
+
+def repeating(relative: Floats, use: Bools) -> Floats | None:
+    """The pattern (rows, cols) that repeats over a plane, mean 0; None where none does.
+
+    relative: (rows, cols) light less its smooth part, in units of that; use: pixels that may be used, the rest may be anything.
+    """
+    pattern, found = np.zeros(relative.shape), False
+    for rows, own_rows in _tiles(relative.shape[0]):
+        for cols, own_cols in _tiles(relative.shape[1]):
+            waves = _waves(np.where(use, relative, 0.0)[rows, cols], use[rows, cols])
+            if waves is not None:
+                pattern[own_rows, own_cols] = waves[
+                    own_rows.start - rows.start : own_rows.stop - rows.start,
+                    own_cols.start - cols.start : own_cols.stop - cols.start,
+                ]
+                found = True
+    return pattern if found else None
+
+
+def _tiles(size: int) -> list[tuple[slice, slice]]:
+    """Along one axis: tiles, and the part of each that is its own."""
+    many = max(1, -(-(size - 2 * BORDER_PX) // (TILE_PX - 2 * BORDER_PX)))
+    ends = [round(size * k / many) for k in range(many + 1)]
+    return [
+        (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high)) for low, high in pairwise(ends)
+    ]
+
+
+def _waves(relative: Floats, use: Bools) -> Floats | None:
+    """The pattern of one tile."""
+    knots = [_knots(n) for n in use.shape]
+    weight = np.maximum(knots[0][0] @ use @ knots[1][0].T, 1e-3)
+    rest, pattern, strongest, frequencies = relative.copy(), np.zeros(use.shape), 0.0, list[Floats]()
+    while len(frequencies) < MOST_WAVES:
+        new = [f for f in _peaks(rest, use) if all(_distance(f, other) > APART for other in frequencies)]
+        if not new:
+            break
+        frequencies += new[: MOST_WAVES - len(frequencies)]
+        for frequency in frequencies * ROUNDS:
+            down, right = (np.exp(2j * np.pi * f * np.arange(n)) for f, n in zip(frequency, use.shape, strict=True))
+            # of the other half of the spectrum there is as much again
+            amplitude = 2 * ((knots[0][0] * down.conj()) @ rest @ (knots[1][0] * right.conj()).T) / weight
+            wave = ((down[:, None] * knots[0][1]) @ amplitude @ (right[:, None] * knots[1][1]).T).real
+            strongest = max(strongest, float(np.abs(amplitude).mean()))
+            pattern += wave
+            rest -= np.where(use, wave, 0.0)
+    return pattern if strongest > LEAST_WAVE else None
+
+
+def _knots(size: int) -> tuple[Floats, Floats]:
+    """Along one axis: (knots, size) weights of the mean about each knot, (size, knots) of the line between them."""
+    at, pixels = np.linspace(0, size - 1, int(np.ceil(size / KNOT_PX)) + 1), np.arange(size)
+    sigma = min(SMOOTH_PX, size / 8)
+    near = np.exp(-(((pixels - at[:, None]) / sigma) ** 2) / 2)
+    return near, np.maximum(1 - np.abs(pixels[:, None] - at) / (at[1] - at[0]), 0.0)
+
+
+def _peaks(rest: Floats, use: Bools) -> list[Floats]:
+    """Frequencies (2,) of what rises out of the noise in a spectrum, cycles a pixel, the strongest first."""
+    window = np.outer(*(np.hanning(n + 2)[1:-1] for n in rest.shape)) * use
+    size = tuple(scipy.fft.next_fast_len(2 * n) for n in rest.shape)  # between a whole number of waves too
+    power = np.abs(scipy.fft.rfft2(np.where(use, rest, 0.0) * window, size)) ** 2 / max(
+        float(np.sum(window**2)), 1e-300
+    )
+    rows, cols = scipy.fft.fftfreq(size[0])[:, None], scipy.fft.rfftfreq(size[1])[None, :]
+    fast = np.hypot(rows, cols) > SLOWEST
+    level = float(np.median(power[fast])) / np.log(2)
+    tops = fast & (power == ndimage.maximum_filter(power, 5, mode="wrap"))
+    tops &= power > level * (np.log(power.size) + BEYOND_CHANCE)
+    amplitude = 2 * np.sqrt(power * np.sum(window**2)) / max(float(window.sum()), 1e-300)
+    tops &= (amplitude > LEAST_SLOW) | (np.hypot(rows, cols) > SLOW)
+    found = sorted(zip(power[tops], *np.nonzero(tops), strict=True), reverse=True)
+    peaks: list[Floats] = []
+    for _, row, col in found:
+        at = np.array([rows[row, 0], cols[0, col]])
+        if all(_distance(at, other) > APART for other in peaks):
+            peaks.append(at)
+    return peaks
+
+
+def _distance(one: Floats, other: Floats) -> float:
+    """Of two frequencies of real waves that are sampled: they are the same if turned round, and modulo 1."""
+    apart = [np.array(one) - sign * np.array(other) for sign in (1, -1)]
+    return float(min(np.hypot(*(a - np.round(a))) for a in apart))

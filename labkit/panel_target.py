@@ -1,0 +1,139 @@
+"""A target on a panel whose own pixels are seen: each colour lights a stripe of each pixel, with dark gaps between.
+
+The stripe of a colour is a third of a pixel wide, shifted by a third from colour to colour, and lit over a share of it: the
+aperture. Drawn in closed form as `labkit.target.CellTarget` is, stripe by stripe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labkit.arrays import real_array
+from labkit.errors import TargetError
+from labkit.target import Target, distinct, low_pass
+from labkit.types import Floats
+
+STRIPES = 3
+"""Colours of a pixel, side by side."""
+
+USUAL_APERTURE = 0.85
+"""Share of its third, and of the pitch along it, that a stripe is usually lit over."""
+
+
+@dataclass(frozen=True, slots=True)
+class PanelTarget:
+    """One colour of a target on a panel, a stripe to each pixel.
+
+    pixels: (rows, cols) radiance of the panel's pixels, the mean over each; size_mm: (height, width) of all of them; place: of
+    the colour's stripe in a pixel, 0, 1 or 2 from left to right, or from top to bottom where the stripes are `lying`.
+    aperture: (across, down) the stripe, shares of a third of a pixel and of a pixel that are lit, above 0. surround: as of
+    `CellTarget`, dark. Raises TargetError for other numbers.
+    """
+
+    pixels: Floats
+    size_mm: tuple[float, float]
+    place: int
+    lying: bool = False
+    aperture: tuple[float, float] = (USUAL_APERTURE, USUAL_APERTURE)
+    surround: float | None = 0.0
+    _core: Floats = field(init=False, repr=False, compare=False)
+    _row_of: NDArray[np.intp] = field(init=False, repr=False, compare=False)
+    _col_of: NDArray[np.intp] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.place not in range(STRIPES):
+            raise TargetError(f"a panel pixel's stripes are 0, 1 and 2; there is no {self.place}")
+        if not all(np.isfinite(share) and share > 0 for share in self.aperture):
+            across, down = self.aperture
+            raise TargetError(f"a stripe is lit over shares of its width and length above 0, not {across:g}, {down:g}")
+        if self.surround:
+            raise TargetError(f"a panel's pixels are drawn with darkness around them, not {self.surround:g} of white")
+        for name, value in zip(("_core", "_row_of", "_col_of"), distinct(np.asarray(self.pixels, float)), strict=True):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, target: Target, pixels: tuple[int, int], place: int, *, lying: bool = False) -> PanelTarget:
+        """A target on so many (rows, cols) of a panel's pixels, each as bright as the target is at its middle."""
+        y, x = (((np.arange(n) + 0.5) / n - 0.5) * side for n, side in zip(pixels, target.size_mm, strict=True))
+        return cls(target.radiance(y[:, None], x[None, :]), target.size_mm, place, lying, surround=target.surround)
+
+    def lit(self, across: float, down: float) -> PanelTarget:
+        """The same with another aperture."""
+        return replace(self, aperture=(across, down))
+
+    def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
+        """Radiance on the grid y_mm (m,) × x_mm (n,) after the low-pass filter of `CellTarget.sample`, exactly: (m, n)."""
+        return self._drawn(y_mm, x_mm, bandwidth_per_mm, (_lit, _lit))
+
+    def slopes(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> tuple[Floats, Floats]:
+        """Derivatives (m, n) of `sample` by the aperture's two numbers, exactly."""
+        across, down = (
+            self._drawn(y_mm, x_mm, bandwidth_per_mm, by) for by in ((_lit, _lit_slope), (_lit_slope, _lit))
+        )
+        return (down, across) if self.lying else (across, down)
+
+    def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
+        """Exact point values at broadcast (y_mm, x_mm); 0 between the stripes and outside."""
+        places = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
+        inside, index, share = np.ones(places[0].shape, bool), [], 1.0
+        for axis, place in enumerate(places):
+            many, pitch = self._along(axis)
+            offset, width, _ = self._stripe(axis)
+            at = place / pitch + many / 2
+            pixel = np.clip(np.floor(at), 0, many - 1).astype(np.intp)
+            inside = inside & (np.abs(at - pixel - 0.5 - offset) <= width / 2)
+            index.append(pixel)
+            share *= width
+        return np.where(inside, self.pixels[index[0], index[1]] / share, 0.0)
+
+    def _along(self, axis: int) -> tuple[int, float]:
+        """Pixels along an axis, and their pitch, mm."""
+        many = self.pixels.shape[axis]
+        return many, self.size_mm[axis] / many
+
+    def _stripe(self, axis: int) -> tuple[float, float, float]:
+        """Along an axis, in pixels: where a stripe's middle lies from its pixel's, how wide it is lit, how wide it could be."""
+        across, down = self.aperture
+        if (axis == 0) == self.lying:
+            return (self.place - 1) / STRIPES, across / STRIPES, 1 / STRIPES
+        return 0.0, down, 1.0
+
+    def _drawn(
+        self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float, by: tuple[_Profile, _Profile]
+    ) -> Floats:
+        """(m, n) of profiles along y and x."""
+        if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
+            raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
+        places = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
+        profiles = []
+        for axis, (at, group, profile) in enumerate(zip(places, (self._row_of, self._col_of), by, strict=True)):
+            (many, pitch), (offset, width, whole) = self._along(axis), self._stripe(axis)
+            middles = (np.arange(many) + 0.5 - many / 2 + offset) * pitch
+            unit = pitch * bandwidth_per_mm
+            each = unit * profile((at[:, None] - middles) * bandwidth_per_mm, width * unit)
+            if profile is _lit_slope:
+                each *= whole * unit
+            profiles.append(each @ np.eye(group.max() + 1)[group])
+        return np.asarray(profiles[0] @ self._core @ profiles[1].T)
+
+
+_Profile = Callable[[Floats, float], Floats]
+
+
+def _lit(at: Floats, width: float) -> Floats:
+    """A box of unit area, behind the filter for a bandwidth of 1."""
+    reach, step = low_pass()
+    ends = (step(np.clip(at + sign * width / 2, -reach, reach)) for sign in (1, -1))
+    return np.asarray((next(ends) - next(ends)) / width)
+
+
+def _lit_slope(at: Floats, width: float) -> Floats:
+    """Its derivative by its width."""
+    reach, step = low_pass()
+    kernel, edges = step.derivative(), [at + sign * width / 2 for sign in (1, -1)]
+    beyond = sum(np.where(np.abs(edge) < reach, kernel(np.clip(edge, -reach, reach)), 0.0) for edge in edges) / 2
+    return np.asarray((beyond - _lit(at, width)) / width)
