@@ -61,10 +61,10 @@ def fit(
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
-    only these. patience_s: after so long the search for a wavefront makes no further start.
-    joint: climb over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and
-    NAME-after besides. plain: the model is as the plan states it, even where the photographs call for parts of the camera
-    that it lacks. name: "latest" by default; of a fit of only some ranges or channels, their names.
+    only these. patience_s: after so long the search for a wavefront makes no further start. joint: climb over all frames at
+    once in the end. split: where the lens was changed half-way, write NAME-before and NAME-after besides. plain: the model is
+    as the plan states it, even where it lacks parts of the camera. name: "latest" by default; of a fit of only some ranges or
+    channels, their names.
     Raises SessionError for photographs or a plan that were altered, TargetError, DataError for frames that cannot be fitted
     and where more results would be lost than made. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -82,9 +82,8 @@ def fit(
     change = find_change(fits, Stated.of(plan))
     common = (plan, _checksum(session, plan), _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
-    parts = {} if change is None or not split else {"-before": change.before, "-after": change.after}
-    every = {"": whole} | {end: _results(part, *common, True) for end, part in parts.items()}
-    return _written(folder, every, run, fits.lost)
+    halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
+    return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)
 
 
 def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]) -> Results:

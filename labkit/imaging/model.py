@@ -247,19 +247,13 @@ class ForwardModel:
         blur = self.blur if exact else self.rough
         spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
         by_lens = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
-        if by_shape:
-            turns = [turn.astype(np.complex64) for turn in self._by_shape(blur, waves)]
-            by_lens = [
-                np.concatenate([by_mode, [self._seen(blur.torus.sample(spectrum * turn), u) for turn in turns]])
-                for by_mode, spectrum, u in zip(by_lens, spectra, used, strict=True)
-            ]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
-        if by_shape and (drawn := self.optics.drawn) is not None:
-            first = by_lens[0].shape[0] - self.optics.shape.size + drawn[0]
-            for of_frame, slopes, u in zip(by_lens, self.scene.slopes(drawing.poses), used, strict=True):
-                for k, slope in enumerate(slopes, first):
-                    of_frame[k] = self._seen(blur.torus.sample(self._cut(blur, slope) * single), u)
+        if by_shape:
+            by_turns = self._by_shape(blur, waves, spectra, used)
+            if (drawn := self.optics.drawn) is not None:
+                self._draw_aperture([rows[drawn[0] :] for rows in by_turns], blur, single, drawing, used)
+            by_lens = [np.concatenate(both) for both in zip(by_lens, by_turns, strict=True)]
         kernels = (single, *blur.spread(single))
         by_pose = [
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
@@ -281,12 +275,30 @@ class ForwardModel:
         ]
         return [self._seen(picture, u)[None] for picture, u in zip(pictures, used, strict=True)]
 
-    def _by_shape(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
+    def _by_shape(
+        self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]
+    ) -> list[Floats]:
+        """(shape, pixels) of each frame, by `Optics.shape`: what the transfer function's derivatives make of it."""
+        turns = [turn.astype(np.complex64) for turn in self._turns(blur, waves)]
+        return [
+            np.array([self._seen(blur.torus.sample(spectrum * turn), u) for turn in turns])
+            for spectrum, u in zip(spectra, used, strict=True)
+        ]
+
+    def _turns(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
         """Half planes of the transfer function's derivatives by `Optics.shape`."""
         yield from blur.by_parts(waves)
         if self.blur.spectrum.variance is not None:
             yield replace(blur, spectrum=self.blur.spectrum).by_width(waves)
         yield blur.by_cone(waves)
+
+    def _draw_aperture(
+        self, rows: Sequence[Floats], blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]
+    ) -> None:
+        """Fill rows (any, pixels) of each frame with the derivatives by a panel's aperture, which the target is drawn by."""
+        for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
+            for row, slope in zip(of_frame, slopes, strict=False):
+                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope) * transfer), u)
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
         """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
