@@ -12,7 +12,7 @@ from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
-from labkit.analysis.seen_pixels import refuse_other_pixels, seen_pixels
+from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_parts import model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
@@ -89,11 +89,16 @@ def _written(folder: Path, every: Mapping[str, Results]) -> Results:
 
 
 def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> str | None:
-    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's."""
+    """That photographs show a panel's pixels, where the plan has none.
+
+    Raises DataError where they show them so plainly that no fit could be right, PlanError where they show another panel's.
+    """
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
     if seen is None:
         return None
     if plan.target.pixels is None or per_cell is None:
+        if seen.contrast > PLAIN_CONTRAST:
+            raise DataError(seen.advice)
         return seen.advice
     refuse_other_pixels(plan.target.pixels, per_cell, seen)
     return None
