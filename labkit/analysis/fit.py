@@ -13,7 +13,7 @@ from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
-from labkit.analysis.seen_pixels import refuse_other_pixels, seen_pixels
+from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_parts import WORDS, model_parts, parts_tried, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
@@ -35,9 +35,6 @@ USUAL_CHI2 = (0.9, 1.5)
 
 GO_ON = "fit again: that goes on where this one ended"
 """Fits that are done are kept."""
-
-UNMODELLED_S = 5.0
-"""For a search where the model lacks what photographs plainly show: no end would be accepted."""
 
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
@@ -73,8 +70,7 @@ def fit(
     session, plan = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    if lacking := _panel_lacking(plan, target, observations):
-        assumed, patience_s, plain = [lacking, *assumed], min(patience_s, UNMODELLED_S), True
+    assumed = [*_panel_lacking(plan, target, observations), *assumed]
     with Workers(workers or default_workers()) as processes:
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
@@ -108,15 +104,20 @@ def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: S
     return replace(every[""], folder=folder)
 
 
-def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> str | None:
-    """That photographs show a panel's pixels, where the plan has none. Raises PlanError where they show another panel's."""
+def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[str]:
+    """That photographs show a panel's pixels, where the plan has none.
+
+    Raises DataError where they show them so plainly that no fit could be right, PlanError where they show another panel's.
+    """
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
     if seen is None:
-        return None
+        return []
     if plan.target.pixels is None or per_cell is None:
-        return seen.advice
+        if seen.contrast > PLAIN_CONTRAST:
+            raise DataError(seen.advice)
+        return [seen.advice]
     refuse_other_pixels(plan.target.pixels, per_cell, seen)
-    return None
+    return []
 
 
 def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:

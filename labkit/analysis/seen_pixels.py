@@ -39,7 +39,7 @@ LEAST_CONTRAST = 0.01
 """Amplitude, of white, of a pattern that spoils a fit: more than the noise of a pixel that holds 10 000 electrons."""
 
 PLAIN_CONTRAST = 0.03
-"""From where on a pattern contradicts what a plan states."""
+"""From where on a pattern contradicts what a plan states, and no fit without it could be right."""
 
 BEYOND_NOISE = 8.0
 """Standard errors of an amplitude."""
@@ -71,7 +71,7 @@ class SeenPixels:
         """To a user whose plan lacks them, a line."""
         return (
             f"the panel's own pixels are seen, {self.pitch_mm:.4g} mm apart with {self.contrast:.0%} of contrast, and the plan "
-            f"has no [target.pixels], so the fits lack them: add {self} to [target]"
+            f"has no [target.pixels], so fits would lack them: add {self} to [target]"
         )
 
 

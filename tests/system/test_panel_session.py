@@ -18,7 +18,7 @@ from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
-from labkit.errors import PlanError
+from labkit.errors import DataError, PlanError
 from labkit.plan import Plan
 from labkit.session.session import Session
 from tests.plans import Tables, plan_text
@@ -80,6 +80,13 @@ def test_the_bench_is_measured_though_its_panels_pixels_are_seen(bench: Bench, p
         assert abs(focus[channel].value - bench.truth.best_focus_mm[channel]) < 4 * focus[channel].std
     assert all(w.test is not None and w.test.explains for w in results.wavefronts)
     assert not any("own pixels are seen" in warning for warning in results.warnings)
+
+
+def test_a_plan_without_the_panels_pixels_is_told_of_them(photographed: Session) -> None:
+    with pytest.raises(DataError) as told:
+        labkit.fit(photographed, name="without")
+    assert 'add pixels = { pitch_mm = 0.1, layout = "rgb-stripes" } to [target]' in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 def test_other_stripes_than_the_photographs_show_are_refused(photographed: Session) -> None:
