@@ -216,8 +216,9 @@ def belongs(fit: LensFit, member: Member) -> bool:
 
 
 def _departure(fit: LensFit, member: Member) -> float:
-    """Of a member's modes from those that the others, of whom a fit is made, predict, waves RMS."""
-    if member.channel not in fit.model.channels or not fit.model.shared:
+    """Of a member's modes from those that the others, of whom a fit is made, predict, waves RMS: from the mean of theirs where
+    each has its own."""
+    if member.channel not in fit.model.channels:
         return np.inf
     return float(np.linalg.norm(member.measured.waves - predict(fit, member)[: len(member.measured.noll)]))
 

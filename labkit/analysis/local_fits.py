@@ -81,8 +81,14 @@ class LocalFit:
 
     @property
     def member(self) -> Member:
-        """As a session's estimate takes it."""
+        """Of a session, with the errors of noise alone."""
         return self.task.as_member(self.fit.measured)
+
+    @property
+    def honest_member(self) -> Member:
+        """With errors that hold the model's, where it does not explain the frames."""
+        fit = self.fit
+        return self.task.as_member(fit.measured if fit.verdict.accepted else fit.poor)
 
 
 def fit_task(task: Task) -> WavefrontFit:

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from labkit.analysis.diagnosis import Tried, called_for, idle, lacks, together, worth
-from labkit.analysis.lens_fit import LensFit, belongs, fit_lens, fit_session_lens, predict
+from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
@@ -242,7 +242,7 @@ class _Chain:
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
         lost = tuple(self._left_out())
-        return _honest(replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost))
+        return replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost)
 
     def _done(self, function: Callable[[Input], Result], tasks: Sequence[Input]) -> Iterator[tuple[int, Result]]:
         """What comes of tasks; those that memory was too short for are noted, and what was there before them stays."""
@@ -260,7 +260,7 @@ class _Chain:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.
 
         Fits whose residuals were rejected belong where the others predict them: then the model lacks something, and the
-        optimum is right. Where too few are accepted, all of them vouch for each other.
+        optimum is right; their errors in the estimate say so. Where too few are accepted, all of them vouch for each other.
         """
         fits = {k: self.fits[k] for k in sorted(self.fits)}
         ranged = [k for k, f in fits.items() if f.ranged and not f.fit.verdict.undetermined]
@@ -273,12 +273,12 @@ class _Chain:
             if sign < 0:
                 fits[k] = replace(fits[k], fit=fits[k].fit.twin())
         members = good if len(good) > 1 else ranged
-        out, lens = fit_session_lens([fits[k].member for k in members], stated)
+        out, lens = fit_session_lens([fits[k].honest_member for k in members], stated)
         kept = [k for i, k in enumerate(members) if i not in out]
         late = [k for k in ranged if k not in members and belongs(lens, fits[k].member)]
         if late:
             kept = sorted([*kept, *late])
-            out, lens = fit_session_lens([fits[k].member for k in kept], stated)
+            out, lens = fit_session_lens([fits[k].honest_member for k in kept], stated)
             kept = [k for i, k in enumerate(kept) if i not in out]
         if not good and (out or lens.widening > MOST_WIDENING):
             return SessionFits(tuple(fits.values()))
@@ -328,20 +328,6 @@ class _Chain:
             if k not in known.members and local.ranged and local.channel in lens.model.channels:
                 again[k] = _starting_at(local.task, predict(lens, local.member))
         return again
-
-
-def _honest(session: SessionFits) -> SessionFits:
-    """With errors that know which fits' models do not explain their frames."""
-    lens, poor = session.lens, [not session.fits[k].fit.verdict.accepted for k in session.members]
-    if lens is None or not any(poor):
-        return session
-    members = [
-        replace(member, measured=session.fits[k].fit.poor) if rejected else member
-        for member, k, rejected in zip(lens.model.members, session.members, poor, strict=True)
-    ]
-    return replace(
-        session, lens=fit_lens(members, lens.model.stated, shared=lens.model.shared, paraxial=lens.model.paraxial)
-    )
 
 
 def _starting_at(task: Task, predicted: Floats) -> Task:
