@@ -237,8 +237,10 @@ class Search:
         model, state = self.whole.model, plain.freed.solution.state
         have = model.optics.parts
         missing = tuple(part for part in self.missing if part.name not in {one.name for one in have})
+        if not missing:
+            return plain
         promised = calls(plain.freed.problem, state, [part.name for part in missing], self.f_number_std)
-        if max((call.gain for call in promised.values()), default=0.0) < CALLED_FOR:
+        if max(call.gain for call in promised.values()) < CALLED_FOR:
             return plain
         problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *missing))))
         outcome = self._freed(problem, state)
