@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals, twin_signs
@@ -86,6 +87,17 @@ def test_a_wrong_start_alone_is_rejected_and_others_are_tried(fit: WavefrontFit)
     assert found.starts > 1
     assert found.verdict.accepted
     assert found.objective == pytest.approx(fit.objective, abs=0.1)
+
+
+def test_a_part_that_the_model_has_is_not_missing(fit: WavefrontFit) -> None:
+    rng = np.random.default_rng(1)
+    seen, poses, camera = [photograph(rng)], [rough_pose(rng)], (LowPass(),)
+    found = fit_wavefront(
+        replace(OPTICS, parts=camera), CARPET, seen, poses, PRIOR, rng=rng, starts=(WRONG,), missing=camera
+    )
+    assert found.verdict.accepted
+    assert [part.name for part in found.optics.parts] == ["low_pass_filter"]
+    assert np.all(np.abs(found.waves - WAVES) < 4 * found.std)
 
 
 def test_the_same_frames_and_seed_give_the_same_numbers(fit: WavefrontFit) -> None:
