@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
@@ -19,17 +18,6 @@ ALIKE = 10.0
 
 DROPPED = 8.0
 """Log-likelihood that a part must be worth; below, it is taken out again."""
-
-
-@dataclass(frozen=True)
-class Tried:
-    """A part that a session was asked about. gain: log-likelihood that it would gain over the model of the time, numbers: that
-    it would have; adopted: whether it was taken in."""
-
-    name: str
-    gain: float
-    numbers: tuple[float, ...]
-    adopted: bool
 
 
 def lacks(optics: Iterable[Optics]) -> list[str]:

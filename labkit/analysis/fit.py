@@ -14,7 +14,7 @@ from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
-from labkit.analysis.session_parts import WORDS, model_parts, parts_tried, words_of_parts
+from labkit.analysis.session_parts import WORDS, model_parts, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.wavefronts import SessionFits, fit_session
@@ -148,7 +148,7 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
         lens=None if lens is None else as_lens(lens),
         budget={} if lens is None else budget(lens),
         model_parts=found,
-        parts_tried=parts_tried(fits),
+        parts_tried=fits.tried,
         warnings=(*noted, *fits.lost, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join([*left_out, *(warnings if wanted and focus is None else ())]) or None,
     )

@@ -91,8 +91,9 @@ def reach(leg: Leg) -> Reached:
     """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
     state, optics = expand(problem_at(leg.task, leg.optics, leg.state), Start(leg.state)).at(leg.values)
     problem = problem_at(leg.task, optics, state)
-    objective = problem.objective(state, problem.relative(state))
-    return Reached(state, optics, expand(problem, Start(state)).measured(leg.poor), objective)
+    expansion = expand(problem, Start(state))
+    measured = expansion.measured()
+    return Reached(state, optics, expansion.poor(measured) if leg.poor else measured, expansion.objective)
 
 
 def _prior_chi2(lens: LensFit) -> float:

@@ -13,7 +13,6 @@ from labkit.analysis.wavefronts import SessionFits
 from labkit.imaging.parts import Aperture
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
-from labkit.results.model import PartTried
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -51,11 +50,6 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
                 found[f"{name}.spread_px"] = _root(_mean([*squares.values()]), "px")
             found |= {f"{name}.{'sigma' if k == 'variance' else k}_px": _root(v, "px") for k, v in squares.items()}
     return found
-
-
-def parts_tried(session: SessionFits) -> tuple[PartTried, ...]:
-    """Parts that the session was asked about, as results keep them."""
-    return tuple(PartTried(one.name, one.gain, one.adopted) for one in session.tried)
 
 
 def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[str]:

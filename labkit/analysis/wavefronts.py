@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from labkit.analysis.diagnosis import Tried, called_for, idle, lacks, together, worth
+from labkit.analysis.diagnosis import called_for, idle, lacks, together, worth
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
@@ -24,6 +24,7 @@ from labkit.inference.missing_parts import with_part
 from labkit.inference.search import CALLED_FOR
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
+from labkit.results.model import PartTried
 from labkit.target import Target
 from labkit.types import Floats, Progress
 
@@ -32,9 +33,9 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
-Input = TypeVar("Input", Task, Question)
-
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
+
+Input = TypeVar("Input", Task, Question)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class SessionFits:
     strangers: tuple[int, ...] = ()
     mended: tuple[int, ...] = ()
     open_channels: tuple[str, ...] = ()
-    tried: tuple[Tried, ...] = ()
+    tried: tuple[PartTried, ...] = ()
     missing: str | None = None
     lost: tuple[str, ...] = ()
 
@@ -100,7 +101,7 @@ class _Chain:
     patience_s: float
     diagnose: bool
     fits: dict[int, LocalFit] = field(default_factory=dict)
-    tried: list[Tried] = field(default_factory=list)
+    tried: list[PartTried] = field(default_factory=list)
     missing: str | None = None
     lost: dict[str, str] = field(default_factory=dict)
 
@@ -176,17 +177,14 @@ class _Chain:
         self._made_alike()
         if not self.tried:  # the searches' own
             found = worth([self.fits[k].fit.measured for k in places])
-            self.tried += [Tried(name, gain, (), True) for name, gain in found.items()]
+            self.tried += [PartTried(name, gain, True) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
             self.progress(len(self.fits), len(self.observations), "what the model lacks")
             answers = [of for _, of in self._done(answer, [Question(self.fits[k], tuple(names)) for k in places])]
             summed = together(answers) if answers else {}
             name = called_for(summed)
             gained = name is not None and self.diagnose and self._taken_in(name, places)
-            self.tried += [
-                Tried(each, call.gain, tuple(map(float, call.step)), gained and each == name)
-                for each, call in summed.items()
-            ]
+            self.tried += [PartTried(each, call.gain, gained and each == name) for each, call in summed.items()]
             if not gained:
                 self.missing = name
                 break

@@ -134,13 +134,17 @@ class ForwardModel:
     wrapped: Floats
     window_airy: float = WINDOW_AIRY
 
+    @property
+    def _pixels(self) -> tuple[Floats, Floats]:
+        """Rows and columns of the frame."""
+        rows, columns = self.scene.torus.frame
+        return np.arange(rows, dtype=np.float64), np.arange(columns, dtype=np.float64)
+
     @cached_property
     def light(self) -> Floats:
         """(rows, columns) how brightly the target shines at each pixel, relative."""
         shine = self.scene.shine
-        return (
-            np.ones(self.scene.torus.frame) if shine is None else shine.at(*np.indices(self.scene.torus.frame, float))
-        )
+        return np.ones(self.scene.torus.frame) if shine is None else shine.at(*self._pixels)
 
     @classmethod
     def build(
@@ -268,7 +272,7 @@ class ForwardModel:
         """(0 or 1, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
         if self.scene.shine is None:
             return [np.empty((0, int(u.sum()))) for u in used]
-        down, right = self.scene.shine.slopes(*np.indices(torus.frame, float))
+        down, right = self.scene.shine.slopes(*self._pixels)
         pictures = [
             -down * torus.sample(spectrum * kernels[1]) - right * torus.sample(spectrum * kernels[2])
             for spectrum in spectra

@@ -90,7 +90,7 @@ class Scene:
                     np.arange(*ends) / many - margin
                     for ends, margin in zip(zip(low, high, strict=True), (top, left), strict=True)
                 )
-                image[window] *= self.shine.at(rows[:, None], columns[None, :])
+                image[window] *= self.shine.at(rows, columns)
         return image
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labkit.types import Bools, Floats
 
@@ -13,8 +14,8 @@ ORDER = 3  # of the polynomial: a panel's light changes little over a target
 class Shine:
     """Smooth light over a frame: exp of a polynomial in row and column.
 
-    shape: (rows, columns) of the frame; coefficients: (10,), by the powers that `_powers` gives. Beyond the frame the light
-    is that of its edge.
+    shape: (rows, columns) of the frame; coefficients: (4, 4) of the powers of row and of column, both from -1 to 1 over the
+    frame; those of more than the third order together are 0. Beyond the frame the light is that of its edge.
     """
 
     shape: tuple[int, int]
@@ -23,25 +24,29 @@ class Shine:
     @classmethod
     def seen(cls, illumination: Floats, used: Bools) -> "Shine":
         """Of light that is known where a mask (rows, columns) holds, noise of single pixels in it."""
-        shape, (rows, columns) = used.shape, np.nonzero(used)
-        powers = _powers(shape, rows.astype(np.float64), columns.astype(np.float64))
-        coefficients = np.linalg.lstsq(powers.T, np.log(illumination[used]), rcond=None)[0]
-        return cls(shape, np.asarray(coefficients, np.float64))
+        down, right = (_powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True))
+        low = np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)) <= ORDER
+        terms = np.array([down[i] * right[j] for i, j in np.argwhere(low)])
+        coefficients = np.zeros(low.shape)
+        coefficients[low] = np.linalg.lstsq(terms.T, np.log(illumination[used]), rcond=None)[0]
+        return cls(used.shape, coefficients)
 
     def at(self, rows: Floats, columns: Floats) -> Floats:
-        """Relative light at rows and columns, pixels of the frame, whose shapes broadcast."""
-        return np.asarray(np.exp(np.tensordot(self.coefficients, _powers(self.shape, rows, columns), 1)))
+        """(m, n) relative light at rows (m,) and columns (n,), pixels of the frame."""
+        return np.asarray(np.exp(self._ln(rows, columns)))
 
     def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, Floats]:
-        """By how much ln of the light grows there from row to row and from column to column."""
-        up, down, right, left = (
-            np.tensordot(self.coefficients, _powers(self.shape, rows + r, columns + c), 1)
-            for r, c in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))
+        """(m, n) by how much ln of the light grows there from row to row and from column to column."""
+        down, right = (
+            self._ln(rows + r, columns + c) - self._ln(rows - r, columns - c) for r, c in ((0.5, 0), (0, 0.5))
         )
-        return up - down, right - left
+        return down, right
+
+    def _ln(self, rows: Floats, columns: Floats) -> Floats:
+        down, right = (_powers(at, n) for at, n in zip((rows, columns), self.shape, strict=True))
+        return np.asarray(down.T @ self.coefficients @ right)
 
 
-def _powers(shape: tuple[int, int], rows: Floats, columns: Floats) -> Floats:
-    """(10, ...) of places within a frame, from -1 to 1."""
-    y, x = (np.clip(2 * at / max(n - 1, 1) - 1, -1, 1) for at, n in zip((rows, columns), shape, strict=True))
-    return np.array([y**i * x**j for i in range(ORDER + 1) for j in range(ORDER + 1 - i)])
+def _powers(at: Floats | NDArray[np.intp], size: int) -> Floats:
+    """(4, n) of places (n,) along an axis of a frame, from -1 to 1."""
+    return np.asarray(np.clip(2 * at / max(size - 1, 1) - 1, -1, 1) ** np.arange(ORDER + 1)[:, None])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -94,8 +95,7 @@ class Freed:
 class Expansion:
     """The log-likelihood about a state to second order, over modes, shape, and the rest as in `Problem.scores`.
 
-    gradient: (p,); information: (p, p); flats: (p, p) the part of the gradient's covariance that the flats' errors make;
-    scattered: (p, p) the gradient's covariance as blocks of pixels scatter;
+    gradient: (p,); information: (p, p);
     picked: (modes + shape + 1, p) what modes, shape and ln scale change by, which are `here` at the state. evaluations: of
     each frame.
     """
@@ -104,8 +104,6 @@ class Expansion:
     state: State
     gradient: Floats
     information: Floats
-    flats: Floats
-    scattered: Floats
     here: Floats
     picked: Floats
     evaluations: tuple[Evaluation, ...]
@@ -129,6 +127,20 @@ class Expansion:
         gradient[at] += pull
         covariance = inverse(information)
         return covariance @ gradient, covariance
+
+    @cached_property
+    def _scattered(self) -> tuple[Floats, Floats]:
+        return _scattered(self.problem, self.state, self.evaluations)
+
+    @property
+    def flats(self) -> Floats:
+        """(p, p) the part of the gradient's covariance that the flats' errors make."""
+        return self._scattered[0]
+
+    @property
+    def scattered(self) -> Floats:
+        """(p, p) the gradient's covariance as blocks of pixels scatter."""
+        return self._scattered[1]
 
     def surplus(self, covariance: Floats) -> Floats:
         """(p, p) by which a covariance (p, p) of the optimum grows if residuals are not noise alone.
@@ -158,22 +170,26 @@ class Expansion:
         """Relative images (pixels,) of the frames after a short step (p,)."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
-    def measured(self, poor: bool = False) -> Measured:
-        """The Gaussian of modes, shape and scale. poor: whether residuals are not noise alone, and errors are to say so."""
+    def measured(self) -> Measured:
+        """The Gaussian of modes, shape and scale."""
         step, covariance = self.newton(self.optics.usual_shape**-2)
         pulled = self.picked @ covariance
-        surplus = self.picked @ self.surplus(covariance) @ self.picked.T if poor else np.empty((0, 0))
         values = self.here + self.picked @ step
         at = self.shape.stop + np.arange(POSE_SIZE)
         return Measured(
             self.optics.noll,
             values,
-            pulled @ self.picked.T + (surplus if poor else 0.0),
+            pulled @ self.picked.T,
             pulled @ self.flats @ pulled.T,
             _shortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
             self.optics.shape_labels,
-            surplus,
         )
+
+    def poor(self, measured: Measured) -> Measured:
+        """What `measured` says, if residuals are not noise alone: with larger errors."""
+        _, covariance = self.newton(self.optics.usual_shape**-2)
+        model = self.picked @ self.surplus(covariance) @ self.picked.T
+        return replace(measured, covariance=measured.covariance + model, model=model)
 
     def at(self, values: Floats) -> tuple[State, Optics]:
         """The state, and the optics, that are likeliest where modes, shape and ln scale are given, (modes + shape + 1,)."""
@@ -217,7 +233,7 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
 def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool) -> Freed:
     """After a last step (p,) from an expansion, which is not drawn: its picture lies on the slopes."""
     problem, modes = expansion.problem, expansion.state.waves.size
-    state, relative = expansion.moved(step), expansion.foreseen(step)
+    state, relative, measured = expansion.moved(step), expansion.foreseen(step), expansion.measured()
     solution = Solution(
         state,
         problem.objective(state, relative),
@@ -232,8 +248,8 @@ def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, 
         solution,
         expansion.optics_after(step),
         covariance[:modes, :modes],
-        expansion.measured(),
-        expansion.measured(poor=True),
+        measured,
+        expansion.poor(measured),
     )
 
 
@@ -274,8 +290,7 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
     evaluations = problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative)
     gradient, information = _assembled(problem, state, evaluations)
     here, picked = _picked(problem, state, len(gradient))
-    flats, scattered = _scattered(problem, state, evaluations)
-    return Expansion(problem, state, gradient, information, flats, scattered, here, picked, tuple(evaluations))
+    return Expansion(problem, state, gradient, information, here, picked, tuple(evaluations))
 
 
 def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:

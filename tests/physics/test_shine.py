@@ -69,10 +69,7 @@ def test_slopes_by_modes_and_pose_are_those_of_the_uneven_target() -> None:
 
 def test_beyond_the_frame_light_is_that_of_its_edge() -> None:
     seen = Shine.seen(light(ROWS, COLUMNS), USED)
-    far, edge = (
-        seen.at(np.array([-30.0, 80.0]), np.array([5.0, 5.0])),
-        seen.at(np.array([0.0, 53.0]), np.array([5.0, 5.0])),
-    )
+    far, edge = (seen.at(np.array(rows), np.array([5.0])) for rows in ([-30.0, 80.0], [0.0, 53.0]))
     np.testing.assert_allclose(far, edge)
 
 

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from labkit.errors import DataError
-from labkit.results import OptimumTest, Results
+from labkit.report.html import write_report
+from labkit.results import OptimumTest, ResidualSpectrum, Results
+from labkit.results.model import PartTried
 from labkit.results.storage import kept_keys
 from tests.results_samples import ACCEPTED, BUDGET, FOCUS, LENS, a_wavefront, some_results, written
 
@@ -84,6 +86,27 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert back.residuals
         assert w.residuals
         np.testing.assert_allclose(back.residuals.data, w.residuals.data, rtol=1e-7)  # kept in single precision
+
+
+def test_what_a_poor_model_leaves_and_lacks_is_kept_and_told(tmp_path: Path) -> None:
+    left = ResidualSpectrum(np.array([0.1, 0.2]), np.array([2.5, 1.1]), np.array([7.0, 1.5]))
+    poor = a_wavefront(test=replace(ACCEPTED, explains=False), missing=("low_pass_filter",), spectrum=left)
+    folder = written(tmp_path, wavefronts=(poor, a_wavefront(3200.0)), parts_tried=(PartTried("veil", 3.0, False),))
+    back, plain = Results.load(folder).wavefronts
+    assert (back.missing, plain.missing, plain.spectrum) == (("low_pass_filter",), (), None)
+    assert back.spectrum is not None
+    assert back.spectrum.without_parts is not None
+    for kept, made in zip(vars_of(back.spectrum), vars_of(left), strict=True):
+        np.testing.assert_array_equal(kept, made)
+    html = write_report(folder).read_text()
+    assert "which is not in their model: low-pass filter." in html
+    assert "2.50 times the noise where it is most" in html
+    assert "Without the parts that were found: 7.00 times." in html
+    assert "call for no part of the camera" not in html
+
+
+def vars_of(spectrum: ResidualSpectrum) -> tuple[Any, ...]:
+    return spectrum.cycles_per_px, spectrum.power, spectrum.without_parts
 
 
 def test_what_schema_1_prints_is_read_as_results_without_a_lens(tmp_path: Path) -> None:

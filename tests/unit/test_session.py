@@ -328,6 +328,9 @@ def test_half_made_sessions_are_removed_unless_a_process_is_at_work_on_them(
 def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touched(
     session_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session_folder.rename(tmp_path / f".s.{os.getpid()}.new")  # it may be about to take it
-    monkeypatch.setattr("labkit.session.making.is_being_written", lambda journal: pytest.fail("its lock was asked for"))
+    made = session_folder.rename(tmp_path / f".s.{os.getpid()}.new")  # it may be about to take it
+    asked = list[object]()
+    monkeypatch.setattr("labkit.session.making.is_being_written", asked.append)
     Session.create(tmp_path / "other", PLAN, tmp_path).close()
+    assert made.exists()
+    assert not asked

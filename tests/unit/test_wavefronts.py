@@ -171,3 +171,27 @@ def test_where_all_processes_are_killed_it_is_said() -> None:
 
     with pytest.raises(FitError, match="no wavefront could be fitted: G at 2900 mm is left out: killed; G at"):
         fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
+
+
+def test_fits_that_their_model_does_not_explain_have_its_errors_in_the_session() -> None:
+    """All are rejected and vouch for each other, with errors of noise alone ten times too small."""
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        if function is answer:
+            yield from enumerate({} for _ in tasks)
+            return
+        for index, task in enumerate(tasks):
+            fit = as_found(task, True)
+            spread = fit.measured.covariance
+            poor = replace(fit.measured, covariance=100 * spread, model=99 * spread)
+            yield index, replace(fit, poor=poor, verdict=replace(fit.verdict, accepted=explained))
+
+    stds = []
+    for explained in (True, False):
+        lens = fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None).lens
+        assert lens is not None
+        stds.append(lens.std("best focus", "G"))
+        unit = np.eye(len(lens.model.columns))[lens.model.index("best focus", "G")]
+        shares = lens.contributions(unit)
+        assert (shares["model"] > shares["photons"]) is not explained
+    assert stds[1] > 3 * stds[0]
