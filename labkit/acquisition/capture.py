@@ -28,6 +28,7 @@ from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
 from labkit.session.session import EXPOSING, Session, begin
+from labkit.target import open_target
 from labkit.types import Progress, no_progress
 
 Ask = Callable[[str], object]
@@ -93,6 +94,15 @@ def run_plan(
         shutil.rmtree(session.folder / EXPOSING, ignore_errors=True)
 
 
+def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
+    """That the panel's whole pixels make the target larger or smaller than the plan has it, by more than the plan's error."""
+    asked_mm, drawn_mm = open_target(plan.target).size_mm[0], picture.size_mm[0]
+    stated = plan.target.stated_size
+    if abs(drawn_mm / asked_mm - 1) <= stated.std / stated.value:
+        return None
+    return f"in whole pixels the target is {drawn_mm:.5g} mm high instead of {asked_mm:.5g}; a fit uses what was shown"
+
+
 class _Capture:
     """One run: what is taken, in which order, and what is kept."""
 
@@ -116,6 +126,8 @@ class _Capture:
         if darks:
             self._refuse_uncapped()
         self._log.note("began", missing=len(todo), total=self._log.total, shown_size_mm=target.size_mm)
+        if warn and (words := _drawn_otherwise(self._session.plan, target)):
+            warn(words)
         if check:
             self._look_round(target, stops, len(todo), warn)
         else:

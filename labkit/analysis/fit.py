@@ -25,6 +25,7 @@ from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
 from labkit.session.session import Session
+from labkit.session.shown_size import as_shown
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.target import Target, open_target
@@ -67,7 +68,7 @@ def fit(
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
-    session, plan = _opened(session, plan, noll)
+    session, plan, checksum = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     assumed = [*_panel_lacking(plan, target, observations), *assumed]
@@ -76,7 +77,7 @@ def fit(
         fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
         together = climb(fits, run, progress) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
-    common = (plan, _checksum(session, plan), _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
+    common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
     return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)
@@ -156,13 +157,14 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
 
 def _opened(
     session: Session | Path | str, plan: Plan | Path | str | None, noll: tuple[int, int] | None
-) -> tuple[Session, Plan]:
-    """The session, and the plan to fit it with. Raises SessionError for photographs or a plan that were altered."""
+) -> tuple[Session, Plan, str]:
+    """The session, the plan to fit it with, and its text's checksum. Raises SessionError for altered photographs or plans."""
     session = session if isinstance(session, Session) else Session.open(session)
     chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
     if damage := altered_files(session):
         raise SessionError("; ".join(damage))
-    return session, chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
+    chosen = chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
+    return session, as_shown(session, chosen), _checksum(session, chosen)
 
 
 def _checksum(session: Session, plan: Plan) -> str:

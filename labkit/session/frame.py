@@ -48,7 +48,7 @@ def event_problem(event: Event) -> str | None:
     needed = NEEDED.get(name, ())
     if absent := [key for key in ("time", *needed) if key not in event]:
         return f'"{name}" without {", ".join(absent)}'
-    if name in NEEDED:
+    if name in READ_AGAIN:
         for key, allowed in ALLOWED.items():
             if key in event and not allowed(event[key]):
                 return f'"{name}" with {key} = {_short(event[key])}'
@@ -91,6 +91,10 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
+def _is_size(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(_is_number(side) and side > 0 for side in value)
+
+
 def _is_number_or_none(value: Any) -> bool:
     return value is None or _is_number(value)
 
@@ -103,6 +107,7 @@ ALLOWED: Mapping[str, Callable[[Any], bool]] = {
     "measured_range_mm": _is_number,
     "homing": lambda value: isinstance(value, int) and value is not True and value > 0,
     "exposure_s": _is_number_or_none,
+    "shown_size_mm": _is_size,
     "altered": lambda value: isinstance(value, list) and all(map(_is_text, value)),
     "sha256": _is_text,
     "plan_sha256": _is_text,
@@ -121,6 +126,9 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "dropped": (),
 }
 """What each event that belongs to the session itself must hold; other events are the capture's."""
+
+READ_AGAIN = (*NEEDED, "began")
+"""Events whose values are used."""
 
 
 def _short(value: Any) -> str:

@@ -87,6 +87,20 @@ def test_what_is_right_is_noted_with_blur_margin_and_room(
     assert not (tmp_path / "s" / "rejected").exists()
 
 
+def test_a_target_that_whole_pixels_make_smaller_is_said_to_be(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    plan, said = Plan.load(plan_file), list[str]()
+    larger = plan.replace(target={"size_mm": 1.001 * plan.target.size_mm}, rail={"ranges_mm": [2000]})
+    with (
+        begin(larger, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
+    ):
+        run_plan(session, devices, warn=said.append, check=False)
+    drawn, asked = f"{plan.target.size_mm:.5g} mm", f"{larger.target.size_mm:.5g}"
+    assert said == [f"in whole pixels the target is {drawn} high instead of {asked}; a fit uses what was shown"]
+
+
 def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:

@@ -1,0 +1,47 @@
+"""A session is fitted with the target as large as its display drew it."""
+
+from pathlib import Path
+
+import pytest
+
+from labkit.errors import SessionError
+from labkit.plan import Plan
+from labkit.session.session import Session
+from labkit.session.shown_size import as_shown
+from tests.plans import PORTRAIT, plan_text
+
+TEXT = plan_text(PORTRAIT, {"target": {"order": 5, "size_mm": 46.8}})
+DRAWN_MM = 486 * 25.4 / 264
+"""Two pixels a cell, of a panel of 264 pixels an inch."""
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    with Session.create(tmp_path / "night", TEXT, tmp_path) as session:
+        session.log("began", shown_size_mm=[DRAWN_MM, DRAWN_MM])
+    return Session.open(tmp_path / "night")
+
+
+def test_the_size_is_that_of_whole_panel_pixels(session: Session) -> None:
+    shown = as_shown(session, session.plan)
+    assert shown.target.size_mm == pytest.approx(DRAWN_MM, rel=1e-12)
+    assert shown.replace(target={"size_mm": 46.8}) == session.plan
+
+
+def test_a_plan_with_a_measured_size_is_taken_at_its_word(session: Session) -> None:
+    measured = session.plan.replace(target={"size_mm": 46.77})
+    assert as_shown(session, measured) is measured
+
+
+def test_a_target_that_no_display_showed_is_as_the_plan_says(tmp_path: Path) -> None:
+    Session.create(tmp_path / "paper", TEXT, tmp_path).close()
+    session = Session.open(tmp_path / "paper")
+    assert as_shown(session, session.plan) == Plan.parse(TEXT)
+
+
+@pytest.mark.parametrize("size", [[46.8], "46.8", [46.8, 0], [46.8, None]])
+def test_a_journal_with_a_size_that_is_none_is_refused(tmp_path: Path, size: object) -> None:
+    with Session.create(tmp_path / "night", TEXT, tmp_path) as session:
+        session.log("began", shown_size_mm=size)
+    with pytest.raises(SessionError, match="line 2 cannot be used"):
+        Session.open(tmp_path / "night")
