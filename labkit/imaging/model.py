@@ -37,7 +37,7 @@ class Evaluation:
     """The mean and its derivatives at one frame's used pixels, in units of the target's radiance there.
 
     mean: (pixels,); by_waves: (modes, pixels), behind them those by the `Optics.shape` if they were wanted; by_pose:
-    (8, pixels); by_shine: (1, pixels), by the share of the light's unevenness that is the target's own, if it has any.
+    (8, pixels); by_shine: (2, pixels), by what of the light may be the lens's or the target's (`Shine.doubts`), if it has any.
     Derivatives that were not wanted are empty.
     """
 
@@ -269,15 +269,14 @@ class ForwardModel:
     def _by_shine(
         self, torus: Torus, spectra: Sequence[Complexes64], kernels: Sequence[AnyComplexes], used: Sequence[Bools]
     ) -> list[Floats]:
-        """(0 or 1, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
+        """(0 or 2, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
         if self.scene.shine is None:
             return [np.empty((0, int(u.sum()))) for u in used]
-        down, right = self.scene.shine.slopes(*self._pixels)
-        pictures = [
-            -down * torus.sample(spectrum * kernels[1]) - right * torus.sample(spectrum * kernels[2])
-            for spectrum in spectra
-        ]
-        return [self._seen(picture, u)[None] for picture, u in zip(pictures, used, strict=True)]
+        doubts, made = self.scene.shine.doubts(*self._pixels), []
+        for spectrum, u in zip(spectra, used, strict=True):
+            down, right = (torus.sample(spectrum * kernel)[u] for kernel in kernels[1:])
+            made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
+        return made
 
     def _by_shape(
         self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from labkit.types import Bools, Floats
 
 ORDER = 3  # of the polynomial: a panel's light changes little over a target
+SHARE_STD = 0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +36,31 @@ class Shine:
         """(m, n) relative light at rows (m,) and columns (n,), pixels of the frame."""
         return np.asarray(np.exp(self._ln(rows, columns)))
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, Floats]:
-        """(m, n) by how much ln of the light grows there from row to row and from column to column."""
+    def doubts(self, rows: Floats, columns: Floats) -> Floats:
+        """(2, 2, m, n) standard errors of the growth of ln of the light from row to row and from column to column.
+
+        First the share of it that is the lens's after all; then what is round about the middle and the target's, which was
+        taken for the lens's fall-off: an even curvature of the light, which no flat can tell, and which makes a blurred
+        picture larger or smaller.
+        """
         down, right = (
             self._ln(rows + r, columns + c) - self._ln(rows - r, columns - c) for r, c in ((0.5, 0), (0, 0.5))
         )
-        return down, right
+        away = (at - (n - 1) / 2 for at, n in zip((rows[:, None], columns[None, :]), self.shape, strict=True))
+        bent = [np.broadcast_to(self._round_std * d, down.shape) for d in away]
+        return np.array([[SHARE_STD * down, SHARE_STD * right], bent])
+
+    @property
+    def _round_std(self) -> float:
+        """Standard error of the curvature of ln of the light, per pixel^2, that is alike along rows and columns.
+
+        As in a random field that knows no direction, it is as large as the other curvatures, which are seen: of its
+        variances that of (xx + yy) / 2 is twice that of (xx - yy) / 2 and that of xy.
+        """
+        rows, columns = (max(n - 1, 1) / 2 for n in self.shape)
+        c = self.coefficients
+        unlike, crossed = c[2, 0] / rows**2 - c[0, 2] / columns**2, c[1, 1] / (rows * columns)
+        return float(np.hypot(unlike, crossed))
 
     def _ln(self, rows: Floats, columns: Floats) -> Floats:
         down, right = (_powers(at, n) for at, n in zip((rows, columns), self.shape, strict=True))

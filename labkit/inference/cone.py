@@ -33,7 +33,6 @@ WILD = 0.3  # of ln N: no cone is as far from its engraving, and a model of a ve
 SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
 NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
 EXACT = 1e-6  # a relative error that moves nothing
-SHARE_STD = 0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
 BLOCKS = 10  # along each side of a cut: wider than what one wrong kernel makes alike
 POSES = 200  # drawn to see how well a tilt is known
 
@@ -294,17 +293,17 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
 
 
 def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
-    """Gradient (p,) and information (p, p), where the share of the light's unevenness that is the target's takes its likeliest
-    value."""
+    """Gradient (p,) and information (p, p), where what is not known of the target's own light takes its likeliest value."""
     shining = [replace(e, by_waves=np.concatenate([e.by_waves, e.by_shine])) for e in evaluations if len(e.by_shine)]
     gradient, information, _ = problem.assembled(state, shining or evaluations)
     if not shining:
         return gradient, information
-    share = len(evaluations[0].by_waves)
-    across = np.delete(information[share], share)
-    known = information[share, share] + SHARE_STD**-2
-    rest = np.delete(np.delete(information, share, 0), share, 1)
-    return np.delete(gradient, share) - across * (gradient[share] / known), rest - np.outer(across, across) / known
+    first = len(evaluations[0].by_waves)
+    out = np.arange(first, first + len(evaluations[0].by_shine))
+    rest = np.delete(np.arange(len(gradient)), out)
+    across = information[np.ix_(out, rest)]
+    known = np.linalg.solve(information[np.ix_(out, out)] + np.eye(len(out)), np.column_stack([gradient[out], across]))
+    return gradient[rest] - across.T @ known[:, 0], information[np.ix_(rest, rest)] - across.T @ known[:, 1:]
 
 
 def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:

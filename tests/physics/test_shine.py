@@ -7,7 +7,7 @@ import pytest
 
 from labkit.calibration.falloff import Falloff
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.shine import Shine
+from labkit.imaging.shine import SHARE_STD, Shine
 from labkit.imaging.warp import Pose
 from labkit.types import Floats
 
@@ -46,8 +46,25 @@ def test_its_share_has_the_slope_that_differences_have() -> None:
     uneven = model(0.05)
     (evaluation,) = uneven.evaluate(WAVES, uneven.draw([POSE]), [USED], by_shape=True)
     difference = mean(model(0.1)) - mean(model(0.0))
-    ours = 2 * evaluation.by_shine.reshape(FRAME)
+    ours = 0.1 / (0.05 * SHARE_STD) * evaluation.by_shine[0].reshape(FRAME)
     assert np.std(ours - difference) < 0.05 * np.std(difference)
+
+
+def test_a_curvature_round_about_the_middle_has_the_slope_that_differences_have() -> None:
+    bent_std = np.hypot(0.04 / 28**2, 0.03 / (27 * 28))  # as large as those of xx - yy and of xy
+    bent = np.exp(0.1 * bent_std * ((ROWS - 27) ** 2 + (COLUMNS - 28) ** 2) / 2)
+    one, other = (
+        ForwardModel.build(OPTICS, CARPET, FRAME, POSE, shine=Shine.seen(light(ROWS, COLUMNS) * by, USED))
+        for by in (1 / bent, bent)
+    )
+    (evaluation,) = (flat := model(1.0)).evaluate(WAVES, flat.draw([POSE]), [USED], by_shape=True)
+    inside = np.s_[8:-8, 8:-8]  # beyond the frame light is that of its edge
+    difference = (mean(other) - mean(one))[inside].ravel()
+    # brighter in all, which is the light's level, and a faint veil of second order
+    terms = np.stack([0.2 * evaluation.by_shine[1], evaluation.mean], axis=-1).reshape(*FRAME, 2)[inside].reshape(-1, 2)
+    (share, _), (left,) = np.linalg.lstsq(terms, difference, rcond=None)[:2]
+    assert share == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(left / difference.size) < 0.25 * np.std(difference)
 
 
 def test_slopes_by_modes_and_pose_are_those_of_the_uneven_target() -> None:
