@@ -12,8 +12,11 @@ WriteDng = Callable[..., Path]
 
 
 def pytest_configure() -> None:
-    """What a shell starts in the background ignores SIGINT, and so would every program that a test starts."""
+    """What a shell starts in the background ignores SIGINT and SIGQUIT, what nohup starts SIGHUP: so would every program that
+    a test starts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.fixture

@@ -22,19 +22,19 @@ DEFOCUS_STD, CONE_STD, SIZE_STD = 3e-4, 4e-3, 1.5e-5
 def laws(range_mm: Any, focus_mm: Any, reference_mm: Any, f: Any, n: Any, mp: Any) -> list[Any]:
     """Waves RMS of defocus, ln of the cone's f-number, ln of the scale; of real numbers or complex ones.
 
-    All ranges are true; reference_mm: best focus of the colour that sizes are held to.
+    All ranges are true; reference_mm: best focus of the colour that sizes are held to, and whose f and n are given. Others have
+    the same aperture and sensor, so that what they focus on tells their focal length.
     """
-
-    def image(r: Any) -> Any:
-        return r * f / (r - f)
+    sensor = reference_mm * f / (reference_mm - f)
+    own = sensor * focus_mm / (sensor + focus_mm)
 
     def sagitta(r: Any) -> Any:
-        radius, half = image(r) + (mp - 1) * f, mp * f / n / 2
+        radius, half = r * own / (r - own) + (mp - 1) * own, mp * f / n / 2
         return half**2 / (radius + np.sqrt(radius**2 - half**2))
 
     waves = (sagitta(range_mm) - sagitta(focus_mm)) / np.sqrt(12) / REFERENCE_MM
-    cone = n * (1 + f / (focus_mm - f) / mp)
-    scale = (image(reference_mm) + (mp - 1) * f) / (mp * (range_mm - f + f / mp))
+    cone = (sensor + (mp - 1) * own) / (mp * f / n)
+    scale = (sensor + (mp - 1) * f) / (mp * (range_mm - f + f / mp))
     return [waves, np.log(cone), np.log(scale)]
 
 

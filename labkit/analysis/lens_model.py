@@ -241,10 +241,12 @@ class LensModel:
         f, n, pupils = arguments[:3]
         lens = ThinLens(*cast(tuple[float, float, float], (f, n, np.exp(pupils))))  # arrays of lenses
         ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
+        colour = lens.in_colour(focus, reference)
+        ranges = np.maximum(ranges, 1.01 * colour.focal_length_mm)
         return np.stack(
             [
-                defocus_waves(lens, ranges, focus, self.stated.reference_nm, self.stated.convention),
-                np.log(lens.working_f_number(focus)),
+                defocus_waves(colour, ranges, focus, self.stated.reference_nm, self.stated.convention),
+                np.log(colour.working_f_number(focus)),
                 np.log(lens.chief_ray_scale(ranges, reference)),
             ]
         )

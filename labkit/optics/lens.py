@@ -1,7 +1,9 @@
 """First-order optics: where the light meets, how defocus runs with range, how large the blur is (thesis, Appendix E)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -58,6 +60,16 @@ class ThinLens:
         f, mp = self.focal_length_mm, self.pupil_magnification
         from_entrance_mm = real_array("target_mm", target_mm, None, "mm") - f + f / mp
         return np.asarray(self.pupil_to_image_mm(focus_mm) / (mp * from_entrance_mm))
+
+    def in_colour(self, focus_mm: Floats | float, reference_mm: Floats | float) -> ThinLens:
+        """The lens in a colour that focuses at one range where this one does at another: they share sensor and aperture.
+
+        The sensor stands where this lens focuses reference_mm, so the colour's focal length is that which brings focus_mm
+        there. focus_mm, reference_mm: broadcast together.
+        """
+        focal_mm = 1 / (1 / self.image_distance_mm(reference_mm) + 1 / np.asarray(focus_mm))
+        f_number = self.f_number * focal_mm / self.focal_length_mm
+        return ThinLens(cast(float, focal_mm), cast(float, f_number), self.pupil_magnification)
 
     def pupil_to_image_mm(self, range_mm: Floats | float, convention: Convention = "corrected") -> Floats:
         """Distance from the exit pupil to the image of a range, mm. Thesis (E.2); (4.40) prints the sign of (mp-1) wrong."""

@@ -233,6 +233,21 @@ def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:
     assert circle_of_confusion_mm(lens, 3050.0, 3000.0) == pytest.approx(8 * working * path_mm, rel=3e-3)
 
 
+def test_a_lens_in_another_colour_has_the_same_sensor_and_aperture() -> None:
+    lens, best_mm, other_mm = ThinLens(39.1, 7.47, 1.14), 523.3, 544.3
+    other = lens.in_colour(other_mm, best_mm)
+    assert other.focal_length_mm == pytest.approx(1 / (1 / 39.1 - 1 / best_mm + 1 / other_mm), rel=1e-12)
+    assert other.exit_pupil_mm == pytest.approx(lens.exit_pupil_mm, rel=1e-12)
+    assert other.image_distance_mm(other_mm) == pytest.approx(lens.image_distance_mm(best_mm), rel=1e-12)
+    # defocus is told by the entrance pupil alone, about; the cone by the sensor, which the law of one focal length would move
+    assert defocus_waves(other, 687.3, other_mm, 450.0) == pytest.approx(
+        defocus_waves(lens, 687.3, other_mm, 450.0), rel=1e-4
+    )
+    cone = (lens.image_distance_mm(best_mm) + 0.14 * other.focal_length_mm) / lens.exit_pupil_mm
+    assert other.working_f_number(other_mm) == pytest.approx(cone, rel=1e-12)
+    assert lens.working_f_number(other_mm) / cone - 1 == pytest.approx(-0.0031, abs=1e-4)
+
+
 def test_working_f_number_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> None:
     """Paraxial rays (height, angle) traced by matrices through f1 | stop | f2; pupils are images of the stop."""
     f1, f2, first, second, stop_mm = 90.0, 160.0, 12.0, 25.0, 14.0  # lengths before and behind the stop, its radius
