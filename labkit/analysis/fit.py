@@ -25,7 +25,7 @@ from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
 from labkit.session.session import Session
-from labkit.session.shown_size import as_shown
+from labkit.session.shown_size import with_shown_size
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.target import Target, open_target
@@ -164,7 +164,7 @@ def _opened(
     if damage := altered_files(session):
         raise SessionError("; ".join(damage))
     chosen = chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
-    return session, as_shown(session, chosen), _checksum(session, chosen)
+    return session, with_shown_size(session, chosen), _checksum(session, chosen)
 
 
 def _checksum(session: Session, plan: Plan) -> str:

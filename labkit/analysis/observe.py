@@ -22,7 +22,7 @@ from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import IN_COLOURS, MONO, Cut, Mosaic
 from labkit.results.model import same_range
-from labkit.session.frame import Frame
+from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
@@ -94,16 +94,17 @@ def observe(
 
     plan: of lens, sensor and channels, the session's or another. range_mm, channel: one, several, or None for all.
     Each photograph is decoded once; those of one range are in memory at a time.
-    Raises DataError where there is nothing to fit or the target's sizes contradict plan and ranges, TargetError where a
-    frame does not show the target.
+    Raises SessionError for a photograph that stands for two, DataError where there is nothing to fit or the target's sizes
+    contradict plan and ranges, TargetError where a frame does not show the target.
     """
-    frames = _chosen(session, range_mm)
+    photographs, again = distinct(session.frames)
+    frames = _chosen(session, photographs, range_mm)
     channels = _channels(plan, channel)
     for name in channels:
         as_shown(plan, target, name)  # a panel that is impossible is refused before photographs are looked at
-    calibration = calibrate(session.frames, plan)
+    calibration = calibrate(photographs, plan)
     observations: list[Observation] = []
-    warnings = list(calibration.warnings)
+    warnings = [*again, *calibration.warnings]
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     for done, group in enumerate(groups):
         progress(done, len(groups), "finding the target")
@@ -119,8 +120,8 @@ def observe(
     return observations, list(dict.fromkeys(warnings))
 
 
-def _chosen(session: Session, range_mm: float | Sequence[float] | None) -> list[Frame]:
-    frames = [frame for frame in session.frames if frame.kind == "target"]
+def _chosen(session: Session, photographs: Sequence[Frame], range_mm: float | Sequence[float] | None) -> list[Frame]:
+    frames = [frame for frame in photographs if frame.kind == "target"]
     if not frames:
         raise DataError(f"{session.folder} has no target frames: there is nothing to fit")
     if range_mm is None:

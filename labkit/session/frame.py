@@ -72,6 +72,30 @@ def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
     return tuple(again)
 
 
+def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
+    """Each photograph once, whatever its files are called; and, a line each, the files that are left out.
+
+    Noise is never the same twice, so equal files are one photograph, and count as one in every error. Raises SessionError
+    for one that stands for two ranges, or for two kinds.
+    """
+    first: dict[str, Frame] = {}
+    again = []
+    for frame in frames:
+        kept = first.setdefault(frame.sha256, frame)
+        if (kept.kind, kept.range_mm) != (frame.kind, frame.range_mm):
+            raise SessionError(
+                f"{kept.file} and {frame.file} are the same photograph: it is {_said(kept)} or {_said(frame)}, not both; "
+                "import the session anew with the right one"
+            )
+        if kept is not frame:
+            again.append(f"{frame.file} is the same photograph as {kept.file}: it counts once")
+    return tuple(first.values()), tuple(again)
+
+
+def _said(frame: Frame) -> str:
+    return f"a {frame.kind}" + ("" if frame.range_mm is None else f" at {frame.range_mm:g} mm")
+
+
 def pending(events: Sequence[Event]) -> Event | None:
     """The "adding" event that nothing finished, if any: only the last one can be."""
     last = None

@@ -11,7 +11,7 @@ from labkit.session.session import Session
 from labkit.target import open_target
 
 
-def as_shown(session: Session, plan: Plan) -> Plan:
+def with_shown_size(session: Session, plan: Plan) -> Plan:
     """A plan to fit the session with, its target as large as the display drew it.
 
     A plan that states another size than the session's own is left as it is: the target was measured. So is one of a target

@@ -7,7 +7,7 @@ import pytest
 from labkit.errors import SessionError
 from labkit.plan import Plan
 from labkit.session.session import Session
-from labkit.session.shown_size import as_shown
+from labkit.session.shown_size import with_shown_size
 from tests.plans import PORTRAIT, plan_text
 
 TEXT = plan_text(PORTRAIT, {"target": {"order": 5, "size_mm": 46.8}})
@@ -23,20 +23,20 @@ def session(tmp_path: Path) -> Session:
 
 
 def test_the_size_is_that_of_whole_panel_pixels(session: Session) -> None:
-    shown = as_shown(session, session.plan)
+    shown = with_shown_size(session, session.plan)
     assert shown.target.size_mm == pytest.approx(DRAWN_MM, rel=1e-12)
     assert shown.replace(target={"size_mm": 46.8}) == session.plan
 
 
 def test_a_plan_with_a_measured_size_is_taken_at_its_word(session: Session) -> None:
     measured = session.plan.replace(target={"size_mm": 46.77})
-    assert as_shown(session, measured) is measured
+    assert with_shown_size(session, measured) is measured
 
 
 def test_a_target_that_no_display_showed_is_as_the_plan_says(tmp_path: Path) -> None:
     Session.create(tmp_path / "paper", TEXT, tmp_path).close()
     session = Session.open(tmp_path / "paper")
-    assert as_shown(session, session.plan) == Plan.parse(TEXT)
+    assert with_shown_size(session, session.plan) == Plan.parse(TEXT)
 
 
 @pytest.mark.parametrize("size", [[46.8], "46.8", [46.8, 0], [46.8, None]])
