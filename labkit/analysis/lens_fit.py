@@ -10,7 +10,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
-from labkit.analysis.lens_model import EXACT, GEOMETRY, LensModel, Member, Stated
+from labkit.analysis.lens_model import EXACT, GEOMETRY, OPEN, LensModel, Member, Stated
 from labkit.types import Floats
 
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
@@ -43,9 +43,9 @@ class LensFit:
 
     @property
     def freedom(self) -> int:
-        """Rows beyond columns; a column's prior value is a row."""
+        """Rows beyond columns; a column's prior value is a row where it is a measurement, and none where it says nothing."""
         rows, columns = self.jacobian.shape
-        return int(rows - columns)
+        return int(rows - columns) - sum(c.kind in OPEN for c in self.model.columns)
 
     @property
     def typical(self) -> float:

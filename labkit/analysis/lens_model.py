@@ -31,6 +31,7 @@ MODE_STD = 10.0  # waves RMS, of a mode before it is measured
 EXACT = 1e-9  # the error of what is held exact, in the units of its column
 STEP = 1e-6  # relative, of the differences that give the laws' slopes
 OPEN_MM = 1e5  # the error of a best focus before it is measured
+OPEN = ("best focus", "lateral colour", "part", "mode")  # columns of which nothing is known before
 GEOMETRY = ("focal length", "f-number", "pupil magnification", "tape", "homing", "steps", "target size")
 
 

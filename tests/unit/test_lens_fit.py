@@ -121,6 +121,14 @@ def test_errors_are_as_large_as_the_estimate_says() -> None:
     assert np.all(np.abs(scores.std(axis=0) - 1) < 4 / np.sqrt(240))
 
 
+def test_the_misfit_of_a_session_is_as_large_as_chance_makes_it() -> None:
+    rng = np.random.default_rng(4)
+    fits = [fit_lens(drawn(rng, USUAL, 0.97)[0], USUAL) for _ in range(40)]
+    assert {fit.freedom for fit in fits} == {15 * 3 - 5}  # five numbers of which nothing was known before
+    # the mean of 40 chi-squareds over their 40 freedoms errs by sqrt(2 / 1600); allow four of them
+    assert np.mean([fit.typical for fit in fits]) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1600))
+
+
 @pytest.mark.slow
 def test_an_estimate_that_believes_the_rail_is_exact_is_wrong() -> None:
     rng, believed = np.random.default_rng(3), replace(USUAL, range_std_mm=0.0)
