@@ -252,6 +252,26 @@ def test_standard_errors_are_the_spread_of_drawn_wavefronts(name: str, draws: in
     np.testing.assert_allclose(np.asarray(number(fitted(MIXED, covariance))[1]), drawn.std(axis=0), rtol=error)
 
 
+@pytest.mark.parametrize("waves", [np.zeros(12), MIXED])
+def test_the_error_of_the_cone_enters_what_is_measured_in_lengths(waves: Floats) -> None:
+    one = replace(fitted(waves, np.zeros((12, 12))), f_number_std=0.028)  # 1 %
+    for measure in (lambda w: mtf50(w, "x"), lambda w: radius_of_energy(w, 0.8)):
+        assert measure(one).std == pytest.approx(0.01 * measure(one).value, rel=1e-6)  # both scale with N or 1/N
+    wider = replace(one, f_number=2.8 * 1.0001)
+    for curve in (lambda w: mtf(w, [60.0, 150.0], "y"), lambda w: encircled_energy(w, [1.0, 4.0])):
+        slope = np.abs(curve(wider).value - curve(one).value) / 1e-4
+        np.testing.assert_allclose(curve(one).std, 0.01 * slope, rtol=2e-3)
+
+
+def test_mtf50_with_the_pixel_is_where_the_product_is_one_half() -> None:
+    half = mtf50(fitted(MIXED), "x", active_um=5.0)
+    curve, pixel = mtf(fitted(MIXED), half.value, "x"), float(pixel_mtf(half.value, 5.0, "x"))
+    assert float(curve.value) * pixel == pytest.approx(0.5, abs=1e-9)
+    moved = [mtf50(fitted(MIXED + 1e-5 * (np.arange(12) == mode)), "x", active_um=5.0).value for mode in range(12)]
+    slopes = (np.array(moved) - half.value) / 1e-5
+    assert half.std == pytest.approx(1e-3 * float(np.linalg.norm(slopes)), rel=1e-2)
+
+
 def test_near_a_perfect_lens_errors_are_of_second_order_and_hold_the_bias(covariance: Floats) -> None:
     drawn = np.random.default_rng(2).multivariate_normal(np.zeros(12), covariance, 150)
     perfect = fitted(np.zeros(12), covariance)
