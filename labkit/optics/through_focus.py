@@ -7,6 +7,7 @@ waves RMS of Noll 4 at the reference wavelength; `sensor_shift_um` is how far th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -98,9 +99,7 @@ def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDept
     if not (near.size and far.size):
         return None
     # of a place where S falls to a level: the slope of both by the modes, over that of S
-    pulls = [
-        (DEPTH * slopes(top) - slopes(end)) / float(spline(end, 1)) for end in (float(near[-1]), float(far[0]))
-    ]
+    pulls = [(DEPTH * slopes(top) - slopes(end)) / float(spline(end, 1)) for end in (float(near[-1]), float(far[0]))]
     of_top = -slopes(top, 1) / float(spline(top, 2))
 
     def uncertain(value: float, pull: Floats) -> Uncertain:
@@ -116,7 +115,7 @@ def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDept
 
 def sensor_shift_um(wavefront: FittedWavefront, defocus_waves: float) -> float:
     """How far the sensor is from focus, um, for a defocus: 8 N^2 times its peak to valley."""
-    return 8 * wavefront.f_number**2 * np.sqrt(12) * defocus_waves * wavefront.reference_um
+    return 8 * wavefront.f_number**2 * sqrt(12) * defocus_waves * wavefront.reference_um
 
 
 def _grid(defocus_waves: Floats) -> Floats:
@@ -132,7 +131,7 @@ def _with_defocus(rest: FittedWavefront, waves: float) -> FittedWavefront:
 
 
 def _overlap(wavefront: FittedWavefront, apart: float, azimuth: float) -> tuple[Floats, Floats]:
-    """(points,) weights over the overlap of two pupils so far apart along an azimuth, and (modes, points) the modes' differences.
+    """(points,) weights over the overlap of two pupils so far apart along an azimuth, and (modes, points) their differences.
 
     The nodes are those of `labkit.optics.mtf`.
     """
