@@ -26,7 +26,7 @@ LEAST_LABELLED = 6.0  # per cent: a narrower piece has no room for its number
 def budget_chart(results: Results) -> Figure:
     """Stacked bars, one for each number of the budget, of the sources' shares of its variance in per cent."""
     numbers = list(results.budget.items())
-    figure, axes = chart(HALF_IN, 0.85 + 0.3 * len(numbers), left=2.1, top=0.34)
+    figure, axes = chart(HALF_IN, 0.85 + 0.3 * len(numbers), left=2.3, top=0.34)
     places = np.arange(len(numbers))
     shares = np.array([variance_shares(budget) for _, budget in numbers])
     left = np.zeros(len(numbers))

@@ -20,7 +20,6 @@ def fit_table(results: Results) -> Table:
         Column("channel", text=True),
         Column("defocus", "waves RMS"),
         *([Column("blur", "µm")] if results.lens else []),
-        Column("Strehl as photographed"),
         Column("χ²/pixel", why=TEST),
         Column("optimum", text=True),
     ]
@@ -32,8 +31,7 @@ def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
     verdict = "not tested" if w.test is None else "no sign of a wrong one" if w.test.accepted else "rejected"
     between = [estimated(w.blur, least=2)] if blur else []
     defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
-    strehl = estimated(w.strehl, least=3)
-    return (_range(w), w.channel, defocus, *between, strehl, fixed(w.chi2_per_pixel, 3), verdict)
+    return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), verdict)
 
 
 def method_table(results: Results) -> Table:

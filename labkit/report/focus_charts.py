@@ -23,7 +23,7 @@ def defocus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_
     curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
     """
     inks = channel_inks(results.channels)
-    figure, axes = chart(HALF_IN, HEIGHT_IN, right=0.55, top=0.12)
+    figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, right=0.55, top=0.12)
     bounds = _range_bounds(results, focus, shortest_mm)
     axes.axhline(0, color=SOFT, lw=0.7)
     for channel in results.channels:

@@ -75,11 +75,17 @@ def budget_table(results: Results) -> Table | None:
         whole = whole_std(shares)
         # one digit more than the whole has: what is a tenth of it is seen to be
         digits = decimals(whole) + 1
-        cells = [fixed(shares.get(source, 0.0), digits) for source in SOURCES]
+        cells = [_share(shares.get(source, 0.0), digits) for source in SOURCES]
         rows.append(Row((name, unit, *cells, fixed(whole, digits))))
     errors = [Column(source, why=ERRORS) for source in (*SOURCES, "all")]
     columns = (Column("standard error of", text=True), Column("", text=True), *errors)
     return Table(columns, tuple(rows), strong=len(columns) - 1)
+
+
+def _share(std: float, digits: int) -> str:
+    """A standard error; below the last digit that it is, unless it is none."""
+    least = 10.0**-digits
+    return fixed(std, digits) if std == 0 or std >= least / 2 else f"< {least:.{digits}f}"
 
 
 def budget_name(key: str) -> tuple[str, str]:

@@ -64,17 +64,17 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
     times = sorted(frames[name].time for name in used)
     rows = [
         ("Camera", camera, FILES),
-        ("Camera's serial number", _one(exifs, lambda e: e.camera_serial) or str(body.get("serial", "")), FILES),
+        _either("Camera's serial number", _one(exifs, lambda e: e.camera_serial), str(body.get("serial", ""))),
         ("Lens", _one(exifs, lambda e: e.lens), FILES),
         ("Lens's serial number", _one(exifs, lambda e: e.lens_serial), FILES),
         ("Focal length set", _one(exifs, lambda e: e.focal_length_mm and f"{e.focal_length_mm:g} mm"), FILES),
         ("Aperture set", _one(exifs, lambda e: e.f_number and f"f/{e.f_number:g}"), FILES),
-        ("Exposure", _one(exifs, lambda e: e.exposure_s and _seconds(e.exposure_s)) or _journal_s(frames, used), FILES),
+        _either("Exposure", _one(exifs, lambda e: e.exposure_s and _seconds(e.exposure_s)), _journal_s(frames, used)),
         ("ISO", _one(exifs, lambda e: e.iso and str(e.iso)), FILES),
         ("Taken", _span([_exif_time(t) for t in taken]), FILES),
         ("Added to the session", _span([when(t) for t in times]), JOURNAL),
         ("Photographs", in_words(session.frames), JOURNAL),
-        ("Target as drawn", _drawn(events.get("began", {})), JOURNAL),
+        ("Target as drawn", _drawn(events.get("began", {}), results.plan.target.size_mm), JOURNAL),
     ]
     known = tuple((name, value, why) for name, value, why in rows if value)
     shown = next((frames[name].path for name in nearest.frames if name in frames), None)
@@ -113,9 +113,17 @@ def _span(times: Sequence[str]) -> str:
     return " to ".join(dict.fromkeys((times[0], times[-1]))) if times else ""
 
 
-def _drawn(began: dict[str, object]) -> str:
+def _drawn(began: dict[str, Any], stated_mm: float) -> str:
+    """The size that a display showed: its pixels are whole, and what is fitted is this size."""
     size = began.get("shown_size_mm")
-    return " × ".join(f"{float(side):.3f}" for side in size) + " mm" if isinstance(size, list | tuple) else ""
+    if not isinstance(size, list | tuple):
+        return ""
+    return f"{' × '.join(f'{float(side):.3f}' for side in size)} mm, in whole pixels; the plan states {stated_mm:g} mm"
+
+
+def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
+    """What files state; what the journal has where they state nothing."""
+    return (name, in_files, FILES) if in_files else (name, in_journal, JOURNAL)
 
 
 def _preview(path: Path | None, results: Results) -> dict[str, Any]:
