@@ -16,6 +16,7 @@ from labkit.report.mode_tables import DEFOCUS, difference_table, mode_table, pat
 from labkit.report.photographs import Photographs, photograph_table, place_table
 from labkit.report.quantities import NO_ERROR, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, when
 from labkit.report.style import channel_inks
+from labkit.report.table import Table
 from labkit.results import Results
 from labkit.uncertain import Uncertain
 
@@ -39,9 +40,9 @@ def contents(results: Results, curves: Sequence[Curves], photographs: Photograph
     """What the template needs; drawn: the sections that have figures."""
     m, plan, focus, focused = results, results.plan, results.focus, [c.best for c in curves]
     reference_nm = m.reference_wavelength_nm
-    lens, tried = lens_table(m), tried_table(m)
+    tables = _tables(m, curves, photographs)
     shown = set(SECTIONS) - OPTIONAL | (drawn & OPTIONAL)
-    shown |= ({"lens"} if lens else set()) | ({"camera"} if tried.rows else set())
+    shown |= ({"lens"} if tables["lens_table"] or focus else set()) | ({"camera"} if m.parts_tried else set())
     sections = [(name, label) for name, label in SECTIONS.items() if name in shown]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
@@ -56,6 +57,17 @@ def contents(results: Results, curves: Sequence[Curves], photographs: Photograph
         "strehl": [_card(b, b.strehl, least=3) for b in focused],
         "rms": [_card(b, b.rms, least=4) | {"nm": estimated(b.rms, reference_nm)} for b in focused],
         "magnification": estimated(focus.pupil_magnification) if focus else "",
+        "missing": missing_words(m),
+        "sources": SOURCES,
+        "checks": _checks(m),
+        "provenance": _provenance(m, plan),
+    } | tables
+
+
+def _tables(m: Results, curves: Sequence[Curves], photographs: Photographs) -> dict[str, Table | None]:
+    """Every table, by its name in the template."""
+    focused, reference_nm = [c.best for c in curves], m.reference_wavelength_nm
+    return {
         "focus_table": focus_table(focused, reference_nm),
         "depth_table": depth_table(curves, m),
         "path_table": path_table(m),
@@ -63,19 +75,15 @@ def contents(results: Results, curves: Sequence[Curves], photographs: Photograph
         "mode_table": mode_table(focused, "waves RMS"),
         "nm_table": mode_table(focused, "nm RMS", reference_nm),
         "difference_table": difference_table(m, focused),
-        "lens_table": lens,
+        "lens_table": lens_table(m),
         "part_table": part_table(m),
-        "tried_table": tried,
-        "missing": missing_words(m),
-        "sources": SOURCES,
+        "tried_table": tried_table(m),
         "budget_table": budget_table(m),
         "photograph_table": photograph_table(photographs),
         "place_table": place_table(m, photographs),
-        "checks": _checks(m),
         "fit_table": fit_table(m),
         "method_table": method_table(m),
-        "residual_table": residual_table(m, focus) if focus else None,
-        "provenance": _provenance(m, plan),
+        "residual_table": residual_table(m, m.focus) if m.focus else None,
     }
 
 
@@ -126,7 +134,8 @@ def _checks(m: Results) -> list[dict[str, Any]]:
     rejected = [w for w in tested if w.test and not w.test.accepted]
     if rejected:
         names = ", ".join(f"{millimetres(w.range_mm)} {w.channel}" for w in rejected)
-        text = f"{len(rejected)} of {len(tested)} optima rejected as local minima: {names}"
+        show = "shows" if len(rejected) == 1 else "show"
+        text = f"{len(rejected)} of {len(tested)} fits {show} signs of a wrong optimum: {names}"
         checks.append({"good": False, "text": text})
     elif tested:
         checks.append({"good": True, "text": _no_sign(len(tested))})

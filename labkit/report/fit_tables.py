@@ -28,7 +28,9 @@ def fit_table(results: Results) -> Table:
 
 
 def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
-    verdict = "not tested" if w.test is None else "no sign of a wrong one" if w.test.accepted else "rejected"
+    verdict = (
+        "not tested" if w.test is None else "no sign of a wrong one" if w.test.accepted else "signs of a wrong one"
+    )
     between = [estimated(w.blur, least=2)] if blur else []
     defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
     return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), verdict)
