@@ -1,5 +1,7 @@
 """What the report gives of a lens at best focus, against closed forms."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -105,7 +107,12 @@ def test_curves_have_bands_of_one_standard_error() -> None:
 
 
 def test_the_depth_of_focus_of_a_perfect_lens_is_four_wavelengths_n_squared() -> None:
-    flat = {"noll": (4,), "waves": np.array([0.05]), "covariance": 1e-8 * np.eye(1), "f_number_std": 0.0028}
+    flat: dict[str, Any] = {
+        "noll": (4,),
+        "waves": np.array([0.05]),
+        "covariance": 1e-8 * np.eye(1),
+        "f_number_std": 0.0028,
+    }
     results = some_results(wavefronts=(a_wavefront(3000.0, "R", **flat),))
     one = curves_of(results, at_best_focus(results))
     cells = {row.cells[0]: row.cells[2] for row in depth_table(one, results).rows}
