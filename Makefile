@@ -58,10 +58,11 @@ check: types
 
 # The README's picture of a report, by Chromium.
 picture: .venv/installed chromium
-	rm -rf build/picture
-	$(ONE_THREAD) $(BIN)/labkit --quiet demo --out build/picture
+	rm -rf build/demo
+	mkdir -p build
+	$(ONE_THREAD) $(BIN)/labkit demo --out build/demo
 	$$(command -v chromium || command -v chromium-browser || command -v google-chrome) --headless --no-sandbox --hide-scrollbars \
-		--window-size=1280,1440 --screenshot=docs/report.png build/picture/results/latest/report.html
+		--window-size=1280,1440 --screenshot=docs/report.png build/demo/results/latest/report.html
 
 # mypy sees the packages where they will be installed, through links: drivers/ is labkit/drivers there.
 types: .venv/installed-dev

@@ -36,7 +36,7 @@ def zernike_chart(focused: Sequence[BestFocus], reference_nm: float, inks: dict[
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)
     axes.secondary_xaxis("top", functions=scaling(reference_nm)).set_xlabel("nm RMS")
-    axes.legend(loc="best", handlelength=1)
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper left", handlelength=1, ncols=3, columnspacing=1)
     return figure
 
 
