@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 
 from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import Directed
@@ -11,12 +12,13 @@ from labkit.optics.psf import diffraction_mtf
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
 from labkit.report.best_focus import SHARE, BestFocus
 from labkit.report.curves import Curves
-from labkit.report.quantities import UNKNOWN, estimated, fixed, millimetres
+from labkit.report.quantities import estimated, fixed, millimetres
 from labkit.report.table import EXACT, Column, Row, Table, channel_columns
 from labkit.results import Results
 from labkit.uncertain import Uncertain
 
 NOT_FITTED = "not fitted"
+NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
 PITCH = "by the pixel pitch, which the plan states without an error"
 
 
@@ -71,7 +73,7 @@ def depth_table(curves: Sequence[Curves], results: Results) -> Table:
 
     def at(curve: Curves, which: str) -> str:
         if curve.depth is None:
-            return UNKNOWN
+            return NO_LIMIT
         focus_std = errors[curve.channel].std if curve.in_ranges else 0.0
         return _place(curve.placed(getattr(curve.depth, which), focus_std))
 
@@ -96,13 +98,13 @@ def _best(curve: Curves, errors: dict[str, Uncertain]) -> str:
 
 
 def _place(place: Uncertain) -> str:
-    return estimated(place) if place.value == place.value else "no limit"
+    return estimated(place) if isfinite(place.value) else NO_LIMIT
 
 
 def _on_sensor(curve: Curves) -> str:
     """The depth as a way of the sensor, 8 N^2 times a path: twice the relative error of the cone."""
     if curve.depth is None:
-        return UNKNOWN
+        return NO_LIMIT
     fitted, span = curve.best.fitted, curve.depth.span
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.cone_error * span.value

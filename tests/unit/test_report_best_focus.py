@@ -13,7 +13,7 @@ from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.mtf_charts import mtf_chart
 from labkit.report.pictures import map_limit, opd_picture
 from labkit.report.style import NAMED
-from labkit.results import Wavefront
+from labkit.results import Focus, Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import PLAN, a_wavefront, some_results
 
@@ -131,6 +131,16 @@ def test_a_place_through_focus_has_the_error_of_best_focus_beside_its_own() -> N
     at = red.placed(Uncertain(0.0, 0.0), 0.42)
     assert at.value == pytest.approx(2986.84)
     assert at.std == pytest.approx(0.42)
+
+
+def test_a_lens_focused_far_away_has_no_end_of_its_depth_of_focus() -> None:
+    far = Focus({"R": Uncertain(900_000.0, 900.0, "mm")}, Uncertain(1.0, 0.1), identifiable=True, residual_waves={})
+    results = some_results(wavefronts=(a_wavefront(),), focus=far)
+    # beyond f² over 2 lambda N², 450 m, infinity is within the depth of focus
+    cells = {
+        row.cells[0]: row.cells[2] for row in depth_table(curves_of(results, at_best_focus(results)), results).rows
+    }
+    assert cells["to"] == "beyond any range"
 
 
 def test_without_best_focus_the_axis_is_the_way_of_the_sensor() -> None:
