@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Tests run one process a core; more threads than that only get in each other's way.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test fast coverage lowest chromium umockdev check types bench readme sony-raw clean
+.PHONY: picture demo test fast coverage lowest chromium umockdev check types bench readme sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
@@ -55,6 +55,14 @@ check: types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -q tests/unit/test_imports.py tests/unit/test_house.py tests/unit/test_readme.py
+
+# The README's picture of a report, by Chromium.
+picture: .venv/installed chromium
+	rm -rf build/demo
+	mkdir -p build
+	$(ONE_THREAD) $(BIN)/labkit demo --out build/demo
+	$$(command -v chromium || command -v chromium-browser || command -v google-chrome) --headless --no-sandbox --hide-scrollbars \
+		--window-size=1280,1440 --screenshot=docs/report.png build/demo/results/latest/report.html
 
 # mypy sees the packages where they will be installed, through links: drivers/ is labkit/drivers there.
 types: .venv/installed-dev

@@ -48,10 +48,10 @@ class _Mean:
         kernel = j1(argument) * self.weight[:, None] * 2 * np.pi * radius_um
         return self.value @ kernel, self.slopes @ kernel
 
-    def density(self, radius_um: float) -> float:
-        """Energy per um of radius."""
-        kernel = self.frequency * j0(2 * np.pi * radius_um * self.frequency) * self.weight
-        return float((2 * np.pi) ** 2 * radius_um * (self.value @ kernel))
+    def density(self, radius_um: Floats) -> Floats:
+        """(r,) energy per um of radius."""
+        kernel = (self.frequency * self.weight)[:, None] * j0(2 * np.pi * np.outer(self.frequency, radius_um))
+        return np.asarray((2 * np.pi) ** 2 * radius_um * (self.value @ kernel))
 
 
 def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> EncircledEnergy:
@@ -63,8 +63,10 @@ def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> Encirc
     if np.any(radius < 0):
         raise ValueError(f"radius_um, shape {radius.shape}: radii are 0 or more (um)")
     centred = about_centroid(wavefront)
-    value, slopes = _mean_transfer(centred, float(radius.max(initial=0.0))).energy(radius.ravel())
-    std = np.sqrt(centred.variance(slopes))
+    mean = _mean_transfer(centred, float(radius.max(initial=0.0)))
+    value, slopes = mean.energy(radius.ravel())
+    by_cone = centred.cone_error * radius.ravel() * mean.density(radius.ravel())
+    std = np.hypot(np.sqrt(centred.variance(slopes)), by_cone)
     return EncircledEnergy(radius, value.reshape(radius.shape), std.reshape(radius.shape))
 
 
@@ -84,8 +86,8 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
         mean = _mean_transfer(centred, limit)
     radius = brentq(lambda r: mean.energy(np.array([r]))[0][0] - share, 0.0, limit, xtol=1e-10 * limit)
     gradient = mean.energy(np.array([radius]))[1][:, 0]
-    std = float(np.sqrt(centred.variance(gradient)))
-    return Uncertain(radius, std / abs(mean.density(radius)), "um")
+    std = float(np.sqrt(centred.variance(gradient))) / abs(float(mean.density(np.array([radius]))[0]))
+    return Uncertain(radius, np.hypot(std, centred.cone_error * radius), "um")
 
 
 def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:

@@ -6,6 +6,7 @@ in waves at the reference wavelength.
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -128,11 +129,17 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
     wavefront = wavefront.without(without)
     if not wavefront.noll:
         return Uncertain(0.0, 0.0, "waves")
-    rho, theta = np.meshgrid(np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES)
-    modes = modes_at(wavefront.noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(wavefront.noll), -1)
+    modes = _all_over(wavefront.noll)
     path = wavefront.waves @ modes
     gradient = modes[:, path.argmax()] - modes[:, path.argmin()]
     return Uncertain(np.ptp(path), float(np.sqrt(wavefront.variance(gradient))), "waves")
+
+
+@lru_cache(maxsize=4)
+def _all_over(noll: tuple[int, ...]) -> Floats:
+    """(modes, points) the modes over the pupil and its rim."""
+    rho, theta = np.meshgrid(np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES)
+    return modes_at(noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(noll), -1)
 
 
 def astigmatism(wavefront: FittedWavefront) -> Directed:

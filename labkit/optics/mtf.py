@@ -66,14 +66,25 @@ def mtf(
 ) -> Curve:
     """Modulation transfer of the optics alone along a direction, at frequencies of any shape, with standard errors.
 
-    direction, field: as in `azimuth_deg`. Errors are by the delta method. Where the MTF is zero it has no derivative: there
-    they are those of the transfer function itself; where it is of the order of its errors, they are rough.
+    direction, field: as in `azimuth_deg`. Errors are by the delta method, that of the f-number included. Where the MTF is zero
+    it has no derivative: there they are those of the transfer function itself; where it is of the order of its errors, they
+    are rough.
     """
     frequency = real_array("frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor")
-    transfer, slopes = transfer_function(wavefront, frequency.ravel(), azimuth_deg(direction, field))
-    value, gradient = _modulus(transfer, slopes)
-    std = np.sqrt(wavefront.variance(gradient))
+    along, azimuth = frequency.ravel(), azimuth_deg(direction, field)
+    value, gradient = _modulus(*transfer_function(wavefront, along, azimuth))
+    variance = wavefront.variance(gradient)
+    if wavefront.f_number_std:
+        variance = variance + (wavefront.cone_error * along * _slope(wavefront, along, azimuth)) ** 2
+    std = np.sqrt(variance)
     return Curve(frequency, value.reshape(frequency.shape), std.reshape(frequency.shape))
+
+
+def _slope(wavefront: FittedWavefront, frequency: Floats, azimuth: float) -> Floats:
+    """Of the MTF by frequency, mm; the wider the cone, the higher each frequency that it passes alike."""
+    step = 1e-4 * wavefront.cutoff_per_mm
+    after, before = (np.abs(transfer_function(wavefront, frequency + d, azimuth)[0]) for d in (step, -step))
+    return np.asarray((after - before) / (2 * step))
 
 
 def _modulus(transfer: Complexes, slopes: Complexes) -> tuple[Floats, Floats]:
@@ -82,23 +93,33 @@ def _modulus(transfer: Complexes, slopes: Complexes) -> tuple[Floats, Floats]:
     return value, np.asarray((slopes * phase).real)
 
 
-def mtf50(wavefront: FittedWavefront, direction: Direction | float, field: Sequence[float] = (0.0, 0.0)) -> Uncertain:
-    """The lowest frequency, cycles/mm, at which the MTF of the optics alone falls to one half.
+def mtf50(
+    wavefront: FittedWavefront,
+    direction: Direction | float,
+    field: Sequence[float] = (0.0, 0.0),
+    active_um: float | None = None,
+) -> Uncertain:
+    """The lowest frequency, cycles/mm, at which the MTF falls to one half; the error is as of `mtf`.
 
-    There is always one: every MTF ends at zero. direction, field: as in `azimuth_deg`.
+    There is always one: every MTF ends at zero. direction, field: as in `azimuth_deg`. active_um: width of the pixel's square
+    active area, whose `pixel_mtf` is a factor then; without it, of the optics alone.
     """
     azimuth, cutoff = azimuth_deg(direction, field), wavefront.cutoff_per_mm
 
+    def pixel(frequency: Floats) -> Floats:
+        return np.ones_like(frequency) if active_um is None else pixel_mtf(frequency, active_um, azimuth)
+
     def value(frequency: float) -> float:
-        return float(np.abs(transfer_function(wavefront, np.array([frequency]), azimuth)[0][0]))
+        at = np.array([frequency])
+        return float((np.abs(transfer_function(wavefront, at, azimuth)[0]) * pixel(at))[0])
 
     grid = np.linspace(0, cutoff, HALF_MODULATION_GRID + 1)
-    below = int(np.argmax(np.abs(transfer_function(wavefront, grid, azimuth)[0]) < 0.5))
+    below = int(np.argmax(np.abs(transfer_function(wavefront, grid, azimuth)[0]) * pixel(grid) < 0.5))
     half = brentq(lambda f: value(f) - 0.5, grid[below - 1], grid[below], xtol=1e-10 * cutoff)
-    gradient = _modulus(*transfer_function(wavefront, np.array([half]), azimuth))[1]
     step = 1e-5 * cutoff
     slope = (value(half + step) - value(half - step)) / (2 * step)
-    return Uncertain(half, np.sqrt(wavefront.variance(gradient)[0]) / abs(slope), "cycles/mm")
+    std = mtf(wavefront, half, azimuth).std * pixel(np.array(half))
+    return Uncertain(half, float(std) / abs(slope), "cycles/mm")
 
 
 def pixel_mtf(

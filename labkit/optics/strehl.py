@@ -1,5 +1,7 @@
 """The Strehl ratio of a fitted wavefront: how high its image of a point rises beside a perfect lens's."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from labkit.optics.mtf import steepness
@@ -11,6 +13,19 @@ from labkit.uncertain import Uncertain
 TILTS = (2, 3)
 FLAT = 0.01  # of a perfect peak's curvature: along directions flatter than that a peak has no place
 STEPS = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peak:
+    """A maximum of a PSF: its height over a perfect lens's, and the tilts (2,), waves RMS, that bring it to the centre.
+
+    slope: (modes,) of the height by the coefficients; hessian: (modes, modes), the maximum's place following them.
+    """
+
+    value: float
+    tilts: Floats
+    slope: Floats
+    hessian: Floats
 
 
 def strehl(wavefront: FittedWavefront) -> Uncertain:
@@ -26,34 +41,57 @@ def strehl(wavefront: FittedWavefront) -> Uncertain:
     rest = wavefront.without(TILTS)
     if not rest.noll:
         return Uncertain(1.0, 0.0)
-    free = len(TILTS)
-    waves = np.concatenate([_brightest_tilts(rest), rest.waves])
-    weights, modes = _over_pupil((*TILTS, *rest.noll), waves, rest)
-    curvature = 2 * rest.radians_per_wave**2
-    for _ in range(STEPS):
-        value, slope, bend = _peak(waves, weights, modes, rest.radians_per_wave)
+    tilts = _brightest_tilts(rest)
+    found = Climber(rest, float(np.linalg.norm(tilts))).peak(rest.waves, tilts)
+    return Uncertain(found.value, np.sqrt(mean_square(rest, found)))
+
+
+class Climber:
+    """Climbs to the maximum of the PSFs of a wavefront's modes, from tilts near it.
+
+    wavefront: without tilts, as steep as any that is climbed on; most_tilt: waves RMS that the light is thrown to.
+    """
+
+    def __init__(self, wavefront: FittedWavefront, most_tilt: float = 0.0) -> None:
+        self._factor = wavefront.radians_per_wave
+        steep = steepness(wavefront) + self._factor * 2 * most_tilt
+        self._weights, self._modes = _over_pupil((*TILTS, *wavefront.noll), steep)
+
+    def peak(self, waves: Floats, tilts: Floats) -> Peak:
+        """The maximum for coefficients (modes,), from tilts (2,), waves RMS."""
+        free = len(TILTS)
+        at = np.concatenate([tilts, waves])
+        curvature = 2 * self._factor**2
+        path = waves @ self._modes[free:]
+        for _ in range(STEPS):  # the other modes' derivatives are wanted at its end alone
+            _, slope, bend = _peak(at[:free], self._weights, self._modes[:free], self._factor, path)
+            values, axes = np.linalg.eigh(bend)
+            step = axes @ ((axes.T @ slope) / np.maximum(np.abs(values), FLAT * curvature))
+            at[:free] += step
+            if np.abs(step).max() < 1e-9:
+                break
+        value, slope, bend = _peak(at, self._weights, self._modes, self._factor)
         values, axes = np.linalg.eigh(bend[:free, :free])
-        step = axes @ ((axes.T @ slope[:free]) / np.maximum(np.abs(values), FLAT * curvature))
-        waves[:free] += step
-        if np.abs(step).max() < 1e-9:
-            break
-    fixed = values < -FLAT * curvature * value
-    moved = axes[:, fixed].T @ bend[:free, free:]
-    hessian = bend[free:, free:] - moved.T @ (moved / values[fixed][:, None])
-    return Uncertain(value, np.sqrt(_mean_square(rest, slope[free:], hessian)))
+        fixed = values < -FLAT * curvature * value
+        moved = axes[:, fixed].T @ bend[:free, free:]
+        hessian = bend[free:, free:] - moved.T @ (moved / values[fixed][:, None])
+        return Peak(value, at[:free], slope[free:], hessian)
 
 
-def _mean_square(wavefront: FittedWavefront, slope: Floats, hessian: Floats) -> float:
-    first = float(wavefront.variance(slope))
+def mean_square(wavefront: FittedWavefront, peak: Peak) -> float:
+    """Of the departure of a peak's height, as `strehl` has it."""
+    first = float(wavefront.variance(peak.slope))
     if not np.isfinite(wavefront.covariance).all():
         return first
-    product = hessian @ wavefront.covariance
+    product = peak.hessian @ wavefront.covariance
     return first + float(np.sum(product * product.T)) / 2 + float(np.trace(product)) ** 2 / 4
 
 
-def _peak(waves: Floats, weights: Floats, modes: Floats, factor: float) -> tuple[float, Floats, Floats]:
-    """|mean of exp(i phase)|^2 with its gradient (modes,) and Hessian (modes, modes) by the waves."""
-    field: Complexes = weights * np.exp(1j * factor * (waves @ modes))
+def _peak(
+    waves: Floats, weights: Floats, modes: Floats, factor: float, path: Floats | float = 0.0
+) -> tuple[float, Floats, Floats]:
+    """|mean of exp(i phase)|^2 with its gradient (modes,) and Hessian (modes, modes) by the waves; path: of other modes."""
+    field: Complexes = weights * np.exp(1j * factor * (waves @ modes + path))
     total, by_mode = field.sum(), 1j * factor * (modes @ field)
     by_two = -(factor**2) * ((modes * field) @ modes.T)
     slope = 2 * (np.conj(total) * by_mode).real
@@ -61,10 +99,8 @@ def _peak(waves: Floats, weights: Floats, modes: Floats, factor: float) -> tuple
     return float(np.abs(total) ** 2), slope, bend
 
 
-def _over_pupil(noll: tuple[int, ...], waves: Floats, wavefront: FittedWavefront) -> tuple[Floats, Floats]:
-    """(points,) weights, with sum 1, of a quadrature over the pupil that resolves a wavefront; (modes, points) the modes."""
-    tilt = wavefront.radians_per_wave * 2 * float(np.linalg.norm(waves[: len(TILTS)]))
-    steep = steepness(wavefront) + tilt
+def _over_pupil(noll: tuple[int, ...], steep: float) -> tuple[Floats, Floats]:
+    """(points,) weights, with sum 1, of a quadrature over the pupil that resolves a steepness; (modes, points) the modes."""
     node, weight = np.polynomial.legendre.leggauss(16 + int(np.ceil(0.35 * steep)))
     angles = 48 + 2 * int(np.ceil(0.7 * steep))
     rho, theta = np.meshgrid((node + 1) / 2, 2 * np.pi * np.arange(angles) / angles, indexing="ij")

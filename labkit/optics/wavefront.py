@@ -20,7 +20,8 @@ class FittedWavefront:
 
     noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
     waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
-    reaches the sensor. Pupil coordinates as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
+    reaches the sensor; f_number_std: its standard error, which enters what is measured in lengths as if it were independent of
+    the modes'. Pupil coordinates as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
     Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
     """
 
@@ -30,6 +31,7 @@ class FittedWavefront:
     wavelength_um: float
     reference_um: float
     f_number: float
+    f_number_std: float = 0.0
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -60,6 +62,11 @@ class FittedWavefront:
     def radians_per_wave(self) -> float:
         """Phase, in the light's own wavelength, of one wave of path at the reference wavelength."""
         return 2 * np.pi * self.reference_um / self.wavelength_um
+
+    @property
+    def cone_error(self) -> float:
+        """Relative standard error of the f-number."""
+        return self.f_number_std / self.f_number
 
     def index(self, j: int) -> int:
         """Where Noll mode j stands in `noll`. Raises ValueError if it is not among them."""

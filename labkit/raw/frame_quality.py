@@ -26,7 +26,7 @@ SIGNAL_SHARE = 2e-3
 """Nor is this little of the way from black to white light: black levels are off by as much when a sensor is warm."""
 
 DARK_SHARE = 0.1
-"""A dark or bias frame whose middle value lies this far from black to white has seen light."""
+"""A dark or bias frame whose median lies this far from black to white has seen light."""
 
 ROUNDING = 1 / np.sqrt(12)
 """Standard deviation of rounding to whole counts."""

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from labkit.report.lens_table import SOURCES, budget_name, whole_std
 from labkit.report.quantities import fixed
-from labkit.report.style import INK
+from labkit.report.style import HALF_IN, INK, chart
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import decimals
@@ -20,15 +20,13 @@ COLOURS = {
     "geometry": ("#444a50", "white"),
     "model": ("#cc79a7", INK),
 }
-CHART_IN = 5.8  # of a figure that a telephone, too, shows most of
 LEAST_LABELLED = 6.0  # per cent: a narrower piece has no room for its number
 
 
 def budget_chart(results: Results) -> Figure:
     """Stacked bars, one for each number of the budget, of the sources' shares of its variance in per cent."""
     numbers = list(results.budget.items())
-    figure = Figure(figsize=(CHART_IN, 0.75 + 0.3 * len(numbers)), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = chart(HALF_IN, 0.85 + 0.3 * len(numbers), left=2.3, top=0.34)
     places = np.arange(len(numbers))
     shares = np.array([variance_shares(budget) for _, budget in numbers])
     left = np.zeros(len(numbers))
@@ -41,7 +39,7 @@ def budget_chart(results: Results) -> Figure:
     axes.set(xlim=(0, 100), ylim=(len(numbers) - 0.4, -0.6), xlabel="share of the variance, %")
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=len(SOURCES))
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=len(SOURCES), borderaxespad=0.1)
     return figure
 
 

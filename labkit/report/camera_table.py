@@ -1,8 +1,9 @@
-"""What was found of the camera, and what it was asked about: rows of text."""
+"""What was found of the camera, and which of its parts the photographs were tested for."""
 
 from __future__ import annotations
 
 from labkit.report.quantities import estimated, fixed
+from labkit.report.table import Column, Row, Table
 from labkit.results import Results
 
 NAMES = {
@@ -28,16 +29,17 @@ NUMBERS = {
 }
 
 
-def part_rows(results: Results) -> list[dict[str, str]]:
-    """Name, what of it, unit and estimate of each number of the parts that were fitted."""
-    rows, before = list[dict[str, str]](), ""
+def part_table(results: Results) -> Table | None:
+    """Each number of the parts that were fitted; None where none was."""
+    rows, before = list[Row](), ""
     for key, number in results.model_parts.items():
         part, *channel, what = key.split(".")
         of = ", ".join([NUMBERS.get(what, what), *channel])
         name = NAMES.get(part, part) if part != before else ""
-        rows.append({"name": name, "of": of, "unit": number.unit, "estimate": estimated(number), "first": name})
+        rows.append(Row((name, of, number.unit, estimated(number)), first=bool(name)))
         before = part
-    return rows
+    columns = (Column("part", text=True), Column("", text=True), Column("", text=True), Column("fitted"))
+    return Table(columns, tuple(rows), strong=3) if rows else None
 
 
 def missing_words(results: Results) -> str:
@@ -45,9 +47,14 @@ def missing_words(results: Results) -> str:
     return ", ".join(NAMES.get(name, name) for name in dict.fromkeys(name for w in results for name in w.missing))
 
 
-def tried_rows(results: Results) -> list[dict[str, str]]:
-    """Parts that the photographs were asked about: what each would gain, and whether it was taken in."""
-    return [
-        {"name": NAMES.get(p.name, p.name), "gain": fixed(p.gain, 1), "adopted": "taken in" if p.adopted else ""}
-        for p in results.parts_tried
+def tried_table(results: Results) -> Table:
+    """Parts that the photographs were tested for: what each would gain, and whether it was taken in."""
+    rows = [
+        Row((NAMES.get(p.name, p.name), fixed(p.gain, 1), "taken in" if p.adopted else "")) for p in results.parts_tried
     ]
+    columns = (
+        Column("part", text=True),
+        Column("gain", why="a log-likelihood, a test's statistic"),
+        Column("", text=True),
+    )
+    return Table(columns, tuple(rows))

@@ -1,76 +1,91 @@
 """Every figure of a report: drawn, encoded, and put into words."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from re import sub
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
-from labkit.report.best_focus import SHARE, BestFocus, nyquist_per_mm
+from labkit.report.best_focus import BestFocus, full_nyquist_per_mm
 from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.camera_charts import spectrum_chart
-from labkit.report.focus_charts import energy_chart, opd_picture
+from labkit.report.curves import NEAREST, Curves
+from labkit.report.focus_charts import defocus_chart, energy_chart, residual_chart
 from labkit.report.lens_table import SOURCES, budget_name, lens_of
-from labkit.report.mtf_charts import focus_mtf_chart, mtf_chart
+from labkit.report.mtf_charts import mtf_chart
+from labkit.report.photographs import Photographs
+from labkit.report.plates import Panel, Plate, chip, drawing, picture
 from labkit.report.quantities import estimated, fixed, millimetres, plus_minus
-from labkit.report.style import in_groups, png, styled, svg
+from labkit.report.style import channel_inks, styled
+from labkit.report.through_charts import modulation_chart, strehl_chart
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 
-PER_FIGURE = 6  # ranges in one figure
 
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A figure: its file's name, its width, its bytes (as SVG too where it is made of lines), and its words."""
-
-    name: str
-    width_in: float
-    png: bytes
-    svg: bytes | None
-    alt: str
-    caption: str
-
-
-def draw_figures(results: Results, focused: Sequence[BestFocus]) -> dict[str, list[Drawn]]:
-    """All figures, by the section of the report they belong to; a section without any is left out.
-
-    focused: each channel at best focus.
-    """
+def draw_figures(results: Results, curves: Sequence[Curves], photographs: Photographs) -> dict[str, list[Plate]]:
+    """All plates, by the section of the report they belong to; a section without any is left out."""
+    focused = [c.best for c in curves]
     with styled():
         sections = {
-            "focus": list(_focus(results)),
-            "camera": list(_camera(results)),
-            "budget": list(_budget(results)),
-            "best-focus": list(_at_best_focus(results, focused)),
-            "fits": list(_fits(results)),
-            "psf": list(_psfs(results)),
-            "mtf": list(_mtfs(results)),
-            "zernike": list(_zernikes(results)),
-            "residuals": list(_quantiles(results)),
+            "best-focus": [_mtfs(results, curves), _psfs(focused), _energy(results, curves)],
+            "focus": [*_focus(results)],
+            "depth": [_through(results, curves)],
+            "maps": [_maps(results, focused), _maps_photographed(results)],
+            "modes": [*_modes(results, focused)],
+            "camera": [*_camera(results)],
+            "budget": [*_budget(results)],
+            "place": [*_place(results, photographs)],
+            "psf": [_psfs_photographed(results)],
+            "fits": [*_fits(results)],
+            "residuals": [*_quantiles(results)],
         }
-    return {name: drawn for name, drawn in sections.items() if drawn}
+    return {name: plates for name, plates in sections.items() if plates}
 
 
-def _chart(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
-    image = png(figure)
-    figure.set_layout_engine("none")  # as it is laid out now: to do it once more for SVG takes as long as drawing it
-    return Drawn(name, figure.get_figwidth(), image, svg(figure), alt, caption)
+def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
+    inks, panels = channel_inks(results.channels), []
+    for c in curves:
+        halves = ", ".join(f"{estimated(half)} along {d}" for d, half in c.best.mtf50.items())
+        alt = f"MTF of channel {c.channel} at best focus. MTF50, cycles/mm: {halves}."
+        panels.append(drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt))
+    full, plane = full_nyquist_per_mm(results.plan.sensor), min(c.best.nyquist_per_mm for c in curves)
+    caption = (
+        "MTF at best focus. Solid: along x, right on the sensor; dashed: along y, down; shaded: one standard error, where "
+        "it is wider than the line. Dotted: the diffraction limit of this f-number and wavelength. Pale: with the pixel's "
+        f"aperture. Grey, upright: Nyquist's frequency of all pixels, {full:.0f} cycles/mm"
+    )
+    caption += f", and dashed that of the pixels of one colour, {plane:.0f}." if plane < full else "."
+    return Plate(tuple(panels), caption, 3)
 
 
-def _picture(name: str, figure: Figure, alt: str, caption: str) -> Drawn:
-    return Drawn(name, figure.get_figwidth(), png(figure), None, alt, caption)
+def _psfs(focused: Sequence[BestFocus]) -> Plate:
+    inks = channel_inks(best.channel for best in focused)
+    width = pictures.FOCUSED_HALF_WIDTH_AIRY * max(b.fitted.wavelength_um * b.fitted.f_number for b in focused)
+    panels = []
+    for best in focused:
+        alt = f"Point-spread function of channel {best.channel} at best focus; Strehl ratio {estimated(best.strehl)}."
+        title = f"{best.channel}   Strehl {estimated(best.strehl, least=3)}"
+        figure = pictures.psf_picture({best.channel: best.fitted}, width, inks, title)
+        panels.append(picture(f"psf_{best.channel}", figure, alt))
+    caption = (
+        f"Point-spread functions at best focus: optics alone, {2 * width:.2g} µm wide, rows down and columns right as on the "
+        "sensor, from zero (white) to each one's peak on a square-root stretch. Dashed: the Airy radius, 1.22 λN."
+    )
+    return Plate(tuple(panels), caption, 3)
 
 
-def _file_name(*parts: object) -> str:
-    return sub(r"[^A-Za-z0-9.+_-]", "-", "_".join(map(str, parts)))
+def _energy(results: Results, curves: Sequence[Curves]) -> Plate:
+    within = "; ".join(f"{c.channel} {estimated(c.best.energy_radius_um)}" for c in curves)
+    alt = f"Encircled energy at best focus. Radius of 80 % of the energy, µm: {within}."
+    caption = (
+        "Share of all light within circles about the image's centroid, its halo included, at best focus; optics alone. "
+        "Dotted: the diffraction limit. Shaded: one standard error, where it is wider than the line."
+    )
+    return Plate((drawing("encircled_energy", energy_chart(curves, channel_inks(results.channels)), alt),), caption)
 
 
-def _focus(results: Results) -> Iterator[Drawn]:
-    if len({w.range_mm for w in results.wavefronts if w.range_mm is not None and w.defocus}) < 2:
+def _focus(results: Results) -> Iterator[Plate]:
+    if len({w.range_mm for w in results if w.range_mm is not None and w.defocus}) < 2:
         return
     focus, plan = results.focus, results.plan
     lens, zero_mm = lens_of(results)
@@ -81,9 +96,11 @@ def _focus(results: Results) -> Iterator[Drawn]:
         true_mm = np.asarray(ranges_mm, float) + zero_mm
         return defocus_waves(lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention)
 
-    figure = charts.focus_chart(results, focus, curve, 1.02 * lens.focal_length_mm)
+    shortest_mm = NEAREST * lens.focal_length_mm
+    figure = defocus_chart(results, focus, curve, shortest_mm)
     if focus is None:
-        yield _chart("focus", figure, "Defocus against range.", "Defocus of each fit. No focus fit was made.")
+        panel = drawing("focus", figure, "Defocus against range.")
+        yield Plate((panel,), "Defocus of each fit. No focus fit was made.")
         return
     best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_focus_mm.items())
     caption = (
@@ -91,15 +108,79 @@ def _focus(results: Results) -> Iterator[Drawn]:
         "error shaded). Positive: the target lies beyond best focus. "
     )
     caption += (
-        "Below: what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
+        "And what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
         if results.lens is None
-        else "The points are as the whole session has them. Below: what each fit alone measured, less that; alone, it "
+        else "The points are as the whole session has them. And what each fit alone measured, less that; alone, it "
         "knows its defocus only as well as the f-number of its cone. Points stand side by side to be seen."
     )
-    yield _chart("focus", figure, f"Defocus against range, with fitted curves. Best focus: {best}.", caption)
+    alt = f"Defocus against range, with fitted curves. Best focus: {best}."
+    rest = drawing(
+        "focus_residuals", residual_chart(results, focus, shortest_mm), "What the focus fit leaves, by range."
+    )
+    yield Plate((drawing("focus", figure, alt), rest), caption)
 
 
-def _camera(results: Results) -> Iterator[Drawn]:
+def _through(results: Results, curves: Sequence[Curves]) -> Plate:
+    inks = channel_inks(results.channels)
+    highest = ", ".join(f"{c.channel} {fixed(float(c.strehl.value.max()), 3)}" for c in curves)
+    where = "range" if curves[0].in_ranges else "shift of the sensor"
+    panels = (
+        drawing(
+            "strehl_through_focus", strehl_chart(curves, inks), f"Strehl ratio against {where}; highest: {highest}."
+        ),
+        drawing(
+            "mtf_through_focus",
+            modulation_chart(curves, inks),
+            f"MTF at {curves[0].through_per_mm:.3g} cycles/mm along x and y against {where}.",
+        ),
+    )
+    caption = (
+        "Strehl ratio through focus, with bars for the depth of focus, in which it is at least 0.8 of its highest, and the "
+        "place of the highest; and MTF of the optics at half of Nyquist's frequency of all pixels, solid along x, dashed "
+        "along y. Shaded: one standard error, where it is wider than the line. All modes but defocus are as at best focus."
+    )
+    return Plate(panels, caption)
+
+
+def _maps(results: Results, focused: Sequence[BestFocus]) -> Plate:
+    limit = pictures.map_limit([best.fitted for best in focused])
+    panels = []
+    for best in focused:
+        rms, span = (estimated(number, least=3) for number in (best.rms, best.peak_to_valley))
+        alt = f"Path difference of channel {best.channel} without defocus: RMS {rms}, P–V {span} waves."
+        figure = pictures.opd_picture({best.channel: best.fitted}, limit, results.reference_wavelength_nm)
+        panels.append(picture(f"opd_{best.channel}", figure, alt))
+    caption = (
+        f"Path difference over the exit pupil without defocus, in waves at {results.reference_wavelength_nm:g} nm and in nm, "
+        "one scale for all; x to the right along the sensor's rows, y down."
+    )
+    return Plate(tuple(panels), caption, 3)
+
+
+def _maps_photographed(results: Results) -> Plate:
+    limit = pictures.map_limit([w.fitted for w in results])
+    panels = []
+    for range_mm in results.ranges_mm:
+        fits = results.at_range(range_mm)
+        rms = ", ".join(f"{w.channel} {estimated(w.rms(), least=4)}" for w in fits)
+        alt = f"Path difference as photographed at {millimetres(range_mm)}, defocus included. RMS, waves: {rms}."
+        figure = pictures.opd_picture(
+            {w.channel: w.fitted for w in fits}, limit, results.reference_wavelength_nm, millimetres(range_mm)
+        )
+        panels.append(picture(f"opd_photographed_{_place_name(range_mm)}", figure, alt))
+    return Plate(tuple(panels), "The same as photographed at each range, defocus included; another scale.", 3)
+
+
+def _modes(results: Results, focused: Sequence[BestFocus]) -> Iterator[Plate]:
+    figure = charts.zernike_chart(focused, results.reference_wavelength_nm, channel_inks(results.channels))
+    if figure is not None:
+        rms = "; ".join(f"{best.channel} {estimated(best.rms)}" for best in focused)
+        alt = f"Zernike coefficients without defocus. RMS, waves: {rms}."
+        caption = "Zernike modes at best focus, by Noll's numbers. Black: one standard error."
+        yield Plate((drawing("zernike", figure, alt),), caption)
+
+
+def _camera(results: Results) -> Iterator[Plate]:
     spectra = [w.spectrum for w in results if w.spectrum is not None]
     if not spectra or not results.parts_tried:
         return
@@ -114,10 +195,10 @@ def _camera(results: Results) -> Iterator[Drawn]:
         "What the model leaves of the data, over the noise, by spatial frequency in the raw's pixels; each line is the mean "
         "of a channel's fits. Noise alone leaves 1."
     ) + (" Dashed: of the fits that were made before those parts were in the model." if before else "")
-    yield _chart("residual_spectrum", spectrum_chart(results), alt, caption)
+    yield Plate((drawing("residual_spectrum", spectrum_chart(results), alt),), caption)
 
 
-def _budget(results: Results) -> Iterator[Drawn]:
+def _budget(results: Results) -> Iterator[Plate]:
     if not results.budget:
         return
     each = "; ".join(
@@ -130,55 +211,52 @@ def _budget(results: Results) -> Iterator[Drawn]:
         "Of each number the share of its variance by source. Squares of standard errors add up: a source of half the whole "
         "error makes a quarter of the variance."
     )
-    yield _chart("budget", budget_chart(results), f"Shares of the variance: {each}.", caption)
+    yield Plate((drawing("budget", budget_chart(results), f"Shares of the variance: {each}."),), caption)
 
 
-def _at_best_focus(results: Results, focused: Sequence[BestFocus]) -> Iterator[Drawn]:
-    reference_nm = results.reference_wavelength_nm
-    each = "; ".join(f"{b.channel} RMS {estimated(b.rms, least=3)}" for b in focused)
+def _place(results: Results, photographs: Photographs) -> Iterator[Plate]:
+    figure = pictures.place_picture(results, photographs)
+    if figure is not None:
+        where = "the frame" if photographs.size_px else "the part that was fitted"
+        alt = f"Where the target stood in {where} at {_listed(results.ranges_mm)}."
+        caption = f"The target's outline as fitted at each range (yellow: the longest) in {where}; +: its centre."
+        yield Plate((picture("place", figure, alt),), caption)
+
+
+def _psfs_photographed(results: Results) -> Plate:
+    inks, width = channel_inks(results.channels), pictures.psf_half_width_um(results.wavefronts)
+    panels = []
+    for range_mm in results.ranges_mm:
+        fits = {w.channel: w.fitted for w in results.at_range(range_mm)}
+        alt = f"Point-spread functions as photographed at {millimetres(range_mm)}, channels {', '.join(fits)}."
+        figure = pictures.psf_picture(fits, width, inks, millimetres(range_mm))
+        panels.append(picture(f"psf_photographed_{_place_name(range_mm)}", figure, alt))
     caption = (
-        f"Path difference over the exit pupil without defocus, waves at {reference_nm:g} nm, one scale for all channels; "
-        "x to the right along the sensor's rows, y down. P–V is from the lowest to the highest point, the rim included."
+        f"As photographed, defocus included: every square is {2 * width:.3g} µm wide on the sensor, each stretched to its own "
+        "peak. It is these that were fitted; what the lens does is what it does at best focus."
     )
-    picture = opd_picture(focused, reference_nm)
-    yield _picture("opd", picture, f"Wavefront maps without defocus, waves: {each}.", caption)
-    each = "; ".join(
-        f"{b.channel} {estimated(b.mtf50['x'])} along x, {estimated(b.mtf50['y'])} along y" for b in focused
-    )
-    alt = f"Modulation transfer functions at best focus. MTF50, cycles/mm: {each}."
-    yield _chart("mtf_at_best_focus", focus_mtf_chart(results, focused), alt, _mtf_words(results))
-    each = "; ".join(f"{b.channel} {estimated(b.energy_radius_um)}" for b in focused)
-    alt = f"Encircled energy at best focus. Radius of {100 * SHARE:.0f} %, µm: {each}."
-    caption = (
-        "Share of all the light within circles about the image's centroid, its halo included; optics alone, without the "
-        "pixel's aperture. Dotted: the diffraction limit. Shaded: one standard error, where it is wider than the line."
-    )
-    yield _chart("encircled_energy", energy_chart(results, focused), alt, caption)
+    return Plate(tuple(panels), caption, 3)
 
 
-def _fits(results: Results) -> Iterator[Drawn]:
-    for fit in results.wavefronts:
-        if fit.residuals is None:
-            continue
-        where = f"{millimetres(fit.range_mm)}, channel {fit.channel}"
-        alt = f"Raw chip, model and normalised residual: {where}."
-        yield _picture(
-            _file_name("fit", fit.key), pictures.fit_picture(fit.residuals), alt, _fit_caption(fit, fit.residuals)
-        )
+def _fits(results: Results) -> Iterator[Plate]:
+    panels = [_fit(w, w.residuals) for w in results if w.residuals is not None]
+    if panels:
+        yield Plate(tuple(panels), "Each from left to right: raw counts; the model, on the same scale; the residual.")
 
 
-def _fit_caption(fit: Wavefront, residuals: Residuals) -> str:
+def _fit(fit: Wavefront, residuals: Residuals) -> Panel:
+    content, low, high = pictures.chip_image(residuals)
+    where = f"{millimetres(fit.range_mm)}, {fit.channel}"
     frames, planes, rows, cols = residuals.data.shape
     z = residuals.normalised
-    used = int(np.isfinite(z).sum())
-    text = f"{millimetres(fit.range_mm)}, {fit.channel}: {rows} × {cols} pixels"
-    if frames * planes == 1:
-        return f"{text}, {used} used; residual {_rms(z):.3f} σ RMS."
     each = ", ".join(f"{_rms(z[f, p]):.3f}" for f in range(frames) for p in range(planes))
     counted = [f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((frames, "frame"), (planes, "plane")) if n > 1]
-    return (
-        f"{text}; the first of {' of '.join(counted)}, fitted together ({used} used). Residual of each, σ RMS: {each}."
+    first = f"; the first of {' of '.join(counted)}" if counted else ""
+    heading = (
+        f"{where}: {rows} × {cols} pixels{first}. Black {low:.0f}, white {high:.0f} counts. Residual, σ RMS "
+        f"(1 is noise): {each}."
     )
+    return chip(f"fit_{fit.key}", content, f"Raw chip, model and normalised residual: {where}.", heading)
 
 
 def _rms(z: Floats) -> float:
@@ -186,80 +264,23 @@ def _rms(z: Floats) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def _psfs(results: Results) -> Iterator[Drawn]:
-    half_width = pictures.psf_half_width_um(results)
-    caption = (
-        f"Optics alone, without the pixel's aperture. Every panel is {2 * half_width:.3g} µm wide on the sensor, rows "
-        "down and columns right as there, and runs from zero (white) to its own peak on a square-root stretch. Dashed: "
-        "the Airy radius, 1.22 λN. Number: the Strehl ratio, defocus included."
-    )
-    groups = in_groups(results.ranges_mm, PER_FIGURE)
-    for k, ranges in enumerate(groups):
-        figure = pictures.psf_picture(results, ranges, half_width)
-        alt = f"Point-spread functions at {_listed(ranges)}, channels {', '.join(results.channels)}."
-        yield _picture(_numbered("psf", k, len(groups)), figure, alt, caption)
-
-
-def _mtfs(results: Results) -> Iterator[Drawn]:
-    caption = f"As photographed, defocus included. {_mtf_words(results)}"
-    groups = in_groups(results.ranges_mm, PER_FIGURE)
-    for k, ranges in enumerate(groups):
-        alt = f"Modulation transfer functions at {_listed(ranges)}."
-        yield _chart(_numbered("mtf", k, len(groups)), mtf_chart(results, ranges), alt, caption)
-
-
-def _mtf_words(results: Results) -> str:
-    limits = [nyquist_per_mm(results, channel) for channel in results.channels]
-    full, plane = limits[0][0], min(plane for _, plane in limits)
-    text = (
-        "Optics alone, without the pixel's aperture. Solid: along x, right on the sensor; dashed: along y, down; dotted: "
-        "the diffraction limit of this f-number and wavelength. Shaded: one standard error, where it is wider than the "
-        f"line. Nyquist's frequency of all pixels is {full:.0f} cycles/mm for {results.plan.sensor.pixel_pitch_um:g} µm"
-    )
-    return f"{text}, that of the pixels of one colour {plane:.0f}." if plane < full else f"{text}."
-
-
-def _zernikes(results: Results) -> Iterator[Drawn]:
-    reach = [
-        abs(v) + (s if np.isfinite(s) else 0.0)
-        for w in results.wavefronts
-        for j, v, s in zip(w.noll, w.waves, w.std, strict=True)
-        if j != 4
-    ]
-    measured = [w.defocus.value for w in results.wavefronts if w.defocus]
-    defocus = 1.1 * min([0.0, *measured]), 1.1 * max([0.0, *measured])
-    for range_mm in results.ranges_mm:
-        figure = charts.zernike_chart(results, range_mm, defocus, 1.25 * max(reach, default=0.0))
-        if figure is None:
-            continue
-        where = millimetres(range_mm)
-        rms = "; ".join(f"{w.channel} {w.rms(without=(4,)).value:.4f}" for w in results.at_range(range_mm))
-        alt = f"Zernike coefficients at {where}. RMS without defocus, waves: {rms}."
-        errors = np.concatenate([w.std for w in results.at_range(range_mm)])
-        caption = f"{where.capitalize()}. Defocus has a scale of its own. Black: one standard error, {_span(errors)}."
-        yield _chart(_file_name("zernike", "none" if range_mm is None else f"{range_mm:g}"), figure, alt, caption)
-
-
-def _quantiles(results: Results) -> Iterator[Drawn]:
-    ranges_with = [r for r in results.ranges_mm if any(w.residuals for w in results.at_range(r))]
+def _quantiles(results: Results) -> Iterator[Plate]:
+    ranges = [r for r in results.ranges_mm if any(w.residuals for w in results.at_range(r))]
+    panels = []
+    for range_mm in ranges:
+        alt = f"Q-Q plot of the normalised residuals at {millimetres(range_mm)}."
+        panels.append(drawing(f"residuals_{_place_name(range_mm)}", charts.quantile_chart(results, range_mm), alt))
     caption = (
         "Normalised residuals of all pixels against the normal law, thinned in the middle and complete in the tails. "
         "On the line: the noise is as the model has it. Shaded: where each point falls in 99 of 100 cases."
     )
-    groups = in_groups(ranges_with, PER_FIGURE)
-    for k, ranges in enumerate(groups):
-        alt = f"Q-Q plot of the normalised residuals at {_listed(ranges)}."
-        yield _chart(_numbered("residuals", k, len(groups)), charts.quantile_chart(results, ranges), alt, caption)
+    if panels:
+        yield Plate(tuple(panels), caption, 3)
 
 
-def _span(values: Floats) -> str:
-    finite = values[np.isfinite(values)]
-    return f"{finite.min():.1g} to {finite.max():.1g} waves" if finite.size else "not known"
+def _place_name(range_mm: float | None) -> str:
+    return "none" if range_mm is None else f"{range_mm:g}"
 
 
 def _listed(ranges: Sequence[float | None]) -> str:
     return ", ".join(millimetres(r) for r in ranges)
-
-
-def _numbered(name: str, k: int, count: int) -> str:
-    return name if count == 1 else f"{name}_{k + 1}"

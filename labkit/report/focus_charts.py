@@ -1,69 +1,114 @@
-"""Figures of the optics at best focus: path difference over the pupil, and encircled energy with error bands."""
+"""Charts of focus: defocus against range with what the fit leaves, and encircled energy at best focus."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import j0, j1
 
-from labkit.optics.encircled_energy import encircled_energy
-from labkit.optics.metrics import opd_map
-from labkit.report.best_focus import SHARE, BestFocus
-from labkit.report.quantities import estimated
-from labkit.report.style import DOTTED, INK, SOFT, WIDTH_IN, banded, channel_inks, panels, scaling
-from labkit.results import Results
+from labkit.report.best_focus import SHARE
+from labkit.report.curves import Curves
+from labkit.report.quantities import estimated, plus_minus
+from labkit.report.style import DOTTED, HALF_IN, INK, SOFT, Ink, banded, channel_inks, chart, scaling
+from labkit.results import Focus, Results, Wavefront
 from labkit.types import Floats
 
-MAP_SAMPLES = 255  # across the pupil: about a pixel of the figure each
-ENERGY_POINTS = 90
+Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
+HEIGHT_IN = 3.5
 
 
-def opd_picture(focused: Sequence[BestFocus], reference_nm: float) -> Figure:
-    """Path difference over the pupil without defocus, one colour scale for all channels, in waves and nanometres."""
-    maps = [opd_map(best.fitted, MAP_SAMPLES).value for best in focused]
-    limit = max(float(np.nanmax(np.abs(path))) for path in maps) or 0.01
-    columns = min(len(focused), 3)
-    rows, side = -(-len(focused) // columns), (WIDTH_IN - 1.0) / 3
-    figure = Figure(figsize=(side * columns + 1.0, (side + 0.45) * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid:
-        axes.set_axis_off()
-    for axes, best, path in zip(grid, focused, maps, strict=False):
-        image = axes.imshow(path, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
-        rms, span = (estimated(number, least=3) for number in (best.rms, best.peak_to_valley))
-        axes.set_title(f"{best.channel}\n")
-        axes.set_title(f"RMS {rms}\nP–V {span} waves", loc="right", fontweight="normal", fontsize=8)
-    bar = figure.colorbar(image, ax=list(grid), shrink=0.9, aspect=28, pad=0.02)
-    bar.ax.yaxis.set_ticks_position("left")
-    nanometres = bar.ax.secondary_yaxis("right", functions=scaling(reference_nm))
-    bar.ax.text(-0.3, 1.02, "waves", ha="right", va="bottom", fontsize=8, transform=bar.ax.transAxes)
-    bar.ax.text(1.3, 1.02, "nm", ha="left", va="bottom", fontsize=8, transform=bar.ax.transAxes)
-    nanometres.tick_params(labelsize=8)
+def defocus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
+    """Defocus against range with the fitted curves and best focus.
+
+    curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
+    """
+    inks = channel_inks(results.channels)
+    figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, right=0.55, top=0.12)
+    bounds = _range_bounds(results, focus, shortest_mm)
+    axes.axhline(0, color=SOFT, lw=0.7)
+    for channel in results.channels:
+        fits, ink, label = _with_range(results, channel), inks[channel], channel
+        if focus and channel in focus.best_focus_mm:
+            best = focus.best_focus_mm[channel]
+            label += f"   {plus_minus(best.value, best.std)} mm"
+            grid = np.linspace(*bounds, 100)
+            axes.plot(grid, curve(channel, grid), color=ink.colour, lw=1.2)
+            _mark_focus(axes, best.value, best.std, ink)
+        x = np.array([w.measured_range_mm for w in fits], float)
+        y = np.array([w.defocus.value for w in fits if w.defocus])
+        _points(axes, x, y, np.array([w.defocus.std for w in fits if w.defocus]), ink, label)
+    axes.set(xlim=bounds, xlabel="range of the target, mm")
+    axes.set_ylabel(f"defocus, waves RMS at {results.reference_wavelength_nm:g} nm")
+    axes.legend(loc="lower right", borderaxespad=0.2, handletextpad=0.2)
+    _blur_axis(axes, results)
     return figure
 
 
-def perfect_energy(radius_um: Floats, airy_um: float) -> Floats:
-    """Encircled energy of a perfect lens of an airy_um, lambda N: Rayleigh's 1 - J0^2 - J1^2."""
-    argument = np.pi * radius_um / airy_um
-    return np.asarray(1 - j0(argument) ** 2 - j1(argument) ** 2)
-
-
-def energy_chart(results: Results, focused: Sequence[BestFocus]) -> Figure:
-    """Encircled energy of each channel at best focus with error bands, beside a perfect lens's."""
+def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure:
+    """What the focus fit leaves of each defocus, in thousandths of a wave."""
     inks = channel_inks(results.channels)
-    figure, (axes,) = panels(1, 1, 3.4)
-    last = max(max(1.9 * b.energy_radius_um.value, 3 * b.fitted.wavelength_um * b.fitted.f_number) for b in focused)
-    radius = np.linspace(0, last, ENERGY_POINTS)
-    for best in focused:
-        ink, at = inks[best.channel], best.energy_radius_um
-        energy = encircled_energy(best.fitted, radius)
-        banded(axes, radius, energy.value, energy.std, ink.colour)
-        perfect = perfect_energy(radius, best.fitted.wavelength_um * best.fitted.f_number)
-        axes.plot(radius, perfect, color=ink.colour, lw=0.8, ls=DOTTED)
-        label = f"{best.channel}: {100 * SHARE:.0f} % within {estimated(at)} µm"
+    figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, top=0.12)
+    bounds = _range_bounds(results, focus, shortest_mm)
+    for k, channel in enumerate(results.channels):
+        fits, rest = _with_range(results, channel), np.array(focus.residual_waves.get(channel, ()))
+        if rest.size != len(fits):
+            continue
+        dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
+        x = np.array([w.measured_range_mm for w in fits], float) + dodge
+        error = np.array([w.defocus.std for w in fits if w.defocus])
+        # errors of a session's estimate are those of the points, not of what one fit measured alone
+        _points(axes, x, 1e3 * rest, 0 * error if results.lens else 1e3 * error, inks[channel], channel)
+    axes.axhline(0, color=SOFT, lw=0.7)
+    axes.margins(y=0.25)
+    axes.set(xlim=bounds, xlabel="range of the target, mm", ylabel="left of each defocus, milliwaves")
+    axes.legend(loc="upper right", ncols=len(results.channels), borderaxespad=0.2, handletextpad=0.2)
+    return figure
+
+
+def _with_range(results: Results, channel: str) -> list[Wavefront]:
+    return [w for w in results.of_channel(channel) if w.defocus and w.measured_range_mm is not None]
+
+
+def _blur_axis(axes: Axes, results: Results) -> None:
+    """Defocus as blur on the right; the channels' cones differ by less than a line is wide."""
+    ratios = [w.blur.value / w.defocus.value for w in results if w.blur and w.defocus and w.defocus.value]
+    if ratios:
+        blur = axes.secondary_yaxis("right", functions=scaling(float(np.median(ratios))))
+        blur.set_ylabel("blur on the sensor, µm")
+
+
+def _range_bounds(results: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
+    ranges = [w.measured_range_mm for w in results if w.measured_range_mm is not None]
+    ranges += [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)] if focus else []
+    low, high = min(ranges), max(ranges)
+    margin = 0.06 * (high - low) or 0.01 * high
+    return max(low - margin, shortest_mm), high + margin
+
+
+def _points(axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None) -> None:
+    axes.errorbar(x, y, np.nan_to_num(error), fmt="none", ecolor=ink.colour, elinewidth=1.2, capsize=2)
+    axes.plot(x, y, ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
+
+
+def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
+    axes.axvline(value_mm, color=ink.colour, lw=0.8, ls=(0, (4, 3)))
+    if np.isfinite(std_mm):
+        axes.axvspan(value_mm - std_mm, value_mm + std_mm, color=ink.colour, alpha=0.25, lw=0)
+    axes.plot([value_mm], [0], marker="|", ms=12, mew=1.6, color=ink.colour)
+
+
+def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
+    """Encircled energy of each channel at best focus with error bands, beside a perfect lens's."""
+    figure, axes = chart(HALF_IN, 3.2, top=0.12)
+    for each in curves:
+        ink, at, energy = inks[each.channel], each.best.energy_radius_um, each.energy
+        banded(axes, energy.radius_um, energy.value, energy.std, ink.colour)
+        axes.plot(energy.radius_um, each.perfect_energy, color=ink.colour, lw=0.8, ls=DOTTED)
+        label = f"{each.channel}: {100 * SHARE:.0f} % within {estimated(at)} µm"
         axes.plot([at.value], [SHARE], ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
     axes.plot([], [], color=INK, lw=0.8, ls=DOTTED, label="diffraction limit")
     axes.axhline(SHARE, color=SOFT, lw=0.5, ls=(0, (1, 3)))
-    axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="radius on the sensor, µm", ylabel="encircled energy")
+    last = curves[0].energy.radius_um[-1]
+    axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="radius on the sensor, µm", ylabel="share of the light")
     axes.legend(loc="lower right")
     return figure

@@ -1,57 +1,131 @@
-"""The table of what the optics do at best focus: a row for each number, a column for each channel."""
+"""What the optics do at best focus and about it: a row for each number, a column for each channel."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 
 from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import Directed
 from labkit.optics.mtf import mtf50
+from labkit.optics.psf import diffraction_mtf
+from labkit.optics.through_focus import DEPTH, sensor_shift_um
 from labkit.report.best_focus import SHARE, BestFocus
-from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
+from labkit.report.curves import Curves
+from labkit.report.quantities import estimated, fixed, millimetres
+from labkit.report.table import EXACT, Column, Row, Table, channel_columns
+from labkit.results import Results
+from labkit.uncertain import Uncertain
 
-Row = dict[str, object]
-Cell = Callable[[BestFocus], str]
+NOT_FITTED = "not fitted"
+NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
+PITCH = "by the pixel pitch, which the plan states without an error"
 
 
-def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> list[Row]:
-    """Rows of name, unit, cells; `beside` marks what stands beside the number above it, `first` the first of a group."""
-    within = f"{100 * SHARE:.0f} % of the energy within"
+def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
+    """Strehl ratio, wavefront, MTF and energy of each channel without its defocus."""
+    within = f"EE{100 * SHARE:.0f}, encircled energy"
 
-    def row(name: str, unit: str, cell: Cell, *, first: bool = False, beside: bool = False) -> Row:
-        cells = [cell(best) for best in focused]
-        return {"name": name, "unit": unit, "cells": cells, "first": first, "beside": beside}
+    def row(name: str, unit: str, cell: Callable[[BestFocus], str], **kind: object) -> Row:
+        cells = tuple(cell(best) for best in focused)
+        return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
-    return [
-        row("Strehl ratio at best focus", "", lambda b: estimated(b.strehl, least=3)),
-        row("as photographed", "", _as_photographed, beside=True),
-        row("RMS without defocus", "waves", lambda b: estimated(b.rms, least=4), first=True),
+    rows = (
+        row("From the photographs at", "", lambda b: millimetres(b.photographed.range_mm), why=EXACT, beside=True),
+        row("Strehl ratio", "", lambda b: estimated(b.strehl, least=3), first=True),
+        row("RMS", "waves", lambda b: estimated(b.rms, least=4), first=True),
         row("", "nm", lambda b: estimated(b.rms, reference_nm), beside=True),
-        row("P–V without defocus", "waves", lambda b: estimated(b.peak_to_valley, least=3)),
+        row("P–V", "waves", lambda b: estimated(b.peak_to_valley, least=3)),
         row("", "nm", lambda b: estimated(b.peak_to_valley, reference_nm), beside=True),
-        row("MTF50 along x", "cycles/mm", lambda b: estimated(b.mtf50["x"]), first=True),
-        row("along y", "cycles/mm", lambda b: estimated(b.mtf50["y"])),
-        row("of a perfect lens", "cycles/mm", lambda b: fixed(mtf50(b.perfect, "x").value, 1), beside=True),
-        row(within, "µm radius", lambda b: estimated(b.energy_radius_um), first=True),
-        row("of a perfect lens", "µm radius", _perfect_radius, beside=True),
         row("Astigmatism", "waves RMS", lambda b: _magnitude(b.astigmatism), first=True),
         row("at", "degrees", lambda b: _angle(b.astigmatism), beside=True),
         row("Coma", "waves RMS", lambda b: _magnitude(b.coma)),
         row("at", "degrees", lambda b: _angle(b.coma), beside=True),
         row("Trefoil", "waves RMS", lambda b: _magnitude(b.trefoil)),
         row("at", "degrees", lambda b: _angle(b.trefoil), beside=True),
-    ]
+        row("MTF50 of the optics along x", "cycles/mm", lambda b: estimated(b.mtf50["x"]), first=True),
+        row("along y", "cycles/mm", lambda b: estimated(b.mtf50["y"])),
+        row("of a perfect lens", "cycles/mm", lambda b: _ideal(mtf50(b.perfect, "x")), beside=True),
+        row("MTF50 with the pixel along x", "cycles/mm", lambda b: estimated(b.camera_mtf50["x"])),
+        row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50["y"])),
+        row("Nyquist of its own pixels", "cycles/mm", lambda b: fixed(b.nyquist_per_mm, 1), why=PITCH, first=True),
+        row("MTF there, optics along x", "", lambda b: estimated(b.at_nyquist["x"], least=3)),
+        row("along y", "", lambda b: estimated(b.at_nyquist["y"], least=3)),
+        row("of a perfect lens", "", _perfect_at_nyquist, beside=True),
+        row("MTF there, with the pixel along x", "", lambda b: estimated(b.camera_at_nyquist["x"], least=3)),
+        row("along y", "", lambda b: estimated(b.camera_at_nyquist["y"], least=3)),
+        row(within, "µm radius", lambda b: estimated(b.energy_radius_um), first=True),
+        row("of a perfect lens", "µm radius", lambda b: _ideal(radius_of_energy(b.perfect, SHARE)), beside=True),
+    )
+    return Table((*NAMED, *channel_columns([b.channel for b in focused])), rows)
 
 
-def _as_photographed(best: BestFocus) -> str:
-    return estimated(best.photographed.strehl, least=3)
+NAMED = (Column("at best focus", text=True), Column("", text=True))
 
 
-def _perfect_radius(best: BestFocus) -> str:
-    return fixed(radius_of_energy(best.perfect, SHARE).value, 2)
+def depth_table(curves: Sequence[Curves], results: Results) -> Table:
+    """Where the Strehl ratio keeps to 0.8 of its highest, of each channel."""
+    errors = results.focus.best_focus_mm if results.focus else {}
+    unit = "mm" if all(c.in_ranges for c in curves) else "µm"
+
+    def row(name: str, unit: str, cell: Callable[[Curves], str], **kind: object) -> Row:
+        return Row((name, unit, *(cell(c) for c in curves)), **kind)  # type: ignore[arg-type]
+
+    def at(curve: Curves, which: str) -> str:
+        if curve.depth is None:
+            return NO_LIMIT
+        focus_std = errors[curve.channel].std if curve.in_ranges else 0.0
+        return _place(curve.placed(getattr(curve.depth, which), focus_std))
+
+    rows = (
+        row("Best focus: least RMS", unit, lambda c: _best(c, errors)),
+        row("Highest Strehl ratio at", unit, lambda c: at(c, "highest"), beside=True),
+        row("Depth of focus from", unit, lambda c: at(c, "near"), first=True),
+        row("to", unit, lambda c: at(c, "far")),
+        row("on the sensor", "µm", _on_sensor),
+    )
+    return Table(
+        (Column(f"Strehl ratio ≥ {DEPTH:g} of its highest", text=True), Column("", text=True), *_channels(curves)), rows
+    )
+
+
+def _channels(curves: Sequence[Curves]) -> list[Column]:
+    return list(channel_columns([c.channel for c in curves]))
+
+
+def _best(curve: Curves, errors: dict[str, Uncertain]) -> str:
+    return estimated(errors[curve.channel]) if curve.in_ranges else "origin"
+
+
+def _place(place: Uncertain) -> str:
+    return estimated(place) if isfinite(place.value) else NO_LIMIT
+
+
+def _on_sensor(curve: Curves) -> str:
+    """The depth as a way of the sensor, 8 N^2 times a path: twice the relative error of the cone."""
+    if curve.depth is None:
+        return NO_LIMIT
+    fitted, span = curve.best.fitted, curve.depth.span
+    factor = sensor_shift_um(fitted, 1.0)
+    cone = 2 * fitted.cone_error * span.value
+    return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
+
+
+def _perfect_at_nyquist(best: BestFocus) -> str:
+    """Its slope by the cone's error is that of the diffraction limit."""
+    at, step = best.nyquist_per_mm / best.perfect.cutoff_per_mm, 1e-4
+    value, more = (float(diffraction_mtf(at * (1 + d))) for d in (0.0, step))  # type: ignore[arg-type]
+    return _ideal(Uncertain(value, abs(more - value) / step * best.perfect.cone_error))
+
+
+def _ideal(number: Uncertain) -> str:
+    """A perfect lens of this cone: its number is as sure as the f-number."""
+    return estimated(number, least=3 if number.value < 1 else 1)
 
 
 def _magnitude(pair: Directed | None) -> str:
-    return UNKNOWN if pair is None else estimated(pair.magnitude, least=4)
+    return NOT_FITTED if pair is None else estimated(pair.magnitude, least=4)
 
 
 def _angle(pair: Directed | None) -> str:
-    return UNKNOWN if pair is None else plus_minus(pair.angle_deg.value, pair.angle_deg.std, 1)
+    return NOT_FITTED if pair is None else estimated(pair.angle_deg, least=1)

@@ -7,6 +7,7 @@ from math import isfinite, sqrt
 
 from labkit.optics.lens import ThinLens
 from labkit.report.quantities import UNKNOWN, estimated, fixed
+from labkit.report.table import ERRORS, Column, Row, Table
 from labkit.results import Results
 from labkit.uncertain import Uncertain, decimals
 
@@ -27,24 +28,24 @@ NAMES = {
 }
 """Keys of a budget, what they are called, and their units."""
 
-Row = dict[str, str]
 
-
-def lens_rows(results: Results) -> list[Row]:
-    """What was measured beside what the plan stated, channels in groups; empty where the lens was not estimated."""
+def lens_table(results: Results) -> Table | None:
+    """What was measured beside what the plan stated, channels in groups; None where the lens was not estimated."""
     lens, focus, plan = results.lens, results.focus, results.plan
     if lens is None:
-        return []
+        return None
     stated, zero = plan.lens, Uncertain(0.0, plan.fit.range_zero_std_mm)
     cones = {channel: working_f_number(results, channel) for channel in results.channels}
-    return [
-        _row("Focal length", lens.focal_length, stated.stated_focal_length),
-        _row("f-number at infinity", lens.f_number, stated.stated_f_number),
-        _row("Pupil magnification", lens.pupil_magnification),
-        _row("True ranges less stated", lens.range_zero, zero),
+    rows = (
+        _row("Focal length", "mm", lens.focal_length, stated.stated_focal_length),
+        _row("f-number at infinity", "", lens.f_number, stated.stated_f_number),
+        _row("Pupil magnification", "", lens.pupil_magnification),
+        _row("True ranges less stated", "mm", lens.range_zero, zero),
         *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
         *_rows_by_channel("f-number at the sensor", cones),
-    ]
+    )
+    columns = (Column("quantity", text=True), Column("", text=True), Column("measured"), Column("stated"))
+    return Table(columns, rows, strong=2, channels=1)
 
 
 def lens_of(results: Results) -> tuple[ThinLens, float]:
@@ -64,17 +65,27 @@ def working_f_number(results: Results, channel: str) -> Uncertain:
     return min(cones, key=lambda cone: cone.std if isfinite(cone.std) else float("inf"))
 
 
-def budget_rows(results: Results) -> list[dict[str, object]]:
-    """Name, unit, standard error by source in the order of `SOURCES`, and the whole; one row for each number."""
-    rows = list[dict[str, object]]()
+def budget_table(results: Results) -> Table | None:
+    """Standard error by source in the order of `SOURCES`, and the whole; a row for each number. None without a budget."""
+    if not results.budget:
+        return None
+    rows = []
     for key, shares in results.budget.items():
         name, unit = budget_name(key)
         whole = whole_std(shares)
         # one digit more than the whole has: what is a tenth of it is seen to be
         digits = decimals(whole) + 1
-        cells = [fixed(shares.get(source, 0.0), digits) for source in SOURCES]
-        rows.append({"name": name, "unit": unit, "cells": cells, "whole": fixed(whole, digits)})
-    return rows
+        cells = [_share(shares.get(source, 0.0), digits) for source in SOURCES]
+        rows.append(Row((name, unit, *cells, fixed(whole, digits))))
+    errors = [Column(source, why=ERRORS) for source in (*SOURCES, "all")]
+    columns = (Column("standard error of", text=True), Column("", text=True), *errors)
+    return Table(columns, tuple(rows), strong=len(columns) - 1)
+
+
+def _share(std: float, digits: int) -> str:
+    """A standard error; below the last digit that it is, unless it is none."""
+    least = 10.0**-digits
+    return fixed(std, digits) if std == 0 or std >= least / 2 else f"< {least:.{digits}f}"
 
 
 def budget_name(key: str) -> tuple[str, str]:
@@ -91,10 +102,9 @@ def whole_std(shares: dict[str, float]) -> float:
 
 def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
     """One row for each channel; only the first has the name."""
-    rows = [_row("" if k else name, number) for k, number in enumerate(measured.values())]
-    return [row | {"channel": channel, "first": row["name"]} for row, channel in zip(rows, measured, strict=True)]
+    rows = [_row("" if k else name, channel, number) for k, (channel, number) in enumerate(measured.items())]
+    return [Row(row.cells, first=k == 0) for k, row in enumerate(rows)]
 
 
-def _row(name: str, measured: Uncertain, stated: Uncertain | None = None) -> Row:
-    shown = {"measured": estimated(measured), "stated": UNKNOWN if stated is None else estimated(stated)}
-    return {"name": name, "channel": "", "unit": measured.unit, "first": "", **shown}
+def _row(name: str, unit: str, measured: Uncertain, stated: Uncertain | None = None) -> Row:
+    return Row((name, unit, estimated(measured), UNKNOWN if stated is None else estimated(stated)))

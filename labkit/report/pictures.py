@@ -1,126 +1,121 @@
-"""Pictures of a fit: the chip beside its model and residual, and the point-spread functions side by side."""
+"""Pictures: wavefront maps, point-spread functions, the target in the frame, and the chip beside model and residual."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from math import ceil, floor, log10
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, PowerNorm
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
+from PIL import Image
 
+from labkit.optics.metrics import opd_map, psf_value
+from labkit.optics.wavefront import FittedWavefront
+from labkit.report.photographs import Photographs
 from labkit.report.quantities import millimetres
-from labkit.report.style import DPI, INK, SOFT, WIDTH_IN, channel_inks
+from labkit.report.style import HALF_IN, INK, THIRD_IN, Ink, scaling
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
-SAMPLES_PER_AIRY = 6.0  # of lambda N: three times Nyquist, so that pixels do not show
+MAP_SAMPLES = 161  # across the pupil
+LEAST_PER_AIRY, MOST_PER_AIRY = 3.0, 16.0  # samples to lambda N: Nyquist has two, and more show no pixels
+HALF_SAMPLES = 100
 MOST_HALF_WIDTH_AIRY = 32.0  # lambda N: 0.6 % of the light lies beyond
-LABEL = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.5}
-MASKED = "#8fceaa"  # a pixel left out: neither a grey nor a colour of the residual's scale
+FOCUSED_HALF_WIDTH_AIRY = 6.0
+MASKED = (143, 206, 170)  # a pixel left out: neither a grey nor a colour of the residual's scale
+GREYS, SHADES, GAP = 128, 127, 3  # of a chip's palette; pixels between its parts
+LIMIT_MARGIN = 0.01  # waves: of a scale, where a wavefront is flat
 
 
-def fit_picture(residuals: Residuals, frame: int = 0, plane: int = 0) -> Figure:
-    """Raw chip, model on the same scale, and normalised residual, of one plane of one frame."""
-    data, model = residuals.data[frame, plane], residuals.model[frame, plane]
-    rows, cols = data.shape
-    height = float(np.clip(WIDTH_IN * 0.29 * rows / cols, 1.2, 5.0)) + 0.3
-    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
-    raw, fitted, rest = figure.subplots(1, 3)
-    finite = np.concatenate([data[np.isfinite(data)], model[np.isfinite(model)]])
-    low, high = np.quantile(finite, [0.001, 0.999]) if finite.size else (0.0, 1.0)
-    _chip(raw, data, "raw, counts", "gray", low, high)
-    image = _chip(fitted, model, "model, same scale", "gray", low, high)
-    figure.colorbar(image, cax=fitted.inset_axes((1.03, 0, 0.04, 1)))
-    normalised = residuals.normalised[frame, plane]
-    image = _chip(rest, normalised, "(raw − model) / σ", "RdBu_r", -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
-    figure.colorbar(image, cax=rest.inset_axes((1.03, 0, 0.04, 1)), ticks=[-4, -2, 0, 2, 4])
+def map_limit(wavefronts: Sequence[FittedWavefront]) -> float:
+    """Of a colour scale that is even about zero: the greatest path difference of all, waves."""
+    return max((float(np.nanmax(np.abs(opd_map(w, 41).value))) for w in wavefronts), default=0.0) or LIMIT_MARGIN
+
+
+def opd_picture(wavefronts: dict[str, FittedWavefront], limit: float, reference_nm: float, title: str = "") -> Figure:
+    """Path difference over the pupil of channels side by side, one colour scale, in waves and nanometres."""
+    count = len(wavefronts)
+    side = (THIRD_IN - 0.1) / count
+    height = side + (0.85 if title else 0.7)
+    figure = Figure(figsize=(THIRD_IN, height))
+    if title:
+        figure.text(0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center")
+    for k, (channel, w) in enumerate(wavefronts.items()):
+        axes = figure.add_axes(((0.05 + k * side) / THIRD_IN, 0.47 / height, 0.96 * side / THIRD_IN, side / height))
+        axes.set_axis_off()
+        path = opd_map(w, MAP_SAMPLES).value
+        image = axes.imshow(path, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
+        axes.text(0.02, 0.98, channel, fontweight="bold", va="top", transform=axes.transAxes)
+    _colour_bar(figure, image, height, reference_nm)
     return figure
 
 
-def _chip(axes: Axes, image: Floats, title: str, colours: str, low: float, high: float) -> AxesImage:
-    axes.set_title(title, fontweight="normal")
-    axes.set(xticks=[], yticks=[])
-    axes.grid(False)
-    axes.set_facecolor(MASKED)
-    for spine in axes.spines.values():
-        spine.set_visible(True)
-    # nearest shows each pixel as it is; an image finer than the figure has to be averaged
-    finer = max(image.shape) > WIDTH_IN * 0.29 * DPI
-    return axes.imshow(image, cmap=colours, vmin=low, vmax=high, interpolation="auto" if finer else "nearest")
+def _colour_bar(figure: Figure, image: AxesImage, height: float, reference_nm: float) -> None:
+    """Below the maps: waves under it, nanometres above."""
+    bar = figure.colorbar(
+        image, cax=figure.add_axes((0.2, 0.24 / height, 0.6, 0.07 / height)), orientation="horizontal"
+    )
+    bar.ax.tick_params(labelsize=7, pad=1)
+    nanometres = bar.ax.secondary_xaxis("top", functions=scaling(reference_nm))
+    nanometres.tick_params(labelsize=7, pad=1)
+    bar.ax.text(1.07, -0.2, "waves", va="top", fontsize=7, transform=bar.ax.transAxes)
+    bar.ax.text(1.07, 1.2, "nm", va="bottom", fontsize=7, transform=bar.ax.transAxes)
+    bar.ax.grid(False)
 
 
-def psf_half_width_um(results: Results) -> float:
-    """Half the side of a square that shows every PSF: nine tenths of the widest one's energy, with context around it."""
-    widths = [max(1.3 * _encircled_um(w, 0.9), 4 * airy_radius_um(w)) for w in results]
-    return float(min(max(widths), MOST_HALF_WIDTH_AIRY * max(w.wavelength_nm * 1e-3 * w.f_number for w in results)))
+def psf_half_width_um(wavefronts: Sequence[Wavefront]) -> float:
+    """Half the side of a square that shows every PSF: its geometric blur, with rings about it."""
+    widths = []
+    for w in wavefronts:
+        airy_um = w.wavelength_nm * 1e-3 * w.f_number
+        blur = 0.0 if w.defocus is None else 4 * np.sqrt(12) * abs(w.defocus.value) * w.reference_wavelength_nm * 1e-3
+        widths.append(min(1.25 * w.f_number * blur + 6 * airy_um, MOST_HALF_WIDTH_AIRY * airy_um))
+    return max(widths)
 
 
-def airy_radius_um(wavefront: Wavefront) -> float:
-    """Radius of the first dark ring of a perfect lens; the first zero of J1 over pi, times wavelength and f-number."""
-    return 1.2197 * wavefront.wavelength_nm * 1e-3 * wavefront.f_number
-
-
-def _encircled_um(wavefront: Wavefront, share: float) -> float:
-    """Radius about the centre that holds a share of the light in the PSF's window; to a sample, to choose a scale by."""
-    spacing_um = wavefront.wavelength_nm * 1e-3 * wavefront.f_number / 3
-    psf = wavefront.psf(spacing_um)
-    at = np.arange(psf.shape[0]) - psf.shape[0] // 2
-    radius = np.hypot(at[:, None], at[None, :]).ravel()
-    order = np.argsort(radius)
-    return float(radius[order][np.searchsorted(np.cumsum(psf.ravel()[order]), share)] * spacing_um)
-
-
-def psf_picture(results: Results, ranges_mm: Sequence[float | None], half_width_um: float) -> Figure:
-    """PSFs on one grid, rows channels and columns ranges, all of one extent; each stretched to its own peak."""
-    channels, inks = results.channels, channel_inks(results.channels)
-    side = min(WIDTH_IN / max(len(ranges_mm), 4), 2.2)
-    figure = Figure(figsize=(side * len(ranges_mm) + 0.3, side * len(channels) + 0.3), layout="constrained")
-    grid = figure.subplots(len(channels), len(ranges_mm), squeeze=False)
-    by_place = {(w.channel, w.range_mm): w for w in results}
-    for i, channel in enumerate(channels):
-        for k, range_mm in enumerate(ranges_mm):
-            axes, wavefront = grid[i, k], by_place.get((channel, range_mm))
-            axes.set(xticks=[], yticks=[])
-            axes.grid(False)
-            for spine in axes.spines.values():
-                spine.set(visible=True, color="#c4c8cc")
-            if i == 0:
-                axes.set_title(millimetres(range_mm))
-            if k == 0:
-                axes.set_ylabel(channel, rotation=0, ha="right", va="center", fontweight="bold", fontsize=10)
-            if wavefront is None:
-                axes.text(0.5, 0.5, "not fitted", color=SOFT, ha="center", va="center", transform=axes.transAxes)
-                continue
-            _psf(axes, wavefront, half_width_um, inks[channel].ramp)
-            axes.add_patch(Circle((0, 0), airy_radius_um(wavefront), fill=False, ec=INK, lw=0.5, ls=(0, (3, 2))))
-            axes.text(
-                0.97,
-                0.03,
-                f"{wavefront.strehl.value:.2g}",
-                ha="right",
-                va="bottom",
-                fontsize=8,
-                transform=axes.transAxes,
-                bbox=LABEL,
-            )
-    _scale_bar(grid[0, 0], half_width_um)
+def psf_picture(
+    wavefronts: dict[str, FittedWavefront], half_width_um: float, inks: dict[str, Ink], title: str
+) -> Figure:
+    """PSFs of channels side by side, all of one extent; each stretched to its own peak; the first has a scale."""
+    count = len(wavefronts)
+    side, top = (THIRD_IN - 0.1) / count, 0.26
+    figure = Figure(figsize=(THIRD_IN, side + top + 0.05))
+    height = side + top + 0.05
+    figure.text(0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center")
+    for k, (channel, w) in enumerate(wavefronts.items()):
+        axes = figure.add_axes(((0.05 + k * side) / THIRD_IN, 0.05 / height, 0.96 * side / THIRD_IN, side / height))
+        axes.set(xticks=[], yticks=[])
+        axes.grid(False)
+        for spine in axes.spines.values():
+            spine.set(visible=True, color="#c4c8cc")
+        _psf(axes, w, half_width_um, inks[channel])
+        if count > 1:
+            axes.text(0.03, 0.97, channel, fontweight="bold", va="top", transform=axes.transAxes)
+        if k == 0:
+            _scale_bar(axes, half_width_um)
     return figure
 
 
-def _psf(axes: Axes, wavefront: Wavefront, half_width_um: float, colours: Colormap) -> None:
-    spacing_um = wavefront.wavelength_nm * 1e-3 * wavefront.f_number / SAMPLES_PER_AIRY
-    psf = wavefront.psf(spacing_um, 2 * ceil(half_width_um / spacing_um) + 1)
+def _psf(axes: Axes, w: FittedWavefront, half_width_um: float, ink: Ink) -> None:
+    airy_um = w.wavelength_um * w.f_number
+    # of a wide picture each sample is less than a pixel of the screen at Nyquist's spacing
+    spacing_um = float(np.clip(half_width_um / HALF_SAMPLES, airy_um / MOST_PER_AIRY, airy_um / LEAST_PER_AIRY))
+    psf = psf_value(w, spacing_um, 2 * ceil(half_width_um / spacing_um) + 1)
     edge = psf.shape[0] / 2 * spacing_um
     axes.imshow(
         psf,
-        cmap=colours,
+        cmap=ink.ramp,
         norm=PowerNorm(0.5, 0, psf.max(), clip=True),
         interpolation="nearest",
         extent=(-edge, edge, edge, -edge),
     )
+    axes.add_patch(Circle((0, 0), 1.2197 * airy_um, fill=False, ec=INK, lw=0.5, ls=(0, (3, 2))))
     axes.set(xlim=(-half_width_um, half_width_um), ylim=(half_width_um, -half_width_um))
 
 
@@ -131,3 +126,62 @@ def _scale_bar(axes: Axes, half_width_um: float) -> None:
     left, y = -0.92 * half_width_um, 0.88 * half_width_um
     axes.plot([left, left + length], [y, y], color=INK, lw=2, solid_capstyle="butt")
     axes.text(left, y - 0.05 * half_width_um, f"{length:g} µm", fontsize=8, va="bottom")
+
+
+def place_picture(results: Results, photographs: Photographs) -> Figure | None:
+    """The frame with the photograph nearest to focus, and the target's outline at each range; None without any."""
+    placed = [(w.range_mm, w.placement) for w in results if w.placement is not None]
+    if not placed:
+        return None
+    rows, cols = photographs.size_px or np.max([np.add(p.origin_px, p.shape_px) for _, p in placed], axis=0)
+    height = float(np.clip((HALF_IN - 0.2) * rows / cols, 1.5, 5.0))
+    figure = Figure(figsize=(HALF_IN, height + 0.2))
+    axes = figure.add_axes((0.1 / HALF_IN, 0.1 / (height + 0.2), 1 - 0.2 / HALF_IN, height / (height + 0.2)))
+    axes.set(xticks=[], yticks=[], xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set(visible=True)
+    if photographs.preview is not None:
+        shown, block = photographs.preview, photographs.preview_px
+        edges = (-0.5, shown.shape[1] * block - 0.5, shown.shape[0] * block - 0.5, -0.5)
+        axes.imshow(shown, cmap="gray", vmin=-0.25, vmax=1.25, extent=edges)
+    axes.plot([(cols - 1) / 2], [(rows - 1) / 2], "+", color="#e69f00", ms=9, mew=1)
+    ranges = sorted({r for r, _ in placed if r is not None})
+    for range_mm, placement in reversed(placed):
+        shade = ranges.index(range_mm) / max(len(ranges) - 1, 1) if range_mm is not None else 0.0
+        outline = placement.corners_px[0][[0, 1, 2, 3, 0]]
+        colour = colormaps["viridis"](0.35 + 0.6 * shade)
+        axes.plot(outline[:, 1], outline[:, 0], color=colour, lw=1.1, label=millimetres(range_mm))
+    return figure
+
+
+def chip_image(residuals: Residuals, frame: int = 0, plane: int = 0) -> tuple[bytes, float, float]:
+    """Raw chip, model on the same scale, and normalised residual side by side, as a PNG of one pixel each; and that scale.
+
+    A palette of greys for counts and of red and blue for the residual, from -4 to +4 standard deviations.
+    """
+    data, model = residuals.data[frame, plane], residuals.model[frame, plane]
+    finite = np.concatenate([data[np.isfinite(data)], model[np.isfinite(model)]])
+    low, high = np.quantile(finite, [0.001, 0.999]) if finite.size else (0.0, 1.0)
+    rest = (residuals.normalised[frame, plane] / RESIDUAL_LIMIT + 1) / 2
+    grey = [_indices((x - low) / max(high - low, 1e-9), GREYS, 0) for x in (data, model)]
+    gap = np.full((data.shape[0], GAP), GREYS - 1, np.uint8)
+    joined = np.hstack([grey[0], gap, grey[1], gap, _indices(rest, SHADES, GREYS)])
+    return _palette_png(joined), float(low), float(high)
+
+
+def _indices(share: Floats, count: int, first: int) -> NDArray[np.uint8]:
+    """0..1 as entries of the palette; those left out as the last one."""
+    entries = first + np.round(np.clip(np.nan_to_num(share), 0, 1) * (count - 1))
+    return np.where(np.isfinite(share), entries, GREYS + SHADES).astype(np.uint8)
+
+
+def _palette_png(indices: NDArray[np.uint8]) -> bytes:
+    greys = np.repeat(np.linspace(0, 255, GREYS), 3).reshape(-1, 3)
+    shades = 255 * colormaps["RdBu_r"](np.linspace(0, 1, SHADES))[:, :3]
+    palette = np.vstack([greys, shades, [MASKED]]).round().astype(np.uint8)
+    image = Image.fromarray(indices, mode="P")
+    image.putpalette(palette.ravel().tolist())
+    buffer = BytesIO()
+    image.save(buffer, "PNG", optimize=False, compress_level=9)
+    return buffer.getvalue()

@@ -1,11 +1,16 @@
 """Numbers as a reader wants them: as many digits as the standard error supports."""
 
-from math import isfinite
+from datetime import datetime, timedelta
+from math import isfinite, isinf
 
 from labkit.uncertain import Uncertain, decimals
 
 MINUS = "\N{MINUS SIGN}"
+NAMES = "January February March April May June July August September October November December"
+MONTHS = tuple(NAMES.split())  # not by the locale: the page is in English
 UNKNOWN = "\N{EM DASH}"
+MOST_PLACES = 9
+NO_ERROR = "\N{NO-BREAK SPACE}(error\N{NO-BREAK SPACE}unknown)"
 PLUS_MINUS = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"  # never parted from its numbers at the end of a line
 
 
@@ -18,20 +23,34 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def plus_minus(value: float, std: float, places: int | None = None) -> str:
-    """A number and its standard error to the same decimal place; the number alone where there is no error."""
-    if not isfinite(std):
-        return fixed(value, 4 if places is None else places)
-    places = decimals(std) if places is None else places
-    return f"{fixed(value, places)}{PLUS_MINUS}{fixed(std, places)}"
+    """A number and its standard error to the same decimal place, never ± 0.00; in words that the error is not known."""
+    if isinf(std):
+        return "not determined"
+    if not std > 0:
+        return fixed(value, 4 if places is None else places) + NO_ERROR
+    enough = decimals(std, MOST_PLACES)
+    places = enough if places is None or std < 0.95 * 10.0**-places else places
+    error = fixed(std, places) if std >= 0.5 * 10.0**-places else f"{std:.1e}"
+    return f"{fixed(value, places)}{PLUS_MINUS}{error}"
 
 
 def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) -> str:
     """An estimate times a factor, to the decimal places of its error but no fewer than least; a dash where there is none."""
     if number is None:
         return UNKNOWN
-    value, std = number.value * factor, number.std * factor
+    value, std = number.value * factor, number.std * abs(factor)
     known = isfinite(std) and std > 0
     return plus_minus(value, std, max(least, decimals(std)) if known else max(least, 1 if abs(value) >= 10 else 3))
+
+
+def when(iso: str) -> str:
+    """A moment as a reader writes it: "22 November 2026, 06:28 UTC"; as it stands where it is none."""
+    try:
+        at = datetime.fromisoformat(iso)
+    except ValueError:
+        return iso
+    zone = "" if at.tzinfo is None else " UTC" if at.utcoffset() == timedelta(0) else f" UTC{at.isoformat()[-6:]}"
+    return f"{at.day} {MONTHS[at.month - 1]} {at.year}, {at:%H:%M}{zone}"
 
 
 def millimetres(range_mm: float | None) -> str:

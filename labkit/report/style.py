@@ -1,6 +1,6 @@
 """How figures look: type, lines, the colour of each channel, and their encoding as PNG and SVG."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BytesIO
@@ -14,7 +14,8 @@ from matplotlib.ticker import NullFormatter
 
 from labkit.types import Floats
 
-WIDTH_IN = 9.0  # of a figure across the page
+WIDTH_IN = 9.0  # of the page; panels stand side by side on a desktop and on paper, one above the other on a telephone
+HALF_IN, THIRD_IN = WIDTH_IN / 2, WIDTH_IN / 3
 DPI = 200
 INK, SOFT, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
@@ -84,6 +85,21 @@ def styled() -> AbstractContextManager[None]:
     return rc_context(cast(Any, STYLE))
 
 
+def chart(
+    width_in: float,
+    height_in: float,
+    *,
+    left: float = 0.58,
+    right: float = 0.12,
+    bottom: float = 0.46,
+    top: float = 0.3,
+) -> tuple[Figure, Axes]:
+    """A figure of one pair of axes with margins in inches: a layout engine would draw each figure twice to find them."""
+    figure = Figure(figsize=(width_in, height_in))
+    box = (left / width_in, bottom / height_in, 1 - (left + right) / width_in, 1 - (bottom + top) / height_in)
+    return figure, figure.add_axes(box)
+
+
 def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
     """A figure of panels of one size, row by row."""
     rows = -(-count // columns)
@@ -117,18 +133,6 @@ def plain_logs(figure: Figure) -> None:
 
 def _twos_and_fives(value: float, _: object) -> str:
     return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
-
-
-def columns_for(count: int) -> int:
-    """Columns of panels that leave few places empty."""
-    return 2 if count in (1, 2, 4) else 3
-
-
-def in_groups(items: Sequence[Any], most: int) -> list[Sequence[Any]]:
-    """The items in groups of nearly one size, each no larger than `most`: a figure must fit on a page."""
-    groups = max(1, -(-len(items) // most))
-    size = max(1, -(-len(items) // groups))
-    return [items[k : k + size] for k in range(0, len(items), size)]
 
 
 def png(figure: Figure) -> bytes:

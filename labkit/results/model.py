@@ -6,7 +6,7 @@ The same objects are made by a fit and read back from its folder, so that whatev
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import nan
+from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -204,7 +204,8 @@ class Wavefront:
     def fitted(self) -> FittedWavefront:
         """The same as `labkit.optics.metrics` takes it."""
         wavelength_um, reference_um = self.wavelength_nm * 1e-3, self.reference_wavelength_nm * 1e-3
-        return FittedWavefront(self.noll, self.waves, self.covariance, wavelength_um, reference_um, self.f_number)
+        cone = (self.f_number, self.f_number_std if isfinite(self.f_number_std) else 0.0)
+        return FittedWavefront(self.noll, self.waves, self.covariance, wavelength_um, reference_um, *cone)
 
     @property
     def strehl(self) -> Uncertain:

@@ -252,6 +252,27 @@ def test_standard_errors_are_the_spread_of_drawn_wavefronts(name: str, draws: in
     np.testing.assert_allclose(np.asarray(number(fitted(MIXED, covariance))[1]), drawn.std(axis=0), rtol=error)
 
 
+@pytest.mark.parametrize("waves", [np.zeros(12), MIXED])
+def test_the_error_of_the_cone_enters_what_is_measured_in_lengths(waves: Floats) -> None:
+    one = replace(fitted(waves, np.zeros((12, 12))), f_number_std=0.028)  # 1 %
+    for number in (mtf50(one, "x"), radius_of_energy(one, 0.8)):  # they scale with 1/N and N
+        assert number.std == pytest.approx(0.01 * number.value, rel=1e-6)
+    wider = replace(one, f_number=2.8 * 1.0001)
+    modulation = mtf(one, [60.0, 150.0], "y"), mtf(wider, [60.0, 150.0], "y")
+    energy = encircled_energy(one, [1.0, 4.0]), encircled_energy(wider, [1.0, 4.0])
+    for before, after in (modulation, energy):
+        np.testing.assert_allclose(before.std, 100 * np.abs(after.value - before.value), rtol=2e-3)
+
+
+def test_mtf50_with_the_pixel_is_where_the_product_is_one_half() -> None:
+    half = mtf50(fitted(MIXED), "x", active_um=5.0)
+    curve, pixel = mtf(fitted(MIXED), half.value, "x"), float(pixel_mtf(half.value, 5.0, "x"))
+    assert float(curve.value) * pixel == pytest.approx(0.5, abs=1e-9)
+    moved = [mtf50(fitted(MIXED + 1e-5 * (np.arange(12) == mode)), "x", active_um=5.0).value for mode in range(12)]
+    slopes = (np.array(moved) - half.value) / 1e-5
+    assert half.std == pytest.approx(1e-3 * float(np.linalg.norm(slopes)), rel=1e-2)
+
+
 def test_near_a_perfect_lens_errors_are_of_second_order_and_hold_the_bias(covariance: Floats) -> None:
     drawn = np.random.default_rng(2).multivariate_normal(np.zeros(12), covariance, 150)
     perfect = fitted(np.zeros(12), covariance)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labkit.report.budget_chart import budget_chart, variance_shares
-from labkit.report.charts import focus_chart
-from labkit.report.lens_table import budget_rows, lens_of, lens_rows, working_f_number
+from labkit.report.focus_charts import defocus_chart
+from labkit.report.lens_table import budget_table, lens_of, lens_table, working_f_number
 from labkit.results import Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import BUDGET, LENS, a_wavefront, some_results
@@ -15,8 +15,10 @@ from tests.results_samples import BUDGET, LENS, a_wavefront, some_results
 
 def row(name: str) -> tuple[str, str]:
     """Measured and stated, of a row of the table."""
-    (one,) = (row for row in lens_rows(some_results()) if row["name"].startswith(name))
-    return one["measured"].replace("\N{NO-BREAK SPACE}", " "), one["stated"].replace("\N{NO-BREAK SPACE}", " ")
+    table = lens_table(some_results())
+    assert table is not None
+    (one,) = (row.cells for row in table.rows if row.cells[0].startswith(name))
+    return one[2].replace("\N{NO-BREAK SPACE}", " "), one[3].replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.mark.parametrize(
@@ -35,8 +37,8 @@ def test_what_is_measured_stands_beside_what_the_plan_states(name: str, measured
 
 
 def test_results_without_a_lens_have_no_rows() -> None:
-    assert lens_rows(some_results(lens=None)) == []
-    assert budget_rows(some_results(budget={})) == []
+    assert lens_table(some_results(lens=None)) is None
+    assert budget_table(some_results(budget={})) is None
 
 
 def test_the_cone_is_that_of_the_wavefront_that_knows_it_best() -> None:
@@ -56,12 +58,12 @@ def test_curves_are_those_of_the_lens_that_was_estimated() -> None:
 
 def test_defocus_is_shown_as_blur_too() -> None:
     results = some_results()
-    figure = focus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+    figure = defocus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
     figure.draw_without_rendering()
     waves, blur = (axes.get_ylim() for axes in (figure.axes[0], figure.axes[0].child_axes[0]))
     np.testing.assert_allclose(blur, 300 * np.array(waves))
     schema_1 = some_results(wavefronts=tuple(a_wavefront(r, blur=None) for r in (3000.0, 3200.0)), focus=None)
-    assert not focus_chart(schema_1, None, lambda channel, ranges_mm: 0 * ranges_mm, 71.0).axes[0].child_axes
+    assert not defocus_chart(schema_1, None, lambda channel, ranges_mm: 0 * ranges_mm, 71.0).axes[0].child_axes
 
 
 def test_shares_are_of_the_variance_and_make_the_whole() -> None:
@@ -72,10 +74,9 @@ def test_shares_are_of_the_variance_and_make_the_whole() -> None:
 
 
 def test_the_whole_of_a_row_is_its_sources_added_in_squares() -> None:
-    first, _ = budget_rows(some_results())
-    assert first["name"] == "best focus, R"
-    assert first["cells"] == ["0.300", "0.100", "0.200", "0.200"]
-    assert first["whole"] == "0.424"  # sqrt(0.18)
+    table = budget_table(some_results())
+    assert table is not None
+    assert table.rows[0].cells == ("best focus, R", "mm", "0.300", "0.100", "0.200", "0.200", "0.424")  # sqrt(0.18)
 
 
 def test_bars_reach_a_hundred_per_cent_and_only_wide_pieces_are_labelled() -> None:
@@ -86,5 +87,6 @@ def test_bars_reach_a_hundred_per_cent_and_only_wide_pieces_are_labelled() -> No
 
 
 def test_a_lens_without_focus_of_some_channel_is_still_drawn() -> None:
-    rows = lens_rows(some_results(focus=None, lens=LENS))
-    assert not any(row["name"].startswith("Best focus") for row in rows)
+    table = lens_table(some_results(focus=None, lens=LENS))
+    assert table is not None
+    assert not any(row.cells[0].startswith("Best focus") for row in table.rows)

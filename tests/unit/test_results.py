@@ -214,12 +214,19 @@ def test_a_notebook_shows_tables_and_obeys_no_names() -> None:
     assert "<td>&lt;b&gt;</td>" in html
 
 
+def test_a_small_error_is_printed_with_its_digits_and_never_as_nothing() -> None:
+    sharp = a_wavefront(covariance=np.diag([1e-10, 4e-10, 4e-10]))
+    _, row = some_results(wavefronts=(sharp,)).wavefront_rows()
+    assert row[2] == "+0.075100 ± 0.000010"
+    assert row[3] == "0.090222 ± 0.000014"  # sqrt(0.0751² · 1e-10 + 0.05² · 4e-10) / 0.090222
+
+
 def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
     rejected = replace(a_wavefront(3000.0, "R", -0.3).test, accepted=False)  # type: ignore[type-var]
     results = some_results(wavefronts=(a_wavefront(3000.0, "R", -0.3, test=rejected), a_wavefront(None)))
     _, first, second = results.wavefront_rows()
     # sqrt(0.3^2 + 0.03^2 + 0.04^2)
-    assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041", "1.018", "REJECTED"]
+    assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041 ± 0.0011", "1.018", "REJECTED"]
     assert second[:2] == ["", "R"]
 
 

@@ -1,0 +1,152 @@
+"""What a lens does on either side of its best focus: Strehl ratio and MTF against defocus, and the depth of focus.
+
+The modes but for defocus stay as they are: over the depth of focus a lens's other aberrations hardly change. Defocus is in
+waves RMS of Noll 4 at the reference wavelength; `sensor_shift_um` is how far the sensor would have to move for as much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from labkit.arrays import real_array
+from labkit.optics.mtf import Direction, azimuth_deg, nodes_for
+from labkit.optics.strehl import Climber, mean_square
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
+from labkit.types import Complexes, Floats
+from labkit.uncertain import Uncertain
+
+DEPTH = 0.8
+"""Of the highest Strehl ratio, which the depth of focus keeps to: for a perfect lens Rayleigh's quarter wave. Born and Wolf,
+Principles of Optics, 7th ed., §9.3."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThroughFocus:
+    """A number against defocus, (n,) each: waves RMS, value, standard error; slopes: (modes, n) by the other modes."""
+
+    defocus_waves: Floats
+    value: Floats
+    std: Floats
+    slopes: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class FocusDepth:
+    """Between which defocus the Strehl ratio is 0.8 of its highest, and where it is highest; waves RMS.
+
+    span: far less near, whose errors belong together.
+    """
+
+    near: Uncertain
+    far: Uncertain
+    highest: Uncertain
+    span: Uncertain
+
+
+def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> ThroughFocus:
+    """Strehl ratio of a wavefront's modes but for its defocus, with others in its place, (n,) ascending, 0 among them.
+
+    The maximum is followed from that at best focus on.
+    """
+    defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
+    climber = Climber(_with_defocus(rest, float(np.abs(defocus).max())), float(np.linalg.norm(rest.waves)))
+    peaks = {}
+    for side in (range(int(np.argmin(np.abs(defocus))), -1, -1), range(int(np.argmin(np.abs(defocus))), len(defocus))):
+        tilts = np.zeros(2)
+        for k in side:
+            peaks[k] = climber.peak(np.array([*rest.waves, defocus[k]]), tilts)
+            tilts = peaks[k].tilts
+    full = _with_defocus(rest, 0.0)
+    found = [peaks[k] for k in range(len(defocus))]
+    std = np.sqrt([mean_square(full, peak) for peak in found])
+    slopes = np.array([peak.slope[:-1] for peak in found]).T
+    return ThroughFocus(defocus, np.array([peak.value for peak in found]), std, slopes)
+
+
+def mtf_through_focus(
+    wavefront: FittedWavefront, frequency_per_mm: float, direction: Direction | float, defocus_waves: Floats
+) -> ThroughFocus:
+    """MTF of the optics alone at one frequency along a direction, of modes and defocus as in `strehl_through_focus`."""
+    defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
+    apart = min(2 * abs(frequency_per_mm) / rest.cutoff_per_mm, 2.0)
+    steepest = _with_defocus(rest, float(np.abs(defocus).max()))
+    area, differences = _overlap(steepest, apart, azimuth_deg(direction))
+    factor = 1j * rest.radians_per_wave
+    phase = rest.waves @ differences[:-1] + np.outer(defocus, differences[-1])  # (n, points)
+    turned: Complexes = area * np.exp(factor * phase)
+    transfer = turned.sum(axis=1)
+    value = np.abs(transfer)
+    unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
+    slopes = (factor * (differences[:-1] @ turned.T) * unit).real
+    return ThroughFocus(defocus, value, np.sqrt(rest.variance(slopes)), slopes)
+
+
+def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
+    """The depth that a curve of Strehl ratios of a wavefront shows; None where it leaves it at an end of the curve."""
+    rest = wavefront.without((2, 3, DEFOCUS))
+    x, spline = curve.defocus_waves, CubicSpline(curve.defocus_waves, curve.value)
+    slopes = CubicSpline(x, curve.slopes, axis=1)
+    turns = [at for at in spline.derivative().roots(extrapolate=False) if spline(at, 2) < 0]
+    if not turns:
+        return None
+    top = max(turns, key=spline)
+    ends = spline.solve(DEPTH * float(spline(top)), extrapolate=False)
+    near, far = ends[ends < top], ends[ends > top]
+    if not (near.size and far.size):
+        return None
+    # of a place where S falls to a level: the slope of both by the modes, over that of S
+    pulls = [(DEPTH * slopes(top) - slopes(end)) / float(spline(end, 1)) for end in (float(near[-1]), float(far[0]))]
+    of_top = -slopes(top, 1) / float(spline(top, 2))
+
+    def uncertain(value: float, pull: Floats) -> Uncertain:
+        return Uncertain(value, float(np.sqrt(rest.variance(pull))), "waves")
+
+    return FocusDepth(
+        uncertain(float(near[-1]), pulls[0]),
+        uncertain(float(far[0]), pulls[1]),
+        uncertain(float(top), of_top),
+        uncertain(float(far[0] - near[-1]), pulls[1] - pulls[0]),
+    )
+
+
+def sensor_shift_um(wavefront: FittedWavefront, defocus_waves: float) -> float:
+    """How far the sensor is from focus, um, for a defocus: 8 N^2 times its peak to valley."""
+    return 8 * wavefront.f_number**2 * sqrt(12) * defocus_waves * wavefront.reference_um
+
+
+def _grid(defocus_waves: Floats) -> Floats:
+    return real_array("defocus_waves", defocus_waves, (None,), "waves RMS")
+
+
+def _with_defocus(rest: FittedWavefront, waves: float) -> FittedWavefront:
+    """With a defocus that is known, last of its modes."""
+    count = len(rest.noll)
+    known = rest.mapped((*rest.noll, DEFOCUS), np.eye(count + 1, count))
+    known.waves[-1] = waves
+    return known
+
+
+def _overlap(wavefront: FittedWavefront, apart: float, azimuth: float) -> tuple[Floats, Floats]:
+    """(points,) weights over the overlap of two pupils so far apart along an azimuth, and (modes, points) their differences.
+
+    The nodes are those of `labkit.optics.mtf`.
+    """
+    node, weight = np.polynomial.legendre.leggauss(nodes_for(wavefront))
+    top = np.arccos(apart / 2)
+    half = np.cos(top * node) - apart / 2
+    area = np.outer(top * weight * np.cos(top * node) * half, weight) / np.pi
+    along, across = np.outer(half, node), np.broadcast_to(np.sin(top * node)[:, None], area.shape)
+    turn = np.deg2rad(azimuth)
+    ends = [
+        modes_at(
+            wavefront.noll,
+            (at * np.cos(turn) - across * np.sin(turn)).ravel(),
+            (at * np.sin(turn) + across * np.cos(turn)).ravel(),
+        )
+        for at in (along + apart / 2, along - apart / 2)
+    ]
+    return area.ravel(), ends[0] - ends[1]

@@ -1,0 +1,143 @@
+"""The curves that the report draws and hands out as numbers: of each channel at best focus and through focus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import j0, j1
+
+from labkit.optics.encircled_energy import EncircledEnergy, encircled_energy
+from labkit.optics.lens import defocus_waves
+from labkit.optics.mtf import Curve, Direction, mtf, pixel_mtf
+from labkit.optics.psf import diffraction_mtf
+from labkit.optics.through_focus import (
+    FocusDepth,
+    ThroughFocus,
+    depth_of_focus,
+    mtf_through_focus,
+    sensor_shift_um,
+    strehl_through_focus,
+)
+from labkit.report.best_focus import DIRECTIONS, BestFocus, full_nyquist_per_mm
+from labkit.report.lens_table import lens_of
+from labkit.results import Results
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+POINTS = 90
+REACH_WAVES = 0.21  # RMS in a channel's own light: beyond, there is no peak to speak of
+STEPS = 29
+NEAREST = 1.02  # focal lengths: no nearer target has an image
+
+Place = Callable[[float], float]
+"""Where a defocus, waves RMS, stands on an axis: a range in mm, or a shift of the sensor in um."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """Of a channel: MTF with its factors, encircled energy, and both through focus.
+
+    mtf: of the optics along x and y; pixel: of a pixel's active area, along either; perfect: of a lens without aberration.
+    energy, perfect_energy: at the same radii. place: of a defocus, in a range if in_ranges, else a shift of the sensor;
+    strehl, modulation: against defocus, the latter at through_per_mm; depth: None where the curve does not show it.
+    """
+
+    best: BestFocus
+    mtf: dict[Direction, Curve]
+    pixel: Floats
+    perfect: Floats
+    energy: EncircledEnergy
+    perfect_energy: Floats
+    strehl: ThroughFocus
+    modulation: dict[Direction, ThroughFocus]
+    through_per_mm: float
+    depth: FocusDepth | None
+    place: Place
+    in_ranges: bool
+
+    @property
+    def channel(self) -> str:
+        """The channel's name."""
+        return self.best.channel
+
+    @property
+    def places(self) -> Floats:
+        """Where the points through focus stand."""
+        return np.array([self.place(float(d)) for d in self.strehl.defocus_waves])
+
+    def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
+        """A defocus as a place: its error, that of the cone, and that of best focus, where ranges are counted from."""
+        step, w = 1e-3, self.best.fitted
+        slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (2 * step)
+        std = np.hypot(defocus.std, w.cone_error * defocus.value)
+        return Uncertain(self.place(defocus.value), float(np.hypot(slope * std, focus_std)))
+
+
+def last_frequency_per_mm(results: Results) -> float:
+    """Where axes of frequency end: at the highest cutoff, or three times Nyquist's frequency."""
+    return min(3 * full_nyquist_per_mm(results.plan.sensor), max(w.fitted.cutoff_per_mm for w in results))
+
+
+def curves_of(results: Results, focused: list[BestFocus]) -> list[Curves]:
+    """Of each channel; axes of one kind end alike for all."""
+    last_per_mm = last_frequency_per_mm(results)
+    last_um = max(max(1.9 * b.energy_radius_um.value, 3 * b.fitted.wavelength_um * b.fitted.f_number) for b in focused)
+    return [_of_channel(results, best, last_per_mm, last_um) for best in focused]
+
+
+def _of_channel(results: Results, best: BestFocus, last_per_mm: float, last_um: float) -> Curves:
+    fitted = best.fitted
+    frequency, radius = np.linspace(0, last_per_mm, POINTS), np.linspace(0, last_um, POINTS)
+    through = full_nyquist_per_mm(results.plan.sensor) / 2
+    reach = REACH_WAVES * fitted.wavelength_um / fitted.reference_um
+    place = _range_of(results, best.channel)
+    grid = np.linspace(-reach, reach, STEPS)
+    if place is not None:
+        grid = np.array([d for d in grid if np.isfinite(place(float(d)))])
+    curve = strehl_through_focus(fitted, grid)
+    return Curves(
+        best,
+        {d: mtf(fitted, frequency, d) for d in DIRECTIONS},
+        pixel_mtf(frequency, best.active_um, "x"),
+        diffraction_mtf(frequency / fitted.cutoff_per_mm),
+        encircled_energy(fitted, radius),
+        perfect_energy(radius, fitted.wavelength_um * fitted.f_number),
+        curve,
+        {d: mtf_through_focus(fitted, through, d, grid) for d in DIRECTIONS},
+        through,
+        depth_of_focus(fitted, curve),
+        place or (lambda waves: sensor_shift_um(fitted, waves)),
+        place is not None,
+    )
+
+
+def perfect_energy(radius_um: Floats, airy_um: float) -> Floats:
+    """Encircled energy of a perfect lens of an airy_um, lambda N: Rayleigh's 1 - J0^2 - J1^2."""
+    argument = np.pi * radius_um / airy_um
+    return np.asarray(1 - j0(argument) ** 2 - j1(argument) ** 2)
+
+
+def _range_of(results: Results, channel: str) -> Place | None:
+    """The stated range at which a channel has a defocus, nan where none has; None where best focus is not known."""
+    focus, plan = results.focus, results.plan
+    if focus is None or channel not in focus.best_focus_mm:
+        return None
+    lens, zero_mm = lens_of(results)
+    best_mm = focus.best_focus_mm[channel].value + zero_mm
+    nearest_mm, furthest_mm = NEAREST * lens.focal_length_mm, 1e3 * best_mm
+    if not best_mm > nearest_mm:
+        return None
+
+    def defocus(true_mm: float) -> float:
+        return float(defocus_waves(lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention))
+
+    def place(waves: float) -> float:
+        if not defocus(nearest_mm) < waves < defocus(furthest_mm):
+            return float("nan")
+        # ranges as diopters, in which defocus is nearly linear
+        return 1 / brentq(lambda d: defocus(1 / d) - waves, 1 / furthest_mm, 1 / nearest_mm) - zero_mm
+
+    return place

@@ -1,0 +1,103 @@
+"""Tables of the fits: what each photographed range gave, and how it was fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
+from labkit.report.table import EXACT, Column, Row, Table
+from labkit.results import Focus, OptimumTest, Results, Wavefront
+
+TEST = "what a test of the fit found: it has a distribution, not an error"
+NUISANCE = "fitted along with the wavefront; its error is not kept"
+CLOCK = "counted"
+
+
+def fit_table(results: Results) -> Table:
+    """Defocus and blur of each fit, and whether model and optimum stand."""
+    columns = [
+        Column("range", "mm", why=EXACT),
+        Column("channel", text=True),
+        Column("defocus", "waves RMS"),
+        *([Column("blur", "µm")] if results.lens else []),
+        Column("χ²/pixel", why=TEST),
+        Column("optimum", text=True),
+    ]
+    rows = [Row(_fit_cells(w, blur=bool(results.lens)), first=first) for first, w in _in_order(results)]
+    return Table(tuple(columns), tuple(rows), channels=1)
+
+
+def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
+    verdict = (
+        "not tested" if w.test is None else "no sign of a wrong one" if w.test.accepted else "signs of a wrong one"
+    )
+    between = [estimated(w.blur, least=2)] if blur else []
+    defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
+    return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), verdict)
+
+
+def method_table(results: Results) -> Table:
+    """Gain, read noise, time and test of each fit, and its photographs."""
+    columns = (
+        Column("range", "mm", why=EXACT),
+        Column("channel", text=True),
+        Column("gain", "counts/e⁻", why=NUISANCE),
+        Column("read noise", "counts", why=NUISANCE),
+        Column("time", "s", why=CLOCK),
+        Column("test of the optimum", text=True, why=TEST),
+        Column("photographs", text=True, why="names of files"),
+    )
+    rows = [Row(_method_cells(w), first=first) for first, w in _in_order(results)]
+    return Table(columns, tuple(rows), channels=1)
+
+
+def _method_cells(w: Wavefront) -> tuple[str, ...]:
+    frames = ", ".join(w.frames) or UNKNOWN
+    return (
+        _range(w),
+        w.channel,
+        fixed(w.gain, 4),
+        fixed(w.read_noise, 2),
+        fixed(w.seconds, 1),
+        _test(w.test),
+        frames,
+    )
+
+
+def residual_table(results: Results, focus: Focus) -> Table:
+    """What the focus fit leaves of each channel's defocus."""
+    columns = (
+        Column("channel", text=True),
+        Column("best focus", "mm"),
+        Column(
+            "residual of each defocus, by range", "milliwaves", text=True, why="what the fit leaves, beside its noise"
+        ),
+    )
+    rows = [
+        Row((channel, plus_minus(best.value, best.std), _residuals(focus.residual_waves.get(channel, ()))))
+        for channel, best in focus.best_focus_mm.items()
+    ]
+    return Table(columns, tuple(rows), channels=0)
+
+
+def _residuals(waves: tuple[float, ...]) -> str:
+    return ", ".join(fixed(1e3 * r, 2) for r in waves) or UNKNOWN
+
+
+def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:
+    return [(k == 0, w) for range_mm in results.ranges_mm for k, w in enumerate(results.at_range(range_mm))]
+
+
+def _range(w: Wavefront) -> str:
+    return "none" if w.range_mm is None else f"{w.range_mm:g}"
+
+
+def _test(verdict: OptimumTest | None) -> str:
+    if verdict is None:
+        return "none"
+    words = [verdict.name or "unnamed"]
+    words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
+    words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
+    if np.isfinite(verdict.next_below):
+        words += [f"next optimum {verdict.next_below:.0f} lower in log-likelihood"]
+    return ", ".join(words)

@@ -1,0 +1,181 @@
+"""What files and journal say of the photographs that were fitted, and where the target stood in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from labkit.errors import LabkitError
+from labkit.raw.decode import read_raw
+from labkit.raw.exif import Exif, read_exif
+from labkit.report.quantities import fixed, when
+from labkit.report.table import EXACT, Column, Row, Table
+from labkit.results import Results, Wavefront
+from labkit.session.describe import in_words
+from labkit.session.frame import Frame
+from labkit.session.session import Session
+from labkit.types import Floats
+
+MOST_READ = 40  # files whose EXIF is read: of hundreds a few say as much
+PREVIEW_PX = 640
+FILES = "as the photographs' files state it"
+JOURNAL = "as the journal has it"
+CORNERS = "corners are fitted to hundredths of a pixel; their errors are not kept"
+
+
+@dataclass(frozen=True, slots=True)
+class Photographs:
+    """What is known of them beside the fits; empty where the session's folder is not at hand.
+
+    rows: name, value, and where it comes from. taken: of the first, in words. preview: (rows, columns) 0..1, averaged over
+    blocks of preview_px pixels; size_px: (rows, columns) of the frame.
+    """
+
+    rows: tuple[tuple[str, str, str], ...] = ()
+    camera: str = ""
+    taken: str = ""
+    preview: Floats | None = field(default=None, repr=False)
+    preview_px: int = 1
+    size_px: tuple[int, int] | None = None
+
+
+def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
+    """Of a session that results lie in. nearest: whose photograph is shown."""
+    folder = results.folder
+    if folder is None:
+        return Photographs()
+    try:
+        session = Session.open(folder.resolve().parents[1])
+        frames = {frame.file: frame for frame in session.frames}
+    except (LabkitError, OSError, IndexError):
+        return Photographs()
+    used = sorted({name for w in results for name in w.frames if name in frames})
+    exifs = [exif for name in used[:MOST_READ] if (exif := _exif(frames[name].path)) is not None]
+    events = {event["event"]: event for event in session.events if event["event"] in ("camera", "began", "preflight")}
+    body = events.get("camera", {})
+    camera = _one(exifs, lambda e: e.camera) or str(body.get("model", ""))
+    taken = sorted(e.taken for e in exifs if e.taken)
+    times = sorted(frames[name].time for name in used)
+    rows = [
+        ("Camera", camera, FILES),
+        _either("Camera's serial number", _one(exifs, lambda e: e.camera_serial), str(body.get("serial", ""))),
+        ("Lens", _one(exifs, lambda e: e.lens), FILES),
+        ("Lens's serial number", _one(exifs, lambda e: e.lens_serial), FILES),
+        ("Focal length set", _one(exifs, lambda e: e.focal_length_mm and f"{e.focal_length_mm:g} mm"), FILES),
+        ("Aperture set", _one(exifs, lambda e: e.f_number and f"f/{e.f_number:g}"), FILES),
+        _either("Exposure", _one(exifs, lambda e: e.exposure_s and _seconds(e.exposure_s)), _journal_s(frames, used)),
+        ("ISO", _one(exifs, lambda e: e.iso and str(e.iso)), FILES),
+        ("Taken", _span([_exif_time(t) for t in taken]), FILES),
+        ("Added to the session", _span([when(t) for t in times]), JOURNAL),
+        ("Photographs", in_words(session.frames), JOURNAL),
+        ("Target as drawn", _drawn(events.get("began", {}), results.plan.target.size_mm), JOURNAL),
+    ]
+    known = tuple((name, value, why) for name, value, why in rows if value)
+    shown = next((frames[name].path for name in nearest.frames if name in frames), None)
+    first = (_exif_time(taken[0]) if taken else when(times[0]) if times else "").partition(",")[0]
+    return Photographs(known, camera, first, **_preview(shown, results))
+
+
+def _exif(path: Path) -> Exif | None:
+    with suppress(OSError):
+        return read_exif(path)
+    return None
+
+
+def _one(exifs: Sequence[Exif], value_of: Callable[[Exif], object]) -> str:
+    """What all state; what some state, if they differ."""
+    values = dict.fromkeys(str(value) for exif in exifs if (value := value_of(exif)))
+    return ", ".join(values)
+
+
+def _seconds(exposure_s: float) -> str:
+    return f"1/{1 / exposure_s:.0f} s" if exposure_s < 0.3 else f"{exposure_s:g} s"
+
+
+def _journal_s(frames: dict[str, Frame], used: Sequence[str]) -> str:
+    seconds = dict.fromkeys(frames[name].exposure_s for name in used)
+    return ", ".join(_seconds(s) for s in seconds if s)
+
+
+def _exif_time(text: str) -> str:
+    """EXIF's 2026:11:22 09:08:07 in words: by the camera's own clock, of no zone."""
+    day, _, clock = text.partition(" ")
+    return when(f"{day.replace(':', '-')}T{clock}")
+
+
+def _span(times: Sequence[str]) -> str:
+    return " to ".join(dict.fromkeys((times[0], times[-1]))) if times else ""
+
+
+def _drawn(began: dict[str, Any], stated_mm: float) -> str:
+    """The size that a display showed: its pixels are whole, and what is fitted is this size."""
+    size = began.get("shown_size_mm")
+    if not isinstance(size, list | tuple):
+        return ""
+    return f"{' × '.join(f'{float(side):.3f}' for side in size)} mm, in whole pixels; the plan states {stated_mm:g} mm"
+
+
+def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
+    """What files state; what the journal has where they state nothing."""
+    return (name, in_files, FILES) if in_files else (name, in_journal, JOURNAL)
+
+
+def _preview(path: Path | None, results: Results) -> dict[str, Any]:
+    """The photograph, small, its filter array averaged out; nothing where it cannot be read."""
+    if path is None:
+        return {}
+    try:
+        mosaic = read_raw(path, results.plan.sensor)
+    except (LabkitError, OSError):
+        return {}
+    rows, cols = mosaic.shape
+    counts = (
+        mosaic.counts if mosaic.counts.shape == mosaic.shape else mosaic.counts.reshape(rows, cols, -1).mean(axis=2)
+    )
+    block = max(2, 2 * -(-max(rows, cols) // (2 * PREVIEW_PX)))
+    cut = counts[: rows // block * block, : cols // block * block].astype(np.float32)
+    small = cut.reshape(cut.shape[0] // block, block, cut.shape[1] // block, block).mean(axis=(1, 3))
+    low, high = np.quantile(small, [0.002, 0.998])
+    shown = np.clip((small - low) / max(high - low, 1e-9), 0, 1) ** (1 / 2.2)
+    return {"preview": shown, "preview_px": block, "size_px": (rows, cols)}
+
+
+def photograph_table(photographs: Photographs) -> Table:
+    """Camera, lens, settings, dates."""
+    columns = (Column("", text=True), Column("", text=True))
+    return Table(columns, tuple(Row((name, value), why=why) for name, value, why in photographs.rows))
+
+
+def place_table(results: Results, photographs: Photographs) -> Table:
+    """Of each range where the target's middle stood and how large it was, by the first channel's first photograph."""
+    pitch_mm = results.plan.sensor.pixel_pitch_um * 1e-3
+    columns = (
+        Column("range", "mm", why=EXACT),
+        Column("centre, row", "px", why=CORNERS),
+        Column("column", "px", why=CORNERS),
+        Column("side", "px", why=CORNERS),
+        Column("turned by", "degrees", why=CORNERS),
+        Column("from the frame's centre", "mm on the sensor", why=CORNERS),
+    )
+    rows = []
+    for range_mm in results.ranges_mm:
+        placed = [w.placement for w in results.at_range(range_mm) if w.placement is not None]
+        if not placed:
+            continue
+        corners = placed[0].corners_px[0]
+        centre, side = corners.mean(axis=0), corners - np.roll(corners, 1, axis=0)
+        top = corners[1] - corners[0]
+        away = "frame not at hand"
+        if photographs.size_px is not None:
+            middle = (np.array(photographs.size_px) - 1) / 2
+            away = fixed(float(np.hypot(*(centre - middle))) * pitch_mm, 2)
+        turned = float(np.degrees(np.arctan2(top[0], top[1])))
+        cells = (*(fixed(float(x), 1) for x in (*centre, median(np.hypot(*side.T)))), fixed(turned, 1))
+        rows.append(Row(("none" if range_mm is None else f"{range_mm:g}", *cells, away)))
+    return Table(columns, tuple(rows))
