@@ -113,12 +113,12 @@ def _span(times: Sequence[str]) -> str:
     return " to ".join(dict.fromkeys((times[0], times[-1]))) if times else ""
 
 
-def _drawn(began: dict[str, Any], stated_mm: float) -> str:
-    """The size that a display showed: its pixels are whole, and what is fitted is this size."""
+def _drawn(began: dict[str, Any], fitted_mm: float) -> str:
+    """The size that a display showed, whose pixels are whole."""
     size = began.get("shown_size_mm")
     if not isinstance(size, list | tuple):
         return ""
-    return f"{' × '.join(f'{float(side):.3f}' for side in size)} mm, in whole pixels; the plan states {stated_mm:g} mm"
+    return f"{' × '.join(f'{float(side):.3f}' for side in size)} mm, in whole pixels; fitted as {fitted_mm:.5g} mm"
 
 
 def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
