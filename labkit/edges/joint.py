@@ -84,19 +84,31 @@ class EdgeState:
 class EdgeProblem:
     """Regions, the camera they were seen by, and what is known beforehand.
 
-    optics: its first mode is defocus. noise: of each frame. Raises ValueError for others.
+    optics: of each colour, with the same modes, of which the first is defocus: the others are one path difference for all
+    colours. noise: of each frame, and colour. Raises ValueError for others.
     """
 
-    optics: Optics
+    optics: tuple[Optics, ...]
     regions: tuple[Region, ...]
     noise: tuple[NoisePrior, ...]
     lens: LensPrior
 
     def __post_init__(self) -> None:
-        if not self.optics.noll or self.optics.noll[0] != DEFOCUS or len(self.lens.mean) != len(self.optics.noll) - 1:
-            raise ValueError(f"noll = {self.optics.noll}: defocus comes first, and the lens's prior has the others")
+        if any(of.noll != self.noll for of in self.optics) or self.noll[:1] != (DEFOCUS,):
+            raise ValueError(f"noll = {[of.noll for of in self.optics]}: the same of all colours is needed, defocus first")
+        if len(self.lens.mean) != len(self.noll) - 1:
+            raise ValueError(f"{len(self.lens.mean)} modes in the lens's prior: {len(self.noll) - 1} are needed")
         if not self.regions or max(r.frame for r in self.regions) >= len(self.noise):
             raise ValueError(f"{len(self.regions)} regions, noise of {len(self.noise)} frames: each needs its frame's")
+
+    @property
+    def noll(self) -> tuple[int, ...]:
+        """The modes, defocus first."""
+        return self.optics[0].noll
+
+    def optics_of(self, k: int) -> Optics:
+        """Of a region's colour."""
+        return self.optics[self.regions[k].light]
 
     @property
     def depths(self) -> int:
@@ -116,7 +128,7 @@ class EdgeProblem:
         """A region's mean and variance with their slopes, (5.47)-(5.48), and where its parameters stand among all: those of the
         mean, then the noise's two."""
         region = self.regions[k]
-        mean, by_edge, by_waves = mean_and_slopes(region, state.edge(k), self.optics, self.waves(state, k))
+        mean, by_edge, by_waves = mean_and_slopes(region, state.edge(k), self.optics_of(k), self.waves(state, k))
         gain, read_variance = np.exp(state.log_noise[region.frame])
         bright = mean > 0
         variance = gain * np.where(bright, mean, 0.0) + read_variance
@@ -159,7 +171,7 @@ class EdgeProblem:
         """Of all parameters, in the thesis's order."""
         per_edge = ("angle", "distance", "near", "far")
         return (
-            *(f"mode {j}" for j in self.optics.noll[1:]),
+            *(f"mode {j}" for j in self.noll[1:]),
             *(f"{name} of frame {j}" for j in range(len(self.noise)) for name in ("gain", "read variance")),
             *(f"defocus {g}" for g in range(state.defoci.size)),
             *(f"{name} of edge {k}" for k in range(len(self.regions)) for name in per_edge),
@@ -171,8 +183,8 @@ class EdgeProblem:
 
     def alone(self, k: int) -> "EdgeProblem":
         """One region by itself."""
-        region = self.regions[k]
-        return replace(self, regions=(replace(region, frame=0, depth=0),), noise=(self.noise[region.frame],))
+        region = replace(self.regions[k], frame=0, depth=0, light=0)
+        return replace(self, optics=(self.optics_of(k),), regions=(region,), noise=(self.noise[self.regions[k].frame],))
 
 
 def _information(of: Slopes) -> Floats:
@@ -195,8 +207,12 @@ class EdgeFit:
 
     def defocus(self, depth: int = 0) -> tuple[float, float]:
         """Waves RMS at the reference, and its standard error."""
-        at = self.state.modes.size + self.state.log_noise.size + depth
-        return float(self.state.defoci[depth]), float(np.sqrt(self.covariance[at, at]))
+        return float(self.state.defoci[depth]), float(np.sqrt(self.defocus_covariance([depth])[0, 0]))
+
+    def defocus_covariance(self, depths: Sequence[int]) -> Floats:
+        """(n, n) of some defoci, waves RMS squared."""
+        at = self.state.modes.size + self.state.log_noise.size + np.asarray(depths)
+        return np.asarray(self.covariance[np.ix_(at, at)])
 
     def wavefront_covariance(self, depth: int = 0) -> Floats:
         """(modes, modes) of defocus and the others, in the order of the optics' modes."""

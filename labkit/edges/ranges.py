@@ -18,6 +18,8 @@ from labkit.uncertain import Uncertain
 AS_LIKELY = 20.0  # of twice a log-likelihood: a side that is less likely by more is none
 SAME_RANGE = 1.0  # standard errors: ranges nearer to each other are one
 FARTHEST_MM = 1e9
+STEPS = 6  # of Newton, in 1 / range
+TINY = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
 NEAREST = 1.02  # focal lengths
 ZERO, FOCI = 3, 4
 """Of a law's numbers: logarithms of focal length, f-number and pupil magnification; the scale's zero; the best foci."""
@@ -90,23 +92,32 @@ class EdgeRange:
     other: Uncertain | None
 
 
-def edge_range(law: FocusLaw, sides: Sequence[tuple[str, Sequence[Side]]]) -> EdgeRange:
+def edge_range(
+    law: FocusLaw, sides: Sequence[tuple[str, Sequence[Side]]], correlation: Floats | None = None
+) -> EdgeRange:
     """The range of an edge from its defocus in one colour or several. sides: of each colour its name and the ends of its fit.
 
+    correlation: (colours, colours) of the errors of defocus, where a wavefront in common makes them alike; none without it.
     A range that no side has (beyond infinity) is nan. Raises ValueError for no colour.
     """
     if not sides or not all(ends for _, ends in sides):
         raise ValueError("one colour or more, each with one side or more, are needed")
+    names = [name for name, _ in sides]
+    correlation = np.eye(len(sides)) if correlation is None else correlation
     best = [max(end.log_likelihood for end in ends) for _, ends in sides]
     found = []
     for chosen in product(*(ends for _, ends in sides)):
-        pairs = [(name, end) for (name, _), end in zip(sides, chosen, strict=True)]
-        value = _common_range(law, pairs)
+        std = np.array([end.std for end in chosen])
+        sign = np.sign([end.defocus for end in chosen])  # on the other side errors are reversed with it
+        weight = np.linalg.inv(correlation * np.outer(std * sign, std * sign) + TINY * np.diag(std**2))
+        defocus = np.array([end.defocus for end in chosen])
+        value = _common_range(law, names, defocus, weight)
         if not np.isfinite(value):
             continue
-        misfit = sum(((end.defocus - law.defocus(name, value)) / end.std) ** 2 for name, end in pairs)
+        left = defocus - [law.defocus(name, value) for name in names]
         lost = 2 * sum(top - end.log_likelihood for top, end in zip(best, chosen, strict=True))
-        found.append((misfit + lost, Uncertain(value, _error(law, pairs, value), "mm")))
+        error = _error(law, names, defocus, weight, value)
+        found.append((float(left @ weight @ left) + lost, Uncertain(value, error, "mm")))
     if not found:
         return EdgeRange(Uncertain(np.nan, np.inf, "mm"), None)
     found.sort(key=lambda of: of[0])
@@ -119,24 +130,25 @@ def edge_range(law: FocusLaw, sides: Sequence[tuple[str, Sequence[Side]]]) -> Ed
     return EdgeRange(likeliest, None)
 
 
-def _common_range(law: FocusLaw, pairs: Sequence[tuple[str, Side]]) -> float:
-    """By least squares in 1 / range from the colours' own; infinite where none has any."""
-    own = [law.range_mm(name, end.defocus) for name, end in pairs]
-    weights, inverse = [], []
-    for (name, end), value in zip(pairs, own, strict=True):
-        at = min(value, FARTHEST_MM / 10)
-        weights.append((law.slope(name, at) * at**2 / end.std) ** 2)
-        inverse.append(1 / value)
-    mean = float(np.average(inverse, weights=weights))
-    return 1 / mean if mean > 2 / FARTHEST_MM else np.inf
+def _common_range(law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats) -> float:
+    """By least squares in 1 / range, where the law is nearly straight; infinite where none has any."""
+    own = [min(law.range_mm(name, value), FARTHEST_MM) for name, value in zip(names, defocus, strict=True)]
+    inverse = float(np.mean([1 / value for value in own]))
+    for _ in range(STEPS):
+        at = 1 / max(inverse, 1 / FARTHEST_MM)
+        left = defocus - [law.defocus(name, at) for name in names]
+        slope = np.array([-law.slope(name, at) * at**2 for name in names])
+        inverse += float(slope @ weight @ left / (slope @ weight @ slope))
+        inverse = min(max(inverse, 1 / FARTHEST_MM), 1 / (NEAREST * law.lens.focal_length_mm))
+    return 1 / inverse if inverse > 2 / FARTHEST_MM else np.inf
 
 
-def _error(law: FocusLaw, pairs: Sequence[tuple[str, Side]], value: float) -> float:
+def _error(law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats, value: float) -> float:
     """Of a range: that of the defocus, and that of the law, by differences.
 
     What an edge measures is how wide it is blurred, 8 N times the path: with another f-number its defocus would be another.
     """
-    inner = sum((law.slope(name, value) / end.std) ** 2 for name, end in pairs)
+    by_range = np.array([law.slope(name, value) for name in names])
     size = len(law.covariance)
     slopes = np.zeros(size)
     for k in np.flatnonzero(np.diag(law.covariance) > 0):
@@ -145,12 +157,10 @@ def _error(law: FocusLaw, pairs: Sequence[tuple[str, Side]], value: float) -> fl
         ends = []
         for sign in (1, -1):
             varied = law.varied(sign * step)
-            scale = law.lens.f_number / varied.lens.f_number
-            moved = [(name, replace(end, defocus=end.defocus * scale)) for name, end in pairs]
-            ends.append(_common_range(varied, moved))
+            ends.append(_common_range(varied, names, defocus * law.lens.f_number / varied.lens.f_number, weight))
         slopes[k] = (ends[0] - ends[1]) / (2 * step[k]) if np.all(np.isfinite(ends)) else np.inf
     lens = slopes @ law.covariance @ slopes if np.all(np.isfinite(slopes)) else np.inf
-    return float(np.sqrt(1 / inner + lens))
+    return float(np.sqrt(1 / (by_range @ weight @ by_range) + lens))
 
 
 def symmetric_error(defocus: float, std: float) -> float:

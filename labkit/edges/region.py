@@ -1,6 +1,6 @@
 """An edge and the pixels around it: geometry, the mean that a camera sees of it, and its slopes (thesis 5.1-5.27)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,8 +60,7 @@ class Region:
     """Pixels of one colour around an edge in one frame.
 
     rows, columns: (n,) of the raw, pixel centres at integers; counts: (n,) with black removed; centre: (row, column) that
-    distances are counted from; frame: which of the frames; depth: which of the unknown defoci it has; illumination: (n,)
-    relative. Raises ValueError for arrays of different sizes or with too few pixels.
+    distances are counted from; frame: whose noise it has; depth: which of the unknown defoci; light: which of the colours. Raises ValueError for arrays of different sizes or with too few pixels.
     """
 
     rows: Floats
@@ -70,6 +69,7 @@ class Region:
     centre: tuple[float, float]
     frame: int = 0
     depth: int = 0
+    light: int = 0
 
     def __post_init__(self) -> None:
         size = (np.size(self.rows),)
@@ -91,9 +91,8 @@ class Region:
 
     def part(self, chosen: Floats) -> "Region":
         """Only some of the pixels. chosen: (n,) mask. Raises ValueError where they are too few."""
-        return Region(
-            self.rows[chosen], self.columns[chosen], self.counts[chosen], self.centre, self.frame, self.depth
-        )
+        arrays = {name: getattr(self, name)[chosen] for name in ("rows", "columns", "counts")}
+        return replace(self, **arrays)
 
 
 def mean_and_slopes(region: Region, edge: Edge, optics: Optics, waves: Floats) -> tuple[Floats, Floats, Floats]:

@@ -28,6 +28,7 @@ LEAST_CLEAR = 15.0  # standard errors of a step
 SAME_DEFOCUS = 1e-3  # waves: ends nearer than that are one
 CELL_PX = 6.0  # of the cells that coherent residuals are looked for in
 FEWEST_IN_CELL = 4
+TINY_VARIANCE = 1e-12  # waves squared: what is known of modes is a distribution, however narrow
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,10 @@ def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge]) -> tuple[EdgeFit
     """
     if problem.depths != 1:
         raise ValueError(f"{problem.depths} depths: one is searched at a time")
-    likely = likely_defocus(problem.optics, float(np.median([r.width_px for r in rough])))
+    each = [likely_defocus(problem.optics_of(k), r.width_px) for k, r in enumerate(rough)]
+    likely = float(np.median(each))
     row = sorted({*NEAR_FOCUS, *(likely * share for share in ROW if likely * share > max(NEAR_FOCUS))})
-    even = np.array(twin_signs(problem.optics.noll[1:])) < 0
+    even = np.array(twin_signs(problem.noll[1:])) < 0
     symmetric = not np.any(problem.lens.mean[even])
     ends = []
     for sign in (1,) if symmetric else (1, -1):
@@ -152,8 +154,8 @@ def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge]) -> tuple[EdgeFit
 def _misfit(problem: EdgeProblem, rough: Sequence[RoughEdge], defocus: float) -> float:
     """What a defocus leaves, once the edges have made one linear step. Weighed by the counts themselves."""
     waves, total = np.concatenate([[defocus], problem.lens.mean]), 0.0
-    for region, start in zip(problem.regions, rough, strict=True):
-        mean, by_edge, _ = mean_and_slopes(region, start.edge, problem.optics, waves)
+    for k, (region, start) in enumerate(zip(problem.regions, rough, strict=True)):
+        mean, by_edge, _ = mean_and_slopes(region, start.edge, problem.optics_of(k), waves)
         noise = problem.noise[region.frame]
         weight = 1 / np.sqrt(noise.gain * np.maximum(mean, 0) + noise.read_variance)
         left = (region.counts - mean) * weight
@@ -167,7 +169,7 @@ def twin(fit: EdgeFit) -> EdgeFit:
 
     For a prior that has none of them; elsewhere it is a start.
     """
-    signs = np.array(twin_signs(fit.problem.optics.noll[1:]), float)
+    signs = np.array(twin_signs(fit.problem.noll[1:]), float)
     state, size = fit.state, fit.state.vector.size
     turned = replace(state, modes=state.modes * signs, defoci=-state.defoci)
     first = state.modes.size + state.log_noise.size
@@ -176,16 +178,33 @@ def twin(fit: EdgeFit) -> EdgeFit:
     return replace(fit, state=turned, covariance=fit.covariance * np.outer(flips, flips))
 
 
-def fit_jointly(problem: EdgeProblem, apart: Sequence[EdgeFit]) -> EdgeFit:
-    """All depths at once, from the fits of each of them: the modes, common to all, are what they tell together."""
-    modes = np.mean([fit.state.modes for fit in apart], axis=0)
+def fit_jointly(problem: EdgeProblem, defoci: Sequence[float], edges: Floats, groups: Sequence[int]) -> EdgeFit:
+    """All depths at once, from what each is by itself: the modes, common to all, are what they tell together.
+
+    defoci: (depths,) waves RMS, of which only the sizes count; edges: (regions, 4); groups: of each depth the edge that it is of,
+    whose colours lie on one side of best focus. Edges join one after another, each on the side that is likelier by what those
+    before it tell of the modes; the first one's side is as good as the other.
+    """
+    lens, start = problem.lens, np.array(defoci, float)
+    for group in dict.fromkeys(groups):
+        depths = [d for d, of in enumerate(groups) if of == group]
+        part, places = _of_depths(problem, depths)
+        signs = (1,) if np.array_equal(lens.mean, problem.lens.mean) and not lens.mean.any() else (1, -1)
+        size = np.abs(start[depths])
+        beginnings = [replace(part, lens=lens).start(sign * size, [Edge.of(edges[k]) for k in places]) for sign in signs]
+        best = max((climb(replace(part, lens=lens), at) for at in beginnings), key=lambda end: end.objective)
+        modes = best.state.modes.size
+        lens = LensPrior(best.state.modes, best.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes))
+        start[depths] = best.state.defoci
     noise = np.array([of.centre for of in problem.noise])
-    edges: dict[int, Floats] = {}
-    for depth, fit in enumerate(apart):
-        places = [k for k, region in enumerate(problem.regions) if region.depth == depth]
-        edges |= dict(zip(places, fit.state.edges, strict=True))
-    defoci = np.array([fit.defocus()[0] for fit in apart])
-    return climb(problem, EdgeState(modes, noise, defoci, np.array([edges[k] for k in sorted(edges)])))
+    return climb(problem, EdgeState(lens.mean.copy(), noise, start, edges))
+
+
+def _of_depths(problem: EdgeProblem, depths: Sequence[int]) -> tuple[EdgeProblem, list[int]]:
+    """Only the regions of some depths, which are numbered anew, and their places."""
+    places = [k for k, region in enumerate(problem.regions) if region.depth in depths]
+    regions = tuple(replace(r, depth=depths.index(r.depth)) for r in (problem.regions[k] for k in places))
+    return replace(problem, regions=regions), places
 
 
 def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
@@ -198,7 +217,7 @@ def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
     ends = []
     for chosen in (along < middle, along >= middle):
         try:
-            part = replace(region.part(chosen), frame=0, depth=0)
+            part = replace(region.part(chosen), frame=0, depth=0, light=0)
         except ValueError:
             return None
         problem = replace(fit.problem.alone(k), regions=(part,), lens=held)

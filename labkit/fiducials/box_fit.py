@@ -35,7 +35,7 @@ class BoxTask:
         """All frames of the box, one depth."""
         noise = self.camera.noise
         noise = replace(noise, read_variance=noise.read_variance + self.rounding_variance)
-        return EdgeProblem(self.camera.optics, self.regions, (noise,) * len(self.regions), self.camera.lens)
+        return EdgeProblem((self.camera.optics,), self.regions, (noise,) * len(self.regions), self.camera.lens)
 
 
 @dataclass(frozen=True)

@@ -68,15 +68,16 @@ def _thin(plan: Plan) -> ThinLens:
 
 
 def focus_law(plan: Plan, results: Results | None, channels: tuple[str, ...], focus: Uncertain | None) -> FocusLaw | None:
-    """The lens focused as the session left it, or at a stated range for all channels; None where neither says.
+    """The lens focused as the session left it, or at a stated range; None where neither says.
 
-    A stated range is that of green, or of the first channel; the others' best foci keep their distances in the session.
+    A stated range is that of green, or of the first channel; the others' best foci keep their distances in the session, and
+    without one are unknown: then the law is of that channel alone.
     """
     known = {} if results is None or results.focus is None else results.focus.best_focus_mm
     known = {name: known[name] for name in channels if name in known}
     if focus is None and not known:
         return None
-    names = tuple(known) or channels
+    names = tuple(known) or ("G" if "G" in channels else channels[0],)
     lens, spread, zero = _lens(plan, results)
     size = FOCI + len(names)
     covariance = np.zeros((size, size))

@@ -19,7 +19,7 @@ from labkit.fiducials.camera import Camera, camera_of, focus_law
 from labkit.fiducials.one_range import contradicting
 from labkit.fiducials.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
 from labkit.fiducials.photographs import Photograph, Place, checked_box, find_places, read_all
-from labkit.fiducials.standing import Standing, standings
+from labkit.fiducials.standing import Standing, correlation, standings
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.types import Floats, Progress, no_progress
@@ -66,9 +66,9 @@ def measure_edges(
     rejected += refused
     if one_range:
         rejected += _drop_contradicting(fits)
-    joint = {name: standings([of[name] for of in fits.values() if name in of], one_range) for name in names}
-    edges = [_measured(place, fits[place], joint, law) for place in places if place in fits]
-    return EdgesOutcome(tuple(edges), tuple(rejected), tuple(dict.fromkeys(warnings)), _wavefronts(joint, cameras))
+    standing = standings(fits, one_range)
+    edges = [_measured(place, fits[place], standing, law) for place in places if place in fits]
+    return EdgesOutcome(tuple(edges), tuple(rejected), tuple(dict.fromkeys(warnings)), _wavefront(standing, results))
 
 
 def _channels(
@@ -143,17 +143,19 @@ def _drop_contradicting(fits: dict[Place, dict[str, BoxFit]]) -> list[RejectedEd
 def _measured(
     place: Place,
     fits: dict[str, BoxFit],
-    joint: dict[str, dict[Place, Standing]],
+    standing: dict[tuple[Place, str], Standing],
     law: FocusLaw | None,
 ) -> MeasuredEdge:
     """An edge in all colours that gave a fit."""
-    channels = tuple(_channel_edge(name, of, joint[name][place]) for name, of in fits.items())
+    channels = tuple(_channel_edge(name, of, standing[place, name]) for name, of in fits.items())
     where = EdgeRange(Uncertain(np.nan, np.nan, "mm"), None)
-    sides = [(name, joint[name][place].sides) for name in fits if law is not None and name in law.channels]
-    if law is not None and sides:
-        where = edge_range(law, sides)
-    standing = joint[channels[0].channel][place]
-    return MeasuredEdge(place.box, _line(standing.fit, standing.first), where.range_mm, where.other, channels)
+    names = [name for name in fits if law is not None and name in law.channels]
+    if law is not None and names:
+        of_box = [standing[place, name] for name in names]
+        sides = [(name, of.sides) for name, of in zip(names, of_box, strict=True)]
+        where = edge_range(law, sides, correlation(of_box))
+    first = standing[place, channels[0].channel]
+    return MeasuredEdge(place.box, _line(first.fit, first.first), where.range_mm, where.other, channels)
 
 
 def _channel_edge(name: str, of: BoxFit, standing: Standing) -> ChannelEdge:
@@ -191,17 +193,11 @@ def _line(fit: EdgeFit, k: int) -> Floats:
     return np.array([foot + at * tangent for at in ends])
 
 
-def _wavefronts(
-    joint: dict[str, dict[Place, Standing]], cameras: dict[str, Camera]
-) -> dict[str, dict[int, Uncertain]]:
-    """Of channels whose wavefront was fitted along: modes but defocus."""
-    found = {}
-    for name, of in joint.items():
-        if of and not cameras[name].given:
-            fit = next(iter(of.values())).fit
-            modes = fit.problem.optics.noll[1:]
-            std = np.sqrt(np.diag(fit.covariance))[: len(modes)]
-            found[name] = {
-                j: Uncertain(float(v), float(s), "waves") for j, v, s in zip(modes, fit.state.modes, std, strict=True)
-            }
-    return found
+def _wavefront(standing: dict[tuple[Place, str], Standing], results: Results | None) -> dict[int, Uncertain]:
+    """Modes but defocus, where they were fitted along."""
+    if results is not None or not standing:
+        return {}
+    fit = next(iter(standing.values())).fit
+    modes = fit.problem.noll[1:]
+    std = np.sqrt(np.diag(fit.covariance))[: len(modes)]
+    return {j: Uncertain(float(v), float(s), "waves") for j, v, s in zip(modes, fit.state.modes, std, strict=True)}

@@ -112,12 +112,12 @@ class RejectedEdge:
 
 @dataclass(frozen=True)
 class EdgesOutcome:
-    """All of a scene."""
+    """All of a scene. wavefront: modes but defocus, waves RMS at the reference, where they were fitted along."""
 
     edges: tuple[MeasuredEdge, ...]
     rejected: tuple[RejectedEdge, ...]
     warnings: tuple[str, ...] = ()
-    wavefronts: dict[str, dict[int, Uncertain]] = field(default_factory=dict)
+    wavefront: dict[int, Uncertain] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """By the contract, schema 1."""
@@ -125,10 +125,7 @@ class EdgesOutcome:
             "schema": 1,
             "edges": [edge.as_json() for edge in self.edges],
             "rejected": [{"box": list(of.box), "why": of.why} for of in self.rejected],
-            "wavefront": {
-                channel: {str(j): value.as_json() for j, value in modes.items()}
-                for channel, modes in self.wavefronts.items()
-            },
+            "wavefront": {str(j): value.as_json() for j, value in self.wavefront.items()} or None,
             "warnings": list(self.warnings),
         }
 
