@@ -16,7 +16,7 @@ from labkit.types import Bools, Floats
 from labkit.uncertain import Uncertain
 
 OVERSAMPLING = 4  # bins to a pixel
-LEAST_SLANT, MOST_SLANT = 1.5, 43.0  # degrees from the lines' normal, between which the bins are filled evenly
+LEAST_SLANT, MOST_SLANT = 1.5, 42.0  # degrees from the lines' normal, between which the bins are filled evenly
 LEAST_LINES = 8
 MOST_CORRECTION = 10.0  # of the derivative's own response
 HIGHEST = 2.0  # cycles a sample, up to which curves are given
@@ -68,7 +68,7 @@ def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
         )
     distance, values = _projected(turned, slope, offset)
     across_mm = step * pitch_um * 1e-3 * np.cos(np.arctan(slope))  # of one sample along a line, across the edge
-    return _response(distance / step, values, across_mm, slant)
+    return _response(distance / step, values, turned[0].values.shape[1], across_mm, slant)
 
 
 def _rise(values: Floats, axis: int) -> float:
@@ -140,13 +140,13 @@ def _projected(planes: Sequence[Plane], slope: float, offset: float) -> tuple[Fl
     return np.concatenate(distances), np.concatenate(values)
 
 
-def _response(distance: Floats, values: Floats, across_mm: float, slant: float) -> Esfr:
-    """From samples (n,) at distances, in samples along a line. across_mm: what one of them is across the edge."""
+def _response(distance: Floats, values: Floats, width: int, across_mm: float, slant: float) -> Esfr:
+    """From samples (n,) at distances, in samples along a line, of which there are `width`. across_mm: what one of them is across
+    the edge."""
     low, high = np.percentile(distance, (2, 98))
-    reach = min(-low, high)
-    if reach < 4:
-        raise DataError(f"the edge lies {reach:.1f} samples from the box's border: the method of ISO 12233 needs 4")
-    half = int(reach * OVERSAMPLING)
+    if min(-low, high) < 4:
+        raise DataError(f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs 4")
+    half = width * OVERSAMPLING // 2  # as wide as the box, about the edge
     bins = np.floor(distance * OVERSAMPLING).astype(int) + half
     inside: Bools = (bins >= 0) & (bins < 2 * half)
     mean, variance = _binned(bins[inside], values[inside], 2 * half)

@@ -21,8 +21,8 @@ from labkit.types import Complexes, Floats
 NODES, NODES_PER_STEEPNESS = 30, 0.75
 """Of a slice's Chebyshev series in sqrt(1 - f lambda N), in which it is smooth to both ends: right to 1e-8 (tests hold it)."""
 
-PERIODS = 8.0  # of the train, in reaches
-FINER = 4.0  # samples to a period of the highest frequency: a spline of fifth order errs by 1e-7 there
+PERIODS, LEAST_REACH = 8.0, 150.0  # of the train, in reaches, of which each is at least so many lambda N
+FINER = 6.0  # samples to a period of the highest frequency: a spline of fifth order errs by 2e-6 of a perfect lens, less behind a pixel
 TURN = 1e-4  # radians, of the difference that gives the slope of pixel and camera by the azimuth
 
 
@@ -112,7 +112,7 @@ def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) 
     if not reach_um > 0:
         raise ValueError(f"reach_um = {reach_um:g}: a distance above 0 is needed (um)")
     airy_um = optics.airy_um * min(optics.spectrum.nodes)
-    period_um = PERIODS * max(reach_um, 4 * airy_um)
+    period_um = PERIODS * max(reach_um, LEAST_REACH * airy_um)
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
     of = camera_slice(optics, waves, azimuth, harmonic / period_um)
     size = scipy.fft.next_fast_len(int(FINER * period_um / airy_um), real=True)

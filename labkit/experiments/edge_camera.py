@@ -60,7 +60,8 @@ class EdgeCamera:
         return np.asarray(sides[0] + (sides[1] - sides[0]) * pixels[:: self.step, :: self.step])
 
     def psf(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
-        """(2 reach + 1, same) samples: each one's share of all light within the window."""
+        """(2 reach + 1, same) samples: each one's share of all light. What lies beyond the window sees both sides alike, and adds
+        nothing to a picture whose mean radiance was taken off."""
         spacing = self.pitch_um / self.finer
         reach = self.reach_px * self.finer
         period = scipy.fft.next_fast_len(int(PERIODS * (2 * reach + 1)))
@@ -76,7 +77,7 @@ class EdgeCamera:
         window = np.arange(-reach, reach + 1)
         rows = scipy.fft.fft(disc * np.exp(2j * np.pi * path), period, axis=0)[window]
         light = np.abs(scipy.fft.fft(rows, period, axis=1)[:, window]) ** 2
-        return np.asarray(light / light.sum())
+        return np.asarray(light / (period**2 * disc.sum()))
 
 
 @lru_cache(maxsize=4)
