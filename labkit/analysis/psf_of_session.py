@@ -1,4 +1,4 @@
-"""What a session's results say of a camera, for other photographs by it: its light and wavefront; and whether it is the same camera."""
+"""What a session's results say of a camera, for other photographs by it; and whether it is the same camera."""
 
 from __future__ import annotations
 

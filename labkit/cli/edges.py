@@ -19,9 +19,13 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
 Images = Annotated[list[Path], typer.Argument(metavar="IMAGE... PLAN.toml", help="frames of one scene, and their plan")]
-Boxes = Annotated[list[str] | None, typer.Option("--box", metavar="R0,C0,R1,C1", help="Around an edge, in raw pixels; again.")]
+Boxes = Annotated[
+    list[str] | None, typer.Option("--box", metavar="R0,C0,R1,C1", help="Around an edge, in raw pixels; again.")
+]
 Psf = Annotated[Path | None, typer.Option(metavar="SESSION", help="Whose wavefront and best focus are taken.")]
-Focus = Annotated[str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at, instead of the session's.")]
+Focus = Annotated[
+    str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at, instead of the session's.")
+]
 OneRange = Annotated[bool, typer.Option("--one-range", help="All edges stand at one range.")]
 Force = Annotated[bool, typer.Option("--force", help="Take the PSF of another camera, channel or aperture.")]
 
@@ -94,5 +98,7 @@ def _focus(text: str) -> Uncertain:
     number = r"\d{1,7}(?:\.\d{1,6})?"
     match = re.fullmatch(rf"({number})(?:(?:±|\+-)({number}))?", text.replace(" ", ""))
     if match is None or not float(match[1]) > 0:
-        raise DataError(f"--focus {text}: give millimetres above 0, such as 5012, or with their standard error, 5012±10")
+        raise DataError(
+            f"--focus {text}: give millimetres above 0, such as 5012, or with their standard error, 5012±10"
+        )
     return Uncertain(float(match[1]), float(match[2] or 0), "mm")

@@ -1,8 +1,9 @@
 """The edge-based spatial frequency response of ISO 12233:2017 (its Annex D), from pixels of one colour, nothing demosaiced.
 
-Each line's derivative has its centroid where the edge crosses it; a straight line through these; pixels projected along it into bins
-of a quarter of a pixel; their means' derivative, a Hamming window about its peak, the modulus of its Fourier transform, and the
-correction of the three-point derivative. Counts are linear in light already: there is no opto-electronic conversion to invert.
+Each line's derivative has its centroid where the edge crosses it; a straight line through these; pixels projected along it
+into bins of a quarter of a pixel; their means' derivative, a Hamming window about its peak, the modulus of its Fourier
+transform, and the correction of the three-point derivative. Counts are linear in light already: there is no
+opto-electronic conversion to invert.
 """
 
 from collections.abc import Sequence
@@ -132,7 +133,7 @@ def _projected(planes: Sequence[Plane], slope: float, offset: float) -> tuple[Fl
     for plane in planes:
         count, width = plane.values.shape
         passages = int(count * abs(slope))
-        kept = int(round(passages / abs(slope))) if passages else count
+        kept = round(passages / abs(slope)) if passages else count
         row = plane.first[0] + plane.step * np.arange(kept)
         column = plane.first[1] + plane.step * np.arange(width)
         distances.append((column - offset - slope * row[:, None]).ravel())
@@ -141,11 +142,13 @@ def _projected(planes: Sequence[Plane], slope: float, offset: float) -> tuple[Fl
 
 
 def _response(distance: Floats, values: Floats, width: int, across_mm: float, slant: float) -> Esfr:
-    """From samples (n,) at distances, in samples along a line, of which there are `width`. across_mm: what one of them is across
-    the edge."""
+    """From samples (n,) at distances, in samples along a line, of which there are `width`. across_mm: what one of them is
+    across the edge."""
     low, high = np.percentile(distance, (2, 98))
     if min(-low, high) < 4:
-        raise DataError(f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs 4")
+        raise DataError(
+            f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs 4"
+        )
     half = width * OVERSAMPLING // 2  # as wide as the box, about the edge
     bins = np.floor(distance * OVERSAMPLING).astype(int) + half
     inside: Bools = (bins >= 0) & (bins < 2 * half)
@@ -178,7 +181,9 @@ def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
     many = np.bincount(bins, minlength=count)
     filled = many > 0
     if filled.mean() < 0.75:
-        raise DataError(f"{1 - filled.mean():.0%} of the quarter-pixel bins are empty: the method of ISO 12233 needs a longer edge")
+        raise DataError(
+            f"{1 - filled.mean():.0%} of the quarter-pixel bins are empty: the method of ISO 12233 needs a longer edge"
+        )
     total = np.bincount(bins, values, minlength=count)
     mean = np.interp(np.arange(count), np.flatnonzero(filled), total[filled] / many[filled])
     scatter = np.bincount(bins, (values - mean[bins]) ** 2, minlength=count)

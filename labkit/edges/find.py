@@ -1,6 +1,7 @@
 """Edges found in a picture: straight segments (OpenCV's LSD), cut into pieces, each with a box around it."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -75,7 +76,7 @@ def _pieces(line: Floats) -> list[tuple[Floats, Floats]]:
         return []
     count = max(1, round(length / PIECE))
     at = [start + (end - start) * k / count for k in range(count + 1)]
-    return list(zip(at[:-1], at[1:], strict=True))
+    return list(pairwise(at))
 
 
 def _judged(picture: Floats, start: Floats, end: Floats) -> tuple[float, bool]:
@@ -106,7 +107,9 @@ def _found(
     """In pixels of the raw."""
     along = end - start
     angle = float(np.arctan2(along[0], -along[1])) + (np.pi if rise < 0 else 0.0)
-    corners = np.array([at + sign * DEEP * np.array([np.cos(angle), np.sin(angle)]) for at in (start, end) for sign in (-1, 1)])
+    corners = np.array(
+        [at + sign * DEEP * np.array([np.cos(angle), np.sin(angle)]) for at in (start, end) for sign in (-1, 1)]
+    )
     low = np.floor(corners.min(axis=0)).clip(0)
     high = np.minimum(np.ceil(corners.max(axis=0)) + 1, [shape[1], shape[0]])
     box = (
@@ -117,7 +120,9 @@ def _found(
     )
     middle = (start + end) / 2
     where = (first[0] + step * float(middle[1]), first[1] + step * float(middle[0]))
-    return FoundEdge(box, where, float((angle + np.pi) % (2 * np.pi) - np.pi), step * float(np.hypot(*along)), abs(share))
+    return FoundEdge(
+        box, where, float((angle + np.pi) % (2 * np.pi) - np.pi), step * float(np.hypot(*along)), abs(share)
+    )
 
 
 def _apart(edge: FoundEdge, other: FoundEdge, step: int) -> bool:

@@ -1,10 +1,11 @@
 """The joint model of edges and its maximum of likelihood (thesis 5.33-5.69).
 
-Unknowns in the thesis's order: [alpha, c1, c2, sigma_r, beta, theta]: modes but defocus, common to all edges; for each frame its
-gain and offset and read noise; for each depth its defocus; for each edge angle, distance and two radiances. Of a frame's c1, c2 and
-sigma_r and its edges' radiances two combinations change nothing (a common factor and a common offset of the radiances; only in
-the variance do c1 and c2 stand alone, as gain and as a part of the read variance), so radiances are in counts above black and a
-frame has two numbers, its gain c1 in counts per electron and the variance sigma_r^2 - c1 c2, both as logarithms.
+Unknowns in the thesis's order: [alpha, c1, c2, sigma_r, beta, theta]: modes but defocus, common to all edges; for each
+frame its gain and offset and read noise; for each depth its defocus; for each edge angle, distance and two radiances. Of a
+frame's c1, c2 and sigma_r and its edges' radiances two combinations change nothing (a common factor and a common offset of
+the radiances; only in the variance do c1 and c2 stand alone, as gain and as a part of the read variance), so radiances are in
+counts above black and a frame has two numbers, its gain c1 in counts per electron and the variance sigma_r^2 - c1 c2, both
+as logarithms.
 """
 
 from collections.abc import Sequence
@@ -95,7 +96,9 @@ class EdgeProblem:
 
     def __post_init__(self) -> None:
         if any(of.noll != self.noll for of in self.optics) or self.noll[:1] != (DEFOCUS,):
-            raise ValueError(f"noll = {[of.noll for of in self.optics]}: the same of all colours is needed, defocus first")
+            raise ValueError(
+                f"noll = {[of.noll for of in self.optics]}: the same of all colours is needed, defocus first"
+            )
         if len(self.lens.mean) != len(self.noll) - 1:
             raise ValueError(f"{len(self.lens.mean)} modes in the lens's prior: {len(self.noll) - 1} are needed")
         if not self.regions or max(r.frame for r in self.regions) >= len(self.noise):
@@ -231,11 +234,11 @@ class EdgeFit:
         return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
 
 
-def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 40, tolerance: float = 0.01) -> EdgeFit:
+def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 30, tolerance: float = 0.03) -> EdgeFit:
     """The maximum of the likelihood near a start, by damped Fisher scoring.
 
-    tolerance: stop when a step is shorter than this many standard errors. At no defocus and no other even mode the likelihood is
-    flat in defocus by symmetry: start elsewhere (`labkit.edges.search`). Raises ValueError for such a start.
+    tolerance: stop when a step is shorter than this many standard errors. At no defocus and no other even mode the
+    likelihood is flat in defocus by symmetry: start elsewhere (`labkit.edges.search`). Raises ValueError for such a start.
     """
     if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
         raise ValueError("no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere")

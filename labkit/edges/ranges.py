@@ -1,7 +1,7 @@
 """Defocus of an edge to its range, through the lens's law (thesis (4.40) corrected, §5.2.5), the side of best focus chosen.
 
-Defocus is nearly linear in 1 / range, so that ranges are solved for there; beyond infinity nothing lies, which may tell the sides
-apart. Colours have best foci of their own: the range that all of them agree on is on one side only.
+Defocus is nearly linear in 1 / range, so that ranges are solved for there; beyond infinity nothing lies, which may tell
+the sides apart. Colours have best foci of their own: the range that all of them agree on is on one side only.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ ZERO, FOCI = 3, 4
 class FocusLaw:
     """A lens as it stands focused: ``channels``, and focus_mm of each, its best focus, on a scale of ranges.
 
-    zero_mm: what is to be added to that scale for ranges from the front principal plane. covariance: (4 + channels, same) of the
-    logarithms of focal length, f-number and pupil magnification, of the zero, and of the best foci, mm.
+    zero_mm: what is to be added to that scale for ranges from the front principal plane. covariance: (4 + channels, same)
+    of the logarithms of focal length, f-number and pupil magnification, of the zero, and of the best foci, mm.
     """
 
     lens: ThinLens
@@ -120,7 +120,7 @@ def edge_range(
         found.append((float(left @ weight @ left) + lost, Uncertain(value, error, "mm")))
     if not found:
         return EdgeRange(Uncertain(np.nan, np.inf, "mm"), None)
-    found.sort(key=lambda of: of[0])
+    found.sort(key=lambda of: round(of[0], 3))  # of equal ones the fit's own
     cost, likeliest = found[0]
     for more, other in found[1:]:
         apart = abs(1 / other.value - 1 / likeliest.value)

@@ -60,7 +60,8 @@ class Region:
     """Pixels of one colour around an edge in one frame.
 
     rows, columns: (n,) of the raw, pixel centres at integers; counts: (n,) with black removed; centre: (row, column) that
-    distances are counted from; frame: whose noise it has; depth: which of the unknown defoci; light: which of the colours. Raises ValueError for arrays of different sizes or with too few pixels.
+    distances are counted from; frame: whose noise it has; depth: which of the unknown defoci; light: which of the colours.
+    Raises ValueError for arrays of different sizes or with too few pixels.
     """
 
     rows: Floats

@@ -39,6 +39,4 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
     covariance = fit.wavefront_covariance(region.depth)
     std = np.sqrt(np.einsum("if,ij,jf->f", gradient, covariance, gradient).clip(0))
     per_mm = 1e3 * frequency
-    return FittedResponse(
-        per_mm, value, std, crossing(per_mm, value, std, 0.5), crossing(per_mm, value, std, 0.1)
-    )
+    return FittedResponse(per_mm, value, std, crossing(per_mm, value, std, 0.5), crossing(per_mm, value, std, 0.1))

@@ -181,9 +181,9 @@ def twin(fit: EdgeFit) -> EdgeFit:
 def fit_jointly(problem: EdgeProblem, defoci: Sequence[float], edges: Floats, groups: Sequence[int]) -> EdgeFit:
     """All depths at once, from what each is by itself: the modes, common to all, are what they tell together.
 
-    defoci: (depths,) waves RMS, of which only the sizes count; edges: (regions, 4); groups: of each depth the edge that it is of,
-    whose colours lie on one side of best focus. Edges join one after another, each on the side that is likelier by what those
-    before it tell of the modes; the first one's side is as good as the other.
+    defoci: (depths,) waves RMS, of which only the sizes count; edges: (regions, 4); groups: of each depth the edge that it
+    is of, whose colours lie on one side of best focus. Edges join one after another, each on the side that is likelier by
+    what those before it tell of the modes; the first one's side is as good as the other.
     """
     lens, start = problem.lens, np.array(defoci, float)
     for group in dict.fromkeys(groups):
@@ -191,7 +191,9 @@ def fit_jointly(problem: EdgeProblem, defoci: Sequence[float], edges: Floats, gr
         part, places = _of_depths(problem, depths)
         signs = (1,) if np.array_equal(lens.mean, problem.lens.mean) and not lens.mean.any() else (1, -1)
         size = np.abs(start[depths])
-        beginnings = [replace(part, lens=lens).start(sign * size, [Edge.of(edges[k]) for k in places]) for sign in signs]
+        beginnings = [
+            replace(part, lens=lens).start(sign * size, [Edge.of(edges[k]) for k in places]) for sign in signs
+        ]
         best = max((climb(replace(part, lens=lens), at) for at in beginnings), key=lambda end: end.objective)
         modes = best.state.modes.size
         lens = LensPrior(best.state.modes, best.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes))
@@ -208,7 +210,7 @@ def _of_depths(problem: EdgeProblem, depths: Sequence[int]) -> tuple[EdgeProblem
 
 
 def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
-    """One region's two halves along its line, each fitted by itself with the fit's modes held; None where they are too small."""
+    """One region's two halves along its line, each fitted with the fit's modes held; None where they are too small."""
     region, edge = fit.problem.regions[k], fit.state.edge(k)
     _, along = region.across_and_along(edge)
     middle = float(np.median(along))

@@ -1,8 +1,8 @@
 """How a camera blurs a straight edge: line- and edge-spread functions, exact from the OTF's slice (thesis 5.8-5.27, §5.2.3).
 
 A picture of an edge changes only across it, so all of the transfer function that it sees is a slice along its normal: the
-autocorrelation of the pupil there, times the pixel's active square and what else the camera adds. The slice's odd harmonics of a
-long period make a train of edges that lie far apart; what the others' halo adds is taken off in closed form.
+autocorrelation of the pupil there, times the pixel's active square and what else the camera adds. The slice's odd
+harmonics of a long period make a train of edges that lie far apart; what the others' halo adds is taken off in closed form.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ NODES, NODES_PER_STEEPNESS = 30, 0.75
 """Of a slice's Chebyshev series in sqrt(1 - f lambda N), in which it is smooth to both ends: right to 1e-8 (tests hold it)."""
 
 PERIODS, LEAST_REACH = 8.0, 150.0  # of the train, in reaches, of which each is at least so many lambda N
-FINER = 6.0  # samples to a period of the highest frequency: a spline of fifth order errs by 2e-6 of a perfect lens, less behind a pixel
+FINER = 6.0  # samples to a period of the highest frequency: a quintic spline errs by 2e-6 of a perfect lens
 TURN = 1e-4  # radians, of the difference that gives the slope of pixel and camera by the azimuth
 
 
@@ -66,7 +66,9 @@ def _lens_slice(
     angle = np.pi * (np.arange(count) + 0.5) / count
     at = ((1 + np.cos(angle)) / 2) ** 2  # 1 - f lambda N
     value, slopes = turning_transfer_function(wavefront, (1 - at) * 1e3 * cutoff, float(np.rad2deg(azimuth)))
-    series = scipy.fft.dct(np.stack([part for row in (value, *slopes) for part in (row.real, row.imag)]), axis=1) / count
+    series = (
+        scipy.fft.dct(np.stack([part for row in (value, *slopes) for part in (row.real, row.imag)]), axis=1) / count
+    )
     series[:, 0] /= 2
     below = frequency < cutoff
     spread = np.zeros((len(series), frequency.size))
@@ -78,9 +80,7 @@ def _lens_slice(
 def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWavefront:
     """The wavefront without errors, in one of the light's wavelengths relative to the nominal one."""
     none = np.zeros((len(optics.noll), len(optics.noll)))
-    return FittedWavefront(
-        optics.noll, waves, none, node * optics.wavelength_um, optics.reference_um, optics.f_number
-    )
+    return FittedWavefront(optics.noll, waves, none, node * optics.wavelength_um, optics.reference_um, optics.f_number)
 
 
 def _beyond(optics: Optics, azimuth: float, frequency: Floats) -> Floats:

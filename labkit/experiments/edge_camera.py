@@ -1,7 +1,7 @@
 """Pictures of edges by another way than the one that fits them: no slice of a transfer function, no line-spread function.
 
-The two sides of a line are drawn as areas on samples several to a pixel, laid out far beyond the frame, convolved with a PSF from a
-finely sampled pupil whose window takes in the halo, and summed over each pixel's active square.
+The two sides of a line are drawn as areas on samples several to a pixel, laid out far beyond the frame, convolved with a
+PSF from a finely sampled pupil whose window takes in the halo, and summed over each pixel's active square.
 """
 
 from dataclasses import dataclass
@@ -60,8 +60,8 @@ class EdgeCamera:
         return np.asarray(sides[0] + (sides[1] - sides[0]) * pixels[:: self.step, :: self.step])
 
     def psf(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
-        """(2 reach + 1, same) samples: each one's share of all light. What lies beyond the window sees both sides alike, and adds
-        nothing to a picture whose mean radiance was taken off."""
+        """(2 reach + 1, same) samples: each one's share of all light. What lies beyond the window sees both sides alike,
+        and adds nothing to a picture whose mean radiance was taken off."""
         spacing = self.pitch_um / self.finer
         reach = self.reach_px * self.finer
         period = scipy.fft.next_fast_len(int(PERIODS * (2 * reach + 1)))

@@ -41,9 +41,7 @@ def camera_of(plan: Plan, channel: str, results: Results | None, white: float, f
 
     white: counts above black at saturation. focus_mm: what the lens is focused at, for its cone.
     """
-    noise = NoisePrior(
-        white / ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, max(1.0, (white / 4000) ** 2), UNKNOWN_NOISE_STD
-    )
+    noise = NoisePrior(white / ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, max(1.0, (white / 4000) ** 2), UNKNOWN_NOISE_STD)
     if results is None:
         optics = optics_of(plan, channel)
         cone = optics.f_number if focus_mm is None else float(_thin(plan).working_f_number(focus_mm))
@@ -67,7 +65,9 @@ def _thin(plan: Plan) -> ThinLens:
     return ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
 
 
-def focus_law(plan: Plan, results: Results | None, channels: tuple[str, ...], focus: Uncertain | None) -> FocusLaw | None:
+def focus_law(
+    plan: Plan, results: Results | None, channels: tuple[str, ...], focus: Uncertain | None
+) -> FocusLaw | None:
     """The lens focused as the session left it, or at a stated range; None where neither says.
 
     A stated range is that of green, or of the first channel; the others' best foci keep their distances in the session, and

@@ -24,7 +24,7 @@ def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
     grey: (rows, columns) about 0 to 1, of the raw's pixels. Rejected boxes are drawn dashed.
     """
     rows, columns = grey.shape
-    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 0.5), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 1.1), layout="constrained")
     axes = figure.subplots()
     axes.imshow(np.sqrt(np.clip(grey, 0, 1)), cmap="gray", vmin=-0.1, vmax=1.3, interpolation="nearest")
     axes.grid(False)
@@ -56,8 +56,16 @@ def _values(edges: Sequence[MeasuredEdge]) -> tuple[Floats, str]:
 
 def _labels(edges: Sequence[MeasuredEdge], label: str) -> list[str]:
     if label.startswith("range"):
-        return [f"{e.range_mm.value:.0f} ± {e.range_mm.std:.0f}" if np.isfinite(e.range_mm.value) else "" for e in edges]
+        return [_words(edge) for edge in edges]
     return [f"{abs(e.main.defocus.value):.2f} ± {e.main.defocus.std:.2f}" for e in edges]
+
+
+def _words(edge: MeasuredEdge) -> str:
+    """The range, and the other one where there is one."""
+    if not np.isfinite(edge.range_mm.value):
+        return ""
+    other = "" if edge.other is None else f"\nor {edge.other.value:.0f} ± {edge.other.std:.0f}"
+    return f"{edge.range_mm.value:.0f} ± {edge.range_mm.std:.0f}{other}"
 
 
 def _outline(box: Box) -> tuple[list[float], list[float]]:

@@ -44,10 +44,10 @@ def measure_edges(
 ) -> EdgesOutcome:
     """Edges of a scene: their ranges, and the camera's response across them by the fit and by ISO 12233.
 
-    images: frames of one scene, the camera at rest. results: of a session with the same lens and aperture, whose wavefront and best
-    focus are taken; without, the wavefront is fitted along, common to all edges. boxes: R0,C0,R1,C1 of the raw; none: edges are
-    looked for, ``most`` at most. focus_mm: what the lens is focused at, in place of the session's. one_range: all edges stand at
-    the same range. force: take a session of another camera.
+    images: frames of one scene, the camera at rest. results: of a session with the same lens and aperture, whose wavefront
+    and best focus are taken; without, the wavefront is fitted along, common to all edges. boxes: R0,C0,R1,C1 of the raw;
+    none: edges are looked for, ``most`` at most. focus_mm: what the lens is focused at, in place of the session's.
+    one_range: all edges stand at the same range. force: take a session of another camera.
 
     Raises RawError, DataError for frames that cannot be used; a box that gives no edge is in `EdgesOutcome.rejected`.
     """
@@ -91,7 +91,9 @@ def _places(
     if not boxes:
         places = find_places(photograph, "G" if "G" in names else names[0], most)
         if not places:
-            raise DataError(f"{photograph.path}: no straight edge between two even sides was found; give one with --box")
+            raise DataError(
+                f"{photograph.path}: no straight edge between two even sides was found; give one with --box"
+            )
         return places, []
     problems = [(box, checked_box(box, photograph.mosaic.shape)) for box in dict.fromkeys(boxes)]
     rejected = [RejectedEdge(box, why) for box, why in problems if why is not None]
@@ -186,7 +188,10 @@ def _line(fit: EdgeFit, k: int) -> Floats:
     """(2, 2) ends of the line within its region, (row, column)."""
     region, edge = fit.problem.regions[k], fit.state.edge(k)
     _, along = region.across_and_along(edge)
-    normal, tangent = np.array([np.sin(edge.angle), np.cos(edge.angle)]), np.array([np.cos(edge.angle), -np.sin(edge.angle)])
+    normal, tangent = (
+        np.array([np.sin(edge.angle), np.cos(edge.angle)]),
+        np.array([np.cos(edge.angle), -np.sin(edge.angle)]),
+    )
     foot = np.array(region.centre) + edge.distance_px * normal
     across = np.abs(region.across_and_along(edge)[0]) < 3
     ends = (along[across].min(), along[across].max()) if across.any() else (0.0, 0.0)

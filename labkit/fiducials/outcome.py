@@ -66,8 +66,8 @@ class ChannelEdge:
 
 @dataclass(frozen=True)
 class MeasuredEdge:
-    """An edge in all its colours. range_mm: nan where nothing says what the lens is focused at; other: on the other side of best
-    focus, where the data do not exclude it. line: (2, 2) its ends, (row, column) in the raw."""
+    """An edge in all its colours. range_mm: nan where nothing says what the lens is focused at; other: on the other side
+    of best focus, where the data do not exclude it. line: (2, 2) its ends, (row, column) in the raw."""
 
     box: Box
     line: Floats

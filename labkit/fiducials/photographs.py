@@ -82,7 +82,9 @@ def read_all(paths: Sequence[Path], plan: Plan) -> list[Photograph]:
     first = photographs[0].mosaic
     for each in photographs[1:]:
         if each.mosaic.shape != first.shape or each.mosaic.pattern != first.pattern:
-            raise DataError(f"{each.path}: of another size or filter array than {photographs[0].path}: give frames of one scene")
+            raise DataError(
+                f"{each.path}: of another size or filter array than {photographs[0].path}: give frames of one scene"
+            )
     return photographs
 
 
@@ -91,7 +93,8 @@ def checked_box(box: Box, shape: tuple[int, int]) -> str | None:
     r0, c0, r1, c1 = box
     rows, columns = shape
     if r1 - r0 < LEAST_SIDE_PX or c1 - c0 < LEAST_SIDE_PX:
-        return f"the box spans {r1 - r0} rows and {c1 - c0} columns: R0,C0,R1,C1 with {LEAST_SIDE_PX} of each at least is needed"
+        spans = f"{r1 - r0} rows and {c1 - c0} columns"
+        return f"the box spans {spans}: R0,C0,R1,C1 with {LEAST_SIDE_PX} of each at least is needed"
     if r0 < 0 or c0 < 0 or r1 > rows or c1 > columns:
         return f"the box lies outside the image, which has {rows} rows and {columns} columns"
     return None

@@ -15,7 +15,9 @@ from labkit.fiducials.one_range import fit_together
 from labkit.fiducials.photographs import Place
 from labkit.types import Floats
 
-MOST_JOINT = 10  # boxes that a wavefront is fitted along with: what more of them tell of it is little, and they take long
+MOST_JOINT = (
+    10  # boxes that a wavefront is fitted along with: what more of them tell of it is little, and they take long
+)
 
 Fits = Mapping[Place, Mapping[str, BoxFit]]
 """By box and channel."""
@@ -35,8 +37,8 @@ class Standing:
 def standings(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Standing]:
     """Where every box stands in every colour.
 
-    A given wavefront leaves edges nothing in common but a declared range: each is as fitted by itself. One that is fitted along is
-    common to all edges and colours, and tells nothing of the side of best focus.
+    A given wavefront leaves edges nothing in common but a declared range: each is as fitted by itself. One that is fitted
+    along is common to all edges and colours, and tells nothing of the side of best focus.
     """
     every = [(place, name, of) for place, by_channel in fits.items() for name, of in by_channel.items()]
     if not every:
@@ -102,7 +104,9 @@ def _climbed(fits: Fits, one_range: bool) -> tuple[EdgeFit, dict[tuple[Place, st
     problem = EdgeProblem(optics, tuple(regions), tuple(noise), next(iter(tasks.values())).camera.lens)
     if one_range:
         groups = [0] * len(names)
-        apart = [next(a for a, r in zip(apart, _depths(placed), strict=True) if r == light) for light in range(len(names))]
+        apart = [
+            next(a for a, r in zip(apart, _depths(placed), strict=True) if r == light) for light in range(len(names))
+        ]
     edges = [end for of in fits.values() for b in of.values() for end in b.ends[0].state.edges]
     return fit_jointly(problem, [end.defocus()[0] for end in apart], np.array(edges), groups), placed
 

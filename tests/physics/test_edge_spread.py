@@ -36,7 +36,9 @@ def test_a_perfect_lens_has_the_line_spread_of_struves_function() -> None:
     r = np.linspace(0.1, 35, 300)
     x = 2 * np.pi * r / AIRY_UM
     closed = 4 / AIRY_UM * struve(1, x) / x**2
-    np.testing.assert_allclose(edge_spread(PERFECT, np.zeros(len(NOLL)), 0.0, 40.0).read(r)[1], closed, atol=3e-6)  # 1.5e-6 measured: the spline
+    np.testing.assert_allclose(
+        edge_spread(PERFECT, np.zeros(len(NOLL)), 0.0, 40.0).read(r)[1], closed, atol=3e-6
+    )  # 1.5e-6 measured: the spline
 
 
 @pytest.mark.parametrize("defocus", [0.05, 0.6])
@@ -52,7 +54,9 @@ def test_slopes_are_those_of_differences(defocus: float) -> None:
     differences = [edge(0.4, here, step) - edge(0.4, here, -step)]
     differences += [edge(0.4, here + unit[k]) - edge(0.4, here - unit[k]) for k in range(len(NOLL))]
     differences += [edge(0.4 + step, here) - edge(0.4 - step, here)]
-    np.testing.assert_allclose(slopes, np.array(differences) / (2 * step), atol=2e-7)  # 1e-7 measured: the spline's slope
+    np.testing.assert_allclose(
+        slopes, np.array(differences) / (2 * step), atol=2e-7
+    )  # 1e-7 measured: the spline's slope
 
 
 def test_a_longer_train_of_edges_changes_nothing() -> None:

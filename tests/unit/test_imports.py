@@ -98,7 +98,9 @@ def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> No
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in ("drivers", "targets")] == []
 
 
-@pytest.mark.parametrize("path", modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges"), ids=name)
+@pytest.mark.parametrize(
+    "path", modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges"), ids=name
+)
 def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES] == []
 
