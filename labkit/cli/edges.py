@@ -14,6 +14,8 @@ from labkit.errors import DataError
 
 if TYPE_CHECKING:
     from labkit.edges.find import Box
+    from labkit.fiducials.measure import Scene
+    from labkit.fiducials.outcome import EdgesOutcome
     from labkit.uncertain import Uncertain
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -46,8 +48,7 @@ def edges(
     workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
 ) -> None:
     """Ranges of a scene's straight edges, and the camera's response across them by the fit and by ISO 12233."""
-    from labkit.fiducials.measure import measure_edges
-    from labkit.fiducials.written import write_outcome
+    from labkit.fiducials.measure import Scene, measure_edges
     from labkit.plan import Plan
     from labkit.results import Results
 
@@ -55,32 +56,29 @@ def edges(
     if len(images) < 2:
         raise DataError("give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml")
     *photographs, plan_path = images
-    plan = Plan.load(plan_path)
+    results = None if psf is None else Results.load(psf, psf_name)
+    boxes, focused = [_box(text) for text in box or ()], None if focus is None else _focus(focus)
+    scene = Scene(photographs, Plan.load(plan_path), results, boxes, focused, channel, one_range, most, force)
     with console.progress("edges") as report:
-        outcome = measure_edges(
-            photographs,
-            plan,
-            results=None if psf is None else Results.load(psf, psf_name),
-            boxes=[_box(text) for text in box or ()],
-            focus_mm=None if focus is None else _focus(focus),
-            channels=channel,
-            one_range=one_range,
-            most=most,
-            force=force,
-            workers=workers,
-            progress=report,
-        )
+        outcome = measure_edges(scene, workers, report)
+    _show(console, outcome, scene, out)
+
+
+def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | None) -> None:
+    """Raises DataError where no edge could be measured."""
     console.warn(*outcome.warnings)
     if outcome.edges:
         console.table(outcome.rows())
     for of in outcome.rejected:
         console.warn(f"box {','.join(map(str, of.box))}: {of.why}")
     if out is not None:
-        for path in write_outcome(out, outcome, photographs[0], plan):
+        from labkit.fiducials.written import write_outcome
+
+        for path in write_outcome(out, outcome, scene.images[0], scene.plan):
             console.say(f"written: {path}")
     console.answer(outcome.as_json())
     if not outcome.edges:
-        raise DataError(f"{photographs[0]}: no edge could be measured: {outcome.rejected[0].why}")
+        raise DataError(f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}")
 
 
 def _box(text: str) -> Box:

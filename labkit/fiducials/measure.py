@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,60 +29,69 @@ from labkit.uncertain import Uncertain
 MOST_EDGES = 60
 
 
-def measure_edges(
-    images: Sequence[Path],
-    plan: Plan,
-    *,
-    results: Results | None = None,
-    boxes: Sequence[Box] = (),
-    focus_mm: Uncertain | None = None,
-    channels: Sequence[str] | None = None,
-    one_range: bool = False,
-    most: int = MOST_EDGES,
-    force: bool = False,
-    workers: int | None = None,
-    progress: Progress = no_progress,
-) -> EdgesOutcome:
-    """Edges of a scene: their ranges, and the camera's response across them by the fit and by ISO 12233.
+@dataclass(frozen=True)
+class Scene:
+    """What is to be measured, and with what.
 
-    images: frames of one scene, the camera at rest. results: of a session with the same lens and aperture, whose wavefront
-    and best focus are taken; without, the wavefront is fitted along, common to all edges. boxes: R0,C0,R1,C1 of the raw;
-    none: edges are looked for, ``most`` at most. focus_mm: what the lens is focused at, in place of the session's.
-    one_range: all edges stand at the same range. force: take a session of another camera.
+    images: frames of one scene, the camera at rest. results: of a session with the same lens and aperture, whose wavefront and
+    best focus are taken; without, the wavefront is fitted along, common to all edges. boxes: R0,C0,R1,C1 of the raw; none:
+    edges are looked for, ``most`` at most. focus_mm: what the lens is focused at, in place of the session's. channels: only
+    these. one_range: all edges stand at the same range. force: take a session of another camera.
+    """
+
+    images: Sequence[Path]
+    plan: Plan
+    results: Results | None = None
+    boxes: Sequence[Box] = ()
+    focus_mm: Uncertain | None = None
+    channels: Sequence[str] | None = None
+    one_range: bool = False
+    most: int = MOST_EDGES
+    force: bool = False
+
+
+def measure_edges(scene: Scene, workers: int | None = None, progress: Progress = no_progress) -> EdgesOutcome:
+    """Edges of a scene: their ranges, and the camera's response across them by the fit and by ISO 12233.
 
     Raises RawError, DataError for frames that cannot be used; a box that gives no edge is in `EdgesOutcome.rejected`.
     """
-    photographs = read_all(images, plan)
-    names = _channels(photographs[0], plan, results, channels)
-    warnings = list(photographs[0].mosaic.notes)
-    if results is not None:
-        warnings += check_same_camera(results, plan, names, photographs[0].mosaic.camera, force=force)
-    law = focus_law(plan, results, names, focus_mm)
-    if law is None:
-        warnings.append("ranges are not determined: give --psf SESSION with a best focus, or --focus MM")
-    places, rejected = _places(photographs[0], names, boxes, most)
+    photographs = read_all(scene.images, scene.plan)
+    names = _channels(photographs[0], scene)
+    law, warnings = _law(photographs[0], scene, names)
+    places, rejected = _places(photographs[0], names, scene.boxes, scene.most)
     focused = None if law is None else float(np.mean(law.focus_mm))
-    cameras = {name: camera_of(plan, name, results, photographs[0].white, focused) for name in names}
+    white = photographs[0].white
+    cameras = {name: camera_of(scene.plan, name, scene.results, white, focused) for name in names}
     fits, refused = _fitted(photographs, cameras, places, workers, progress)
     rejected += refused
-    if one_range:
+    if scene.one_range:
         rejected += _drop_contradicting(fits)
-    standing = standings(fits, one_range)
+    standing = standings(fits, scene.one_range)
     edges = [_measured(place, fits[place], standing, law) for place in places if place in fits]
-    return EdgesOutcome(tuple(edges), tuple(rejected), tuple(dict.fromkeys(warnings)), _wavefront(standing, results))
+    return EdgesOutcome(tuple(edges), tuple(rejected), warnings, _wavefront(standing, scene.results))
 
 
-def _channels(
-    photograph: Photograph, plan: Plan, results: Results | None, wanted: Sequence[str] | None
-) -> tuple[str, ...]:
+def _law(photograph: Photograph, scene: Scene, names: tuple[str, ...]) -> tuple[FocusLaw | None, tuple[str, ...]]:
+    """The lens's law, where something says what it is focused at; and warnings. Raises DataError for another camera's PSF."""
+    warnings = list(photograph.mosaic.notes)
+    if scene.results is not None:
+        camera = photograph.mosaic.camera
+        warnings += check_same_camera(scene.results, scene.plan, names, camera, force=scene.force)
+    law = focus_law(scene.plan, scene.results, names, scene.focus_mm)
+    if law is None:
+        warnings.append("ranges are not determined: give --psf SESSION with a best focus, or --focus MM")
+    return law, tuple(dict.fromkeys(warnings))
+
+
+def _channels(photograph: Photograph, scene: Scene) -> tuple[str, ...]:
     """Those wanted, or all that plan and photograph have, and the session too. Raises DataError."""
-    known = [c.name for c in plan.channel if photograph.has(c.name)]
-    if absent := [name for name in wanted or () if name not in known]:
+    known = [c.name for c in scene.plan.channel if photograph.has(c.name)]
+    if absent := [name for name in scene.channels or () if name not in known]:
         raise DataError(f"channel {', '.join(absent)}: allowed are {', '.join(known)}")
-    names = [name for name in known if name in wanted] if wanted else known
-    if results is not None and not wanted:
-        names = [name for name in names if name in results.channels] or names
-    return tuple(names)
+    if scene.channels:
+        return tuple(name for name in known if name in scene.channels)
+    fitted = known if scene.results is None else scene.results.channels
+    return tuple(name for name in known if name in fitted) or tuple(known)
 
 
 def _places(

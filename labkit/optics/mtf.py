@@ -24,7 +24,7 @@ from labkit.uncertain import Uncertain
 Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
 
-BLOCK = 1 << 17  # nodes at once: they take some ten megabytes
+BLOCK = 1 << 15  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
 HALF_MODULATION_GRID = 200  # frequencies up to the cutoff among which the first below one half is looked for
 
 
