@@ -33,7 +33,7 @@ PLAN = plan_text(TABLES)
 def true_defocus(range_mm: float) -> float:
     """Waves RMS by the parabola of a small aperture: A^2 / 8 of the difference of 1 / range, mm."""
     path_mm = (FOCAL_MM / F_NUMBER) ** 2 / 8 * (1 / FOCUS_MM - 1 / range_mm)
-    return path_mm / np.sqrt(12) / (NM * 1e-6)
+    return float(path_mm / np.sqrt(12) / (NM * 1e-6))
 
 
 def square(range_mm: float, angle: float) -> Floats:

@@ -18,7 +18,7 @@ from labkit.uncertain import Uncertain
 
 OVERSAMPLING = 4  # bins to a pixel
 LEAST_SLANT, MOST_SLANT = 1.5, 42.0  # degrees from the lines' normal, between which the bins are filled evenly
-LEAST_LINES = 8
+LEAST_LINES, LEAST_CHANGE = 8, 0.2  # that cross the edge; and how much of the greatest change counts as that
 MOST_CORRECTION = 10.0  # of the derivative's own response
 HIGHEST = 2.0  # cycles a sample, up to which curves are given
 
@@ -84,39 +84,34 @@ def _transposed(plane: Plane) -> Plane:
 def _line(planes: Sequence[Plane]) -> tuple[float, float]:
     """column = offset + slope * row, in pixels of the raw, through the centroids of the lines' derivatives.
 
-    A first pass with a Hamming window about each line's middle, a second about the first one's line.
+    First with a Hamming window about where each line changes most, then twice about the line found before.
     """
     fitted: tuple[float, float] | None = None
     for _ in range(3):
-        rows, columns = [], []
-        for plane in planes:
-            count, width = plane.values.shape
-            row = plane.first[0] + plane.step * np.arange(count)
-            change = np.diff(plane.values, axis=1)
-            at = np.arange(width - 1) + 0.5
-            middle = np.full(count, (width - 1) / 2) if fitted is None else _in(plane, fitted[1] + fitted[0] * row)
-            if fitted is None:
-                total = change.sum(axis=1)
-                guess = (np.abs(change) @ at) / np.maximum(np.abs(change).sum(axis=1), 1e-30)
-                middle = np.where(np.abs(total) > 0, guess, middle)
-            window = _hamming(at - middle[:, None], width)
-            weighed = change * window
-            total = weighed.sum(axis=1)
-            good = np.abs(total) > 0.2 * np.abs(total).max()
-            rows.append(row[good])
-            columns.append(plane.first[1] + plane.step * (weighed @ at)[good] / total[good])
-        every_row, every_column = np.concatenate(rows), np.concatenate(columns)
-        if every_row.size < LEAST_LINES:
-            raise DataError(f"{every_row.size} lines cross the edge: the method of ISO 12233 needs {LEAST_LINES}")
-        slope, offset = np.polyfit(every_row, every_column, 1)
+        crossings = [_crossings(plane, fitted) for plane in planes]
+        row, column = (np.concatenate(each) for each in zip(*crossings, strict=True))
+        if row.size < LEAST_LINES:
+            raise DataError(f"{row.size} lines cross the edge: the method of ISO 12233 needs {LEAST_LINES}")
+        slope, offset = np.polyfit(row, column, 1)
         fitted = float(slope), float(offset)
     assert fitted is not None
     return fitted
 
 
-def _in(plane: Plane, column: Floats) -> Floats:
-    """Columns of the raw as places along a plane's lines."""
-    return (column - plane.first[1]) / plane.step
+def _crossings(plane: Plane, line: tuple[float, float] | None) -> tuple[Floats, Floats]:
+    """(n,) rows and columns of the raw where the plane's lines cross the edge: centroids of their windowed derivatives."""
+    count, width = plane.values.shape
+    row = np.asarray(plane.first[0] + plane.step * np.arange(count), np.float64)
+    change = np.diff(plane.values, axis=1)
+    at: Floats = np.arange(width - 1) + 0.5
+    if line is None:
+        middle = (np.abs(change) @ at) / np.maximum(np.abs(change).sum(axis=1), 1e-30)
+    else:
+        middle = (line[1] + line[0] * row - plane.first[1]) / plane.step
+    weighed = change * _hamming(at - middle[:, None], width)
+    total = weighed.sum(axis=1)
+    good = np.abs(total) > LEAST_CHANGE * np.abs(total).max()
+    return row[good], plane.first[1] + plane.step * (weighed @ at)[good] / total[good]
 
 
 def _hamming(off: Floats, width: float) -> Floats:
@@ -158,7 +153,7 @@ def _response(distance: Floats, values: Floats, width: int, across_mm: float, sl
     k = np.arange(1, 2 * half - 1)
     derivative[k, k + 1], derivative[k, k - 1] = 0.5, -0.5
     line = derivative @ mean
-    place = np.arange(2 * half)
+    place: Floats = np.arange(2.0 * half)
     peak = float(np.sum(place * np.abs(line) ** 2) / np.sum(np.abs(line) ** 2))
     line_of = _hamming(place - peak, 2 * half)[:, None] * derivative
     cycles = np.arange(int(HIGHEST / OVERSAMPLING * 2 * half) + 1) / (2 * half)  # a bin
@@ -171,8 +166,8 @@ def _response(distance: Floats, values: Floats, width: int, across_mm: float, sl
     by_bin -= value[:, None] * (transform[0].real * np.sign(spectrum[0].real) / np.abs(spectrum[0]))
     std = np.sqrt(by_bin**2 @ variance)
     frequency = cycles * OVERSAMPLING / across_mm
-    crossings = [crossing(frequency, value, std, level) for level in (0.5, 0.1)]
-    return Esfr(frequency, value, std, *crossings, abs(slant))
+    mtf50, mtf10 = (crossing(frequency, value, std, level) for level in (0.5, 0.1))
+    return Esfr(frequency, value, std, mtf50, mtf10, abs(slant))
 
 
 def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:

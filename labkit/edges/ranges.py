@@ -109,7 +109,8 @@ def edge_range(
     for chosen in product(*(ends for _, ends in sides)):
         std = np.array([end.std for end in chosen])
         sign = np.sign([end.defocus for end in chosen])  # on the other side errors are reversed with it
-        weight = np.linalg.inv(correlation * np.outer(std * sign, std * sign) + TINY * np.diag(std**2))
+        shared = correlation * np.outer(std * sign, std * sign)
+        weight = np.asarray(np.linalg.inv(shared + TINY * np.diag(std**2)), np.float64)
         defocus = np.array([end.defocus for end in chosen])
         value = _common_range(law, names, defocus, weight)
         if not np.isfinite(value):

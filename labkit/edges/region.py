@@ -7,7 +7,7 @@ import numpy as np
 from labkit.arrays import real_array
 from labkit.edges.spread import edge_spread
 from labkit.imaging.model import Optics
-from labkit.types import Floats
+from labkit.types import Bools, Floats
 
 EDGE_SIZE = 4
 ANGLE, DISTANCE, NEAR, FAR = range(EDGE_SIZE)
@@ -90,7 +90,7 @@ class Region:
         cosine, sine = np.cos(edge.angle), np.sin(edge.angle)
         return x * cosine + y * sine - edge.distance_px, y * cosine - x * sine
 
-    def part(self, chosen: Floats) -> "Region":
+    def part(self, chosen: Bools) -> "Region":
         """Only some of the pixels. chosen: (n,) mask. Raises ValueError where they are too few."""
         arrays = {name: getattr(self, name)[chosen] for name in ("rows", "columns", "counts")}
         return replace(self, **arrays)

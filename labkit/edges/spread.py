@@ -43,8 +43,8 @@ def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Float
     waves: (modes,) RMS at the reference; azimuth: radians from x (right) towards y (down). lens_only: without pixel and camera.
     Thesis §5.2.3, with the active pixel in the place of the sampling period (2.45, corrected).
     """
-    lens = np.zeros(frequency.size, complex)
-    slopes = np.zeros((len(optics.noll) + 1, frequency.size), complex)
+    lens: Complexes = np.zeros(frequency.size, complex)
+    slopes: Complexes = np.zeros((len(optics.noll) + 1, frequency.size), complex)
     for share, node in optics.spectrum.shares:
         value, slope = _lens_slice(optics, waves, azimuth, frequency, node)
         lens += share * value

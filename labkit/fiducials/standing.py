@@ -9,6 +9,7 @@ import numpy as np
 
 from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior
 from labkit.edges.ranges import Side, symmetric_error
+from labkit.edges.region import Region
 from labkit.edges.search import fit_jointly, twin
 from labkit.fiducials.box_fit import BoxFit, fit_box
 from labkit.fiducials.one_range import fit_together
@@ -87,7 +88,9 @@ def _climbed(fits: Fits, one_range: bool) -> tuple[EdgeFit, dict[tuple[Place, st
     tasks = {name: next(of[name].task for of in fits.values() if name in of) for name in names}
     noise = [each for name in names for each in tasks[name].problem.noise]
     frames = len(noise) // len(names)
-    regions, apart, groups = [], [], []
+    regions: list[Region] = []
+    apart: list[EdgeFit] = []
+    groups: list[int] = []
     placed: dict[tuple[Place, str], tuple[int, int]] = {}
     for group, (place, by_channel) in enumerate(fits.items()):
         for name, of in by_channel.items():

@@ -40,11 +40,10 @@ def by_the_standard(values: Floats) -> tuple[Floats, Floats]:
     middle = int(np.floor(4 * offset))
     keys = [min(max(k, min(totals)), max(totals)) for k in range(middle - 2 * columns, middle + 2 * columns)]
     edge = np.array([np.mean(totals[k]) for k in keys])
-    line = np.zeros_like(edge)
-    line[1:-1] = (edge[2:] - edge[:-2]) / 2
-    line *= np.hamming(4 * columns)
-    response = np.abs(np.fft.rfft(line))
-    k: Floats = np.arange(response.size) / line.size
+    spread = np.zeros_like(edge)
+    spread[1:-1] = (edge[2:] - edge[:-2]) / 2
+    response = np.abs(np.fft.rfft(spread * np.hamming(4 * columns)))
+    k: Floats = np.arange(response.size) / spread.size
     with np.errstate(invalid="ignore", divide="ignore"):
         response = response / response[0] * np.nan_to_num(2 * np.pi * k / np.sin(2 * np.pi * k), nan=1.0)
     return k * 4 / (PITCH_UM * 1e-3 * np.cos(np.arctan(slope))), response
