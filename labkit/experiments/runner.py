@@ -32,6 +32,7 @@ STUDIES = {
     "uniform-crb": "uniform_crb",
     "targets": "targets",
     "extension": "extension",
+    "edges": "edge_ranging",
 }
 """Name of a study -> the module of this context that does it, by its function `run`."""
 

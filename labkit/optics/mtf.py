@@ -24,7 +24,7 @@ from labkit.uncertain import Uncertain
 Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
 
-BLOCK = 1 << 17  # nodes at once: they take some ten megabytes
+BLOCK = 1 << 15  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
 HALF_MODULATION_GRID = 200  # frequencies up to the cutoff among which the first below one half is looked for
 
 
@@ -146,10 +146,26 @@ def transfer_function(
 
     It is the Fourier transform of the PSF: light to the right of the origin has a falling phase along x.
     """
+    return _slice(wavefront, frequency_per_mm, _tables(wavefront.noll, np.deg2rad(azimuth_deg)))
+
+
+def turning_transfer_function(
+    wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
+) -> tuple[Complexes, Complexes]:
+    """As `transfer_function`, and behind the modes' derivatives one by the azimuth, per radian: (modes + 1, f).
+
+    Turning the slice is turning the wavefront the other way, so that it costs one more row of the same sums.
+    """
+    turn = np.deg2rad(azimuth_deg)
+    turning = np.tensordot(wavefront.waves, _tables(wavefront.noll, turn, slope=True), 1)
+    return _slice(wavefront, frequency_per_mm, np.concatenate([_tables(wavefront.noll, turn), turning[None]]))
+
+
+def _slice(wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats) -> tuple[Complexes, Complexes]:
+    """(f,) the transfer function, and (tables, f) its derivatives by paths, of which the first are the modes'."""
     apart = np.minimum(2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0)  # of the pupil's radius
     factor: Complexes = 1j * wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
-    tables = _tables(wavefront.noll, np.deg2rad(azimuth_deg))
-    path = np.tensordot(wavefront.waves, tables, 1)
+    path = np.tensordot(wavefront.waves, tables[: len(wavefront.noll)], 1)
     rule = np.polynomial.legendre.leggauss(nodes_for(wavefront))
     size = max(1, BLOCK // rule[0].size ** 2)
     blocks = [slice(k, k + size) for k in range(0, len(apart), size)]
@@ -188,15 +204,18 @@ def _autocorrelation(
     return turned.sum(axis=(1, 2)), factor * slopes
 
 
-def _tables(noll: tuple[int, ...], turn: float) -> Floats:
-    """(modes, d + 1, d + 1) modes as polynomials in coordinates of which x points along an azimuth, radians."""
+def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
+    """(modes, d + 1, d + 1) modes as polynomials in coordinates of which x points along an azimuth, radians; or their slopes
+    by it."""
     orders = [noll_to_nm(j) for j in noll]
     degree = max((n for n, _ in orders), default=0)
     tables = np.zeros((len(noll), degree + 1, degree + 1))
     for table, (n, m) in zip(tables, orders, strict=True):
-        table[: n + 1, : n + 1] = np.cos(m * turn) * cartesian(nm_to_noll(n, m))
+        cosine, sine = np.cos(m * turn), np.sin(m * turn)
+        same, other = (-m * sine, m * cosine) if slope else (cosine, sine)
+        table[: n + 1, : n + 1] = same * cartesian(nm_to_noll(n, m))
         if m:
-            table[: n + 1, : n + 1] -= np.sin(m * turn) * cartesian(nm_to_noll(n, -m))
+            table[: n + 1, : n + 1] -= other * cartesian(nm_to_noll(n, -m))
     return tables
 
 

@@ -1,0 +1,140 @@
+"""What a session's results say of a camera, for other photographs by it; and whether it is the same camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labkit.analysis.local_fits import optics_of
+from labkit.errors import DataError, RawError, SessionError
+from labkit.imaging.model import Optics
+from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.optics.spectrum import Spectrum
+from labkit.optics.wavefront import DEFOCUS
+from labkit.plan import Plan
+from labkit.raw.formats import recognise
+from labkit.results import Results, Wavefront
+from labkit.session.session import Session
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+SAME = 0.02  # relative: numbers of two plans that differ by more are of two cameras
+
+
+def check_same_camera(
+    results: Results, plan: Plan, channels: Collection[str], camera: str = "", *, force: bool = False
+) -> list[str]:
+    """What speaks against a session's PSF in photographs of a plan: other lens, aperture, sensor, channel, or camera body.
+
+    camera: as the photographs state it, where they do. Returns the contradictions as warnings where `force` is set; else raises
+    DataError, one line that names them all and how to go on.
+    """
+    wrong = [*_numbers(results.plan, plan), *_channels(results, plan, channels)]
+    theirs = camera_of(results)
+    if camera and theirs and camera != theirs:
+        wrong.append(f"camera {camera}, the session's is {theirs}")
+    if wrong and not force:
+        raise DataError(
+            f"the session's PSF is of another camera: {'; '.join(wrong)}; give a session of the same one, or --force"
+        )
+    return [f"PSF of another camera, by force: {words}" for words in wrong]
+
+
+def _numbers(theirs: Plan, ours: Plan) -> list[str]:
+    """Where lens and sensor differ."""
+    pairs = {
+        "lens.focal_length_mm": (ours.lens.focal_length_mm, theirs.lens.focal_length_mm),
+        "lens.f_number": (ours.lens.f_number, theirs.lens.f_number),
+        "sensor.pixel_pitch_um": (ours.sensor.pixel_pitch_um, theirs.sensor.pixel_pitch_um),
+        "sensor.fill_factor": (ours.sensor.fill_factor, theirs.sensor.fill_factor),
+    }
+    return [f"{name} = {a:g}, the session's is {b:g}" for name, (a, b) in pairs.items() if abs(a / b - 1) > SAME]
+
+
+def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[str]:
+    """Channels that the session lacks, or has in another light."""
+    wrong = []
+    for name in channels:
+        light = next(c.wavelength_nm for c in plan.channel if c.name == name)
+        fitted = {w.wavelength_nm for w in results.of_channel(name)}
+        if not fitted:
+            wrong.append(f"channel {name}, the session has {', '.join(results.channels)}")
+        elif all(abs(light / nm - 1) > SAME for nm in fitted):
+            wrong.append(f"channel {name} at {light:g} nm, the session's is at {fitted.pop():g} nm")
+    return wrong
+
+
+def camera_of(results: Results) -> str:
+    """The body that the session's photographs name; empty where they or the session are not at hand."""
+    if results.folder is None:
+        return ""
+    try:
+        frames = Session.open(Path(results.folder).parent.parent).frames
+        return recognise(frames[0].path).camera if frames else ""
+    except (SessionError, RawError, OSError):
+        return ""
+
+
+def session_optics(results: Results, plan: Plan, channel: str) -> Optics:
+    """Light, sensor and lens of a channel as the session found them: the cone, and the parts of the camera as given."""
+    wavefront = session_wavefront(results, channel)
+    optics = optics_of(plan, channel)
+    given = {part.name: part for part in optics.given} | {part.name: part for part in _parts(results.model_parts)}
+    spectrum = optics.spectrum
+    width = results.model_parts.get(f"spectrum.{channel}.width_nm")
+    if width is not None:
+        spectrum = Spectrum.of_width((width.value / wavefront.wavelength_nm) ** 2)
+    return replace(
+        optics,
+        f_number=wavefront.f_number,
+        reference_um=wavefront.reference_wavelength_nm * 1e-3,
+        noll=_defocus_first(wavefront.noll),
+        spectrum=spectrum,
+        parts=(),
+        given=tuple(given.values()),
+    )
+
+
+def _defocus_first(noll: tuple[int, ...]) -> tuple[int, ...]:
+    return (DEFOCUS, *(j for j in noll if j != DEFOCUS))
+
+
+def session_wavefront(results: Results, channel: str) -> Wavefront:
+    """Of a channel's wavefronts the one whose modes but defocus are known best; accepted ones go first.
+
+    Raises DataError for a channel that was not fitted.
+    """
+    of = results.of_channel(channel)
+    if not of:
+        raise DataError(f"the session has no wavefront of channel {channel}: it has {', '.join(results.channels)}")
+    return min(of, key=lambda w: (not w.accepted, float(np.trace(session_modes(w)[1]))))
+
+
+def session_modes(wavefront: Wavefront) -> tuple[Floats, Floats]:
+    """(m,) the modes but defocus, waves RMS at the reference, and (m, m) their covariance."""
+    kept = [k for k, j in enumerate(wavefront.noll) if j != DEFOCUS]
+    return wavefront.waves[kept], wavefront.covariance[np.ix_(kept, kept)]
+
+
+def _parts(found: Mapping[str, Uncertain]) -> list[Part]:
+    """Parts of the camera from the numbers that results keep of them; a smear's slant is not kept."""
+
+    def square(name: str) -> float:
+        return found[name].value ** 2 if name in found else 0.0
+
+    parts: list[Part] = []
+    for turned in (False, True):
+        name = LowPass(turned=turned).name
+        if f"{name}.rows_px" in found:
+            parts.append(LowPass(square(f"{name}.rows_px"), square(f"{name}.columns_px"), turned))
+    if "diffusion.sigma_px" in found:
+        parts.append(Diffusion(square("diffusion.sigma_px")))
+    if "smear.rows_px" in found:
+        parts.append(Smear(square("smear.rows_px"), square("smear.columns_px")))
+    if "veil.share" in found and math.isfinite(found["veil.share"].value):
+        parts.append(Veil(found["veil.share"].value))
+    return parts

@@ -1,0 +1,102 @@
+"""The command for edges."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from labkit.cli.app import app
+from labkit.console import Console
+from labkit.errors import DataError
+
+if TYPE_CHECKING:
+    from labkit.edges.find import Box
+    from labkit.fiducials.measure import Scene
+    from labkit.fiducials.outcome import EdgesOutcome
+    from labkit.uncertain import Uncertain
+
+# What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
+
+Images = Annotated[list[Path], typer.Argument(metavar="IMAGE... PLAN.toml", help="frames of one scene, and their plan")]
+Boxes = Annotated[
+    list[str] | None, typer.Option("--box", metavar="R0,C0,R1,C1", help="Around an edge, in raw pixels; again.")
+]
+Psf = Annotated[Path | None, typer.Option(metavar="SESSION", help="Whose wavefront and best focus are taken.")]
+Focus = Annotated[
+    str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at, instead of the session's.")
+]
+OneRange = Annotated[bool, typer.Option("--one-range", help="All edges stand at one range.")]
+Force = Annotated[bool, typer.Option("--force", help="Take the PSF of another camera, channel or aperture.")]
+
+
+@app.command()
+def edges(
+    ctx: typer.Context,
+    images: Images,
+    psf: Psf = None,
+    psf_name: Annotated[str, typer.Option("--psf-name", metavar="NAME", help="Of the session's results.")] = "latest",
+    box: Boxes = None,
+    focus: Focus = None,
+    channel: Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this; again.")] = None,
+    one_range: OneRange = False,
+    most: Annotated[int, typer.Option(min=1, metavar="N", help="Edges that are looked for without --box.")] = 60,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write edges.json and the depth map here.")] = None,
+    force: Force = False,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+) -> None:
+    """Ranges of a scene's straight edges, and the camera's response across them by the fit and by ISO 12233."""
+    from labkit.fiducials.measure import Scene, measure_edges
+    from labkit.plan import Plan
+    from labkit.results import Results
+
+    console: Console = ctx.obj
+    if len(images) < 2:
+        raise DataError("give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml")
+    *photographs, plan_path = images
+    results = None if psf is None else Results.load(psf, psf_name)
+    boxes, focused = [_box(text) for text in box or ()], None if focus is None else _focus(focus)
+    scene = Scene(photographs, Plan.load(plan_path), results, boxes, focused, channel, one_range, most, force)
+    with console.progress("edges") as report:
+        outcome = measure_edges(scene, workers, report)
+    _show(console, outcome, scene, out)
+
+
+def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | None) -> None:
+    """Raises DataError where no edge could be measured."""
+    console.warn(*outcome.warnings)
+    if outcome.edges:
+        console.table(outcome.rows())
+    for of in outcome.rejected:
+        console.warn(f"box {','.join(map(str, of.box))}: {of.why}")
+    if out is not None:
+        from labkit.fiducials.written import write_outcome
+
+        for path in write_outcome(out, outcome, scene.images[0], scene.plan):
+            console.say(f"written: {path}")
+    console.answer(outcome.as_json())
+    if not outcome.edges:
+        raise DataError(f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}")
+
+
+def _box(text: str) -> Box:
+    """Raises DataError."""
+    if not re.fullmatch(r"\s*-?\d{1,6}(\s*,\s*-?\d{1,6}){3}\s*", text):
+        raise DataError(f"--box {text}: give R0,C0,R1,C1, whole pixels of the raw, such as 100,200,164,264")
+    r0, c0, r1, c1 = map(int, text.split(","))
+    return r0, c0, r1, c1
+
+
+def _focus(text: str) -> Uncertain:
+    """Raises DataError."""
+    from labkit.uncertain import Uncertain
+
+    number = r"\d{1,7}(?:\.\d{1,6})?"
+    match = re.fullmatch(rf"({number})(?:(?:±|\+-)({number}))?", text.replace(" ", ""))
+    if match is None or not float(match[1]) > 0:
+        raise DataError(
+            f"--focus {text}: give millimetres above 0, such as 5012, or with their standard error, 5012±10"
+        )
+    return Uncertain(float(match[1]), float(match[2] or 0), "mm")
