@@ -108,7 +108,7 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
 
 
 def doubts(settings: Mapping[int, float]) -> tuple[str, ...]:
-    """Settings other than docs/bench.md asks for, with which a rail runs all the same, in words."""
+    """Settings other than docs/guides/bench.md asks for, with which a rail runs all the same, in words."""
     found = []
     if (delay := settings.get(IDLE_DELAY, ALWAYS_ON)) != ALWAYS_ON:
         found.append(
