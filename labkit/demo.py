@@ -159,7 +159,7 @@ class Comparison:
 def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
     """Capture, fit and report a session on the simulated bench of that seed.
 
-    progress: makes, for the name of a stage, a context that gives a function to be told (done, total, step).
+    progress: makes, for the name of a stage, a context that gives a function that is called with (done, total, step).
     Raises SessionError if `folder` is there already.
     """
     refuse_existing(folder)
@@ -171,7 +171,7 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         progress("capturing") as report,
     ):
         run_plan(session, devices, progress=report)
-        # the bench is a driver's: all that is known of it here is that it can tell the truth
+        # the bench is a driver's: all that is known of it here is that it knows the truth
         (bench,) = context.shared.values()
     with progress("fitting") as report:
         results = fit(folder, progress=report)

@@ -121,7 +121,7 @@ def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observatio
 
 
 def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:
-    """What the session's files tell: of their damage, against the plan, of programs that have altered them; and `found`."""
+    """What the session's files say: of their damage, against the plan, of programs that have altered them; and `found`."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
     altered = (note for frame in session.frames for note in frame.meta.get("altered", ()))
     return list(dict.fromkeys([*session.warnings, *stated, *altered, *found]))
@@ -134,7 +134,7 @@ def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, n
 
 
 def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
-    """Of fits, all or a part of a session's. wanted: whether they were to tell best focus."""
+    """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     warnings = [*words_of_parts(fits, found), *warnings_of(fits)]

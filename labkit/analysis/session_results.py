@@ -33,7 +33,7 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
-    """With the session's word on the optimum, where it has one: other frames tell a wrong optimum, residuals a poor model.
+    """With the session's word on the optimum, where it has one: other frames show a wrong optimum, residuals a poor model.
 
     Of frames without others, the search's: many starts that come back.
     """
@@ -136,7 +136,7 @@ def warnings_of(session: SessionFits) -> list[str]:
         )
         return [*warnings, f"no best focus: {why}"]
     warnings += [
-        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would tell"
+        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would determine it"
         for channel in session.open_channels
     ]
     warnings += _lens_warnings(lens)

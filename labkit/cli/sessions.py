@@ -151,13 +151,13 @@ def fit(
     _show(console, results, opened.warnings, diagnose)
 
 
-def _show(console: Console, results: Results, told: Sequence[str], diagnose: bool) -> None:
-    """What a fit found, and with diagnose what parts of the camera were tried. told: warnings that were shown before.
+def _show(console: Console, results: Results, shown: Sequence[str], diagnose: bool) -> None:
+    """What a fit found, and with diagnose what parts of the camera were tried. shown: warnings that were printed before.
 
     Raises DataError for what it was to find and could not.
     """
     for warning in results.warnings:
-        if warning not in (*told, results.unanswered):
+        if warning not in (*shown, results.unanswered):
             console.warn(warning)
     if diagnose and results.parts_tried:
         console.table(results.part_rows())
