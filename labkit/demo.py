@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from math import dist, hypot
 from pathlib import Path
+from shutil import which
 from typing import Any
 
 from labkit.acquisition.capture import run_plan
@@ -209,6 +211,29 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
             true = tuple(modes.get(j, 0.0) for j in w.noll)
             estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))
             yield ComparedWavefront(w.channel, w.range_mm, w.noll, true, estimate, std)
+
+
+def next_steps(folder: Path) -> str:
+    """What to do after the demo, and how to have labkit on the path where it is not."""
+    steps = f"""
+Next:
+  open {folder}/results/latest/report.html in a browser
+  labkit plan IMAGE                            drafts a plan from a photograph of your own
+  labkit import FRAMES.csv PLAN.toml SESSION   makes a session of photographs that you have
+  labkit advise {folder}/plan.toml             predicts what a plan will determine
+  labkit capture {folder}/plan.toml SESSION    photographs it again, on the plan's simulated devices
+Documentation: docs/index.md in the repository; `make docs` builds it as a site."""
+    return steps if which("labkit") else f"{steps}\n{_on_the_path()}"
+
+
+def _on_the_path() -> str:
+    root = Path(__file__).resolve().parents[1]
+    source = root if (root / "pyproject.toml").exists() else "labkit"
+    ways = [f"  uv tool install {source}", f"  pipx install {source}"]
+    activate = Path(sys.prefix) / "bin" / "activate"
+    if activate.exists():
+        ways.insert(0, f"  source {activate}   (in each shell)")
+    return "\n".join(["The command labkit is not on your path. One of these puts it there:", *ways])
 
 
 def new_folder(base: Path) -> Path:

@@ -16,7 +16,12 @@ import labkit.errors
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "troubleshooting"
 
-ERRORS = {name for name, value in vars(labkit.errors).items() if isinstance(value, type)} | {"problem", "not_allowed", "Takes", "matches"}
+ERRORS = {name for name, value in vars(labkit.errors).items() if isinstance(value, type)} | {
+    "problem",
+    "not_allowed",
+    "Takes",
+    "matches",
+}
 """What is raised with a message for a user."""
 
 OTHERS = {"ValueError", "TypeError", "KeyError", "AttributeError", "NotImplementedError", "RuntimeError"}
@@ -51,7 +56,9 @@ FEWEST_WORDS = 4
 """Of what is not raised; what varies counts as one."""
 
 WORD = re.compile(r"[A-Za-z]{2,}")
-NO_PROSE = re.compile(r"^\S*$|\(\?|SUBSYSTEM|MODE=|\[camera\]\n|^unreachable|^#|^\[sensor|^pixels = \{|^numbers = |charset=|^Unexpected end")
+NO_PROSE = re.compile(
+    r"^\S*$|\(\?|SUBSYSTEM|MODE=|\[camera\]\n|^unreachable|^#|^\[sensor|^pixels = \{|^numbers = |charset=|^Unexpected end"
+)
 """Identifiers, patterns, and text that is written into files."""
 SPAN = re.compile(r"(`+) ?(.+?) ?\1(?!`)")
 
@@ -87,7 +94,7 @@ def messages_of(path: Path) -> Iterator[str]:
         if text and not _is_part(node) and not NO_PROSE.search(text):
             callee = _callee(node)
             words = len(WORD.findall(text)) + ("…" in text)
-            if callee in ERRORS and words > 1 or not quiet and callee not in OTHERS and words >= FEWEST_WORDS:
+            if (callee in ERRORS and words > 1) or (not quiet and callee not in OTHERS and words >= FEWEST_WORDS):
                 yield " ".join(text.split())
 
 

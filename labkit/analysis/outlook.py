@@ -17,7 +17,10 @@ from labkit.uncertain import Uncertain
 
 STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
 CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
-CLEARLY, TRIED = 0.8, 25  # of the largest error that determines, which proposed ranges keep to; nearest ranges that are tried
+CLEARLY, TRIED = (
+    0.8,
+    25,
+)  # of the largest error that determines, which proposed ranges keep to; nearest ranges that are tried
 DETERMINED = 0.5  # of the stated error: a session that leaves more of it has hardly determined anything
 WORTH = 0.5  # of an error: what a further measurement must leave of it, to be named
 

@@ -78,7 +78,9 @@ def test_a_folder_of_photographs_becomes_a_report_by_the_tutorial(
     drafting, _, rest = text.partition("## 3.")
     run_all(drafting, capfd)
     given = files(text)
-    assert draft_lines(Path("plan.toml").read_text()) <= draft_lines(given["plan.toml"])  # nothing but what is filled in
+    assert draft_lines(Path("plan.toml").read_text()) <= draft_lines(
+        given["plan.toml"]
+    )  # nothing but what is filled in
     for name, content in given.items():
         Path(name).write_text(content)
     run_all(rest, capfd)

@@ -38,7 +38,9 @@ def install(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     about = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
-    lines = [f"[{group}]\n{k} = {v}\n" for group, entries in project["entry-points"].items() for k, v in entries.items()]
+    lines = [
+        f"[{group}]\n{k} = {v}\n" for group, entries in project["entry-points"].items() for k, v in entries.items()
+    ]
     (about / "entry_points.txt").write_text("".join(lines))
     monkeypatch.syspath_prepend(folder)
     for name in files:
