@@ -1,4 +1,4 @@
-"""Checks the site that `make docs` built: no dead link, nothing fetched from elsewhere, all that is named is found by search."""
+"""Checks the site that `make docs` built: no dead link, nothing fetched from elsewhere, search finds all that is named."""
 
 from __future__ import annotations
 

@@ -215,14 +215,21 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
 
 def next_steps(folder: Path) -> str:
     """What to do after the demo, and how to have labkit on the path where it is not."""
-    steps = f"""
-Next:
-  open {folder}/results/latest/report.html in a browser
-  labkit plan IMAGE                            drafts a plan from a photograph of your own
-  labkit import FRAMES.csv PLAN.toml SESSION   makes a session of photographs that you have
-  labkit advise {folder}/plan.toml             predicts what a plan will determine
-  labkit capture {folder}/plan.toml SESSION    photographs it again, on the plan's simulated devices
-Documentation: docs/index.md in the repository; `make docs` builds it as a site."""
+    commands = {
+        "labkit plan IMAGE": "drafts a plan from a photograph of your own",
+        "labkit import FRAMES.csv PLAN.toml SESSION": "makes a session of photographs that you have",
+        f"labkit advise {folder}/plan.toml": "predicts what a plan will determine",
+        f"labkit capture {folder}/plan.toml SESSION": "photographs once more, on simulated devices",
+    }
+    width = max(map(len, commands))
+    steps = "\n".join(
+        [
+            "",
+            f"Next: open {folder}/results/latest/report.html in a browser. Then",
+            *(f"  {command:{width}}  {does}" for command, does in commands.items()),
+            "Documentation: docs/index.md in the repository; `make docs` builds it as a site.",
+        ]
+    )
     return steps if which("labkit") else f"{steps}\n{_on_the_path()}"
 
 

@@ -1,7 +1,7 @@
 """The messages that a user may meet, read from the code: errors, warnings and notes, each as a template with … for what varies.
 
-`python -m docs.generators.messages` prints those that no page under docs/troubleshooting explains, and entries of messages that are
-gone.
+`python -m docs.generators.messages` prints those that no page under docs/troubleshooting explains, and entries of messages
+that are gone.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import labkit.errors
@@ -77,7 +78,7 @@ def explained() -> list[str]:
 def entries(page: str) -> Iterator[str]:
     """The templates of a page: code in the lines above those that begin with a colon."""
     lines = page.splitlines()
-    for line, following in zip(lines, lines[1:], strict=False):
+    for line, following in pairwise(lines):
         if following.startswith(": "):
             yield from (found[2] for found in SPAN.finditer(line))
 

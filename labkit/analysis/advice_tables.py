@@ -28,8 +28,8 @@ SESSION_ROWS = {
     "pupil magnification": "Expected standard error. Above 0.1 these ranges do not determine it.",
     "zero of the tape": "Expected standard error of true ranges less stated ones, then the one that the plan states.",
     "with MEASUREMENT": "Standard errors if this were known better as well: a tape right to 1 mm, a focal length right to "
-    "0.1 %, an f-number right to 0.5 %, a target's size right to 1e-5; or at other ranges, where the plan's do not determine the "
-    "pupil magnification.",
+    "0.1 %, an f-number right to 0.5 %, a target's size right to 1e-5; or at other ranges, where the plan's do not determine "
+    "the pupil magnification.",
     "photographs": "With `--want`: photographs for each range that the wanted wavefront error requires.",
 }
 """Rows of the table of the whole session, and what they mean."""
