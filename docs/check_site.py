@@ -10,8 +10,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from sphinx.search.en import SearchEnglish
-
 import labkit
 from docs.generators.commands import leaves
 from docs.generators.messages import messages
@@ -60,6 +58,8 @@ class Index:
     """What the site's search finds: documents by word, as its own script looks them up."""
 
     def __init__(self, site: Path) -> None:
+        from sphinx.search.en import SearchEnglish
+
         text = (site / "searchindex.js").read_text(encoding="utf-8")
         found = json.loads(text.removeprefix("Search.setIndex(").rstrip(");\n"))
         self.pages: list[str] = found["docnames"]

@@ -1,7 +1,7 @@
 """Makes the gallery's reports and photographs their tops: python -m docs.draw_gallery FOLDER
 
-FOLDER holds the tutorial's plan.toml and frames.csv; reports that are there already are not made again. It needs Chromium and ten
-minutes. The pictures are kept in docs/gallery.
+FOLDER holds the tutorial's plan.toml and frames.csv; reports that are there already are not made again. It needs Chromium
+and ten minutes. The pictures are kept in docs/gallery.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from labkit.acquisition.sequence import picture_for
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import ExposureSettings
+from labkit.devices.protocols import Coverable, ExposureSettings
 from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
@@ -54,6 +54,7 @@ def photograph(folder: Path) -> None:
             devices.display.show("white")
             for number in (1, 2):
                 devices.camera.expose(folder / f"white_{range_mm:g}_{number}")
+        assert isinstance(devices.camera, Coverable)
         devices.camera.cover(True)
         for number in (1, 2):
             devices.camera.expose(folder / f"dark_{number}")

@@ -37,8 +37,8 @@ EXAMPLES = (
         "rejected",
         "A model that does not fit",
         ("labkit fit lens --noll 4:6 --name few", "labkit report lens --name few"),
-        "The same photographs, fitted with defocus and astigmatism alone. The lens has more, so residuals are not noise alone, and "
-        "the report says so. Look for this before you believe any number.",
+        "The same photographs, fitted with defocus and astigmatism alone. The lens has more, so residuals are not noise alone, "
+        "and the report says so. Look for this before you believe any number.",
         "lens/results/few/report.html",
     ),
     Example(
@@ -46,8 +46,8 @@ EXAMPLES = (
         "A real photograph",
         ("python examples/real_photograph.py FOLDER WORK",),
         "A printed noise target, photographed by others (Delbracio, Muse, Almansa, *Non-parametric sub-pixel local PSF "
-        "estimation*, IPOL), measured by labkit beside their own program. Their photograph is not ours to show: the command makes "
-        "the report from their files.",
+        "estimation*, IPOL), measured by labkit beside their own program. Their photograph is not ours to show: the command "
+        "makes the report from their files.",
         None,
     ),
 )

@@ -109,11 +109,11 @@ def template(node: ast.AST) -> str | None:
 
 
 def _is_part(node: ast.AST) -> bool:
-    parent = getattr(node, "parent", None)
-    return isinstance(parent, ast.JoinedStr | ast.Expr) or any(
-        isinstance(outer, ast.FormattedValue) and isinstance(node, ast.Constant) and len(WORD.findall(node.value)) < 5
-        for outer in _around(node)
-    )
+    """Whether a string is a docstring, a piece of an f-string, or a few words within one."""
+    if isinstance(getattr(node, "parent", None), ast.JoinedStr | ast.Expr):
+        return True
+    few = isinstance(node, ast.Constant) and len(WORD.findall(str(node.value))) < 5
+    return few and any(isinstance(outer, ast.FormattedValue) for outer in _around(node))
 
 
 def _callee(node: ast.AST) -> str:
@@ -128,8 +128,10 @@ def _callee(node: ast.AST) -> str:
 
 def _around(node: ast.AST) -> Iterator[ast.AST]:
     """Its parents within the statement."""
-    while (node := getattr(node, "parent", None)) is not None and not isinstance(node, ast.stmt):
-        yield node
+    parent: ast.AST | None = getattr(node, "parent", None)
+    while parent is not None and not isinstance(parent, ast.stmt):
+        yield parent
+        parent = getattr(parent, "parent", None)
 
 
 if __name__ == "__main__":

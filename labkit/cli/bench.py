@@ -98,7 +98,7 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     with alone.camera:
         found = take_test_frame(alone)
     console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
-    rows = [["colour", "middle", "brightest", "full", "noise"]]
+    rows = [["colour", "median", "brightest", "saturated", "noise"]]
     for colour in found.colours:
         full = f"{colour.full_percent:.2g} %"
         rows.append([colour.name, f"{colour.median:.0f}", f"{colour.brightest:.0f}", full, f"{colour.noise:.1f}"])

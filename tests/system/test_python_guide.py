@@ -1,4 +1,4 @@
-"""The Python of docs/guides/python.md, run as it stands, on a session of the simulator in tests/golden, and beside that session's truth."""
+"""The Python of docs/guides/python.md, run as it stands on a session of the simulator in tests/golden, beside its truth."""
 
 from __future__ import annotations
 

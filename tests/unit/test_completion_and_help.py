@@ -16,7 +16,7 @@ import typer
 from labkit.cli import bench, run, sessions
 from labkit.cli.app import app
 from labkit.devices.panels import PANELS
-from labkit.experiments.runner import STUDIES
+from labkit.experiments.studies import STUDIES
 from tests.plans import RED_AND_GREEN, SMALL, plan_text
 
 assert bench
