@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from docs.generators.markdown import code, table
+from docs.generators.markdown import code
 from docs.generators.results_meanings import MEANINGS, OPEN
 from tests.results_samples import full_results
 
 
 def results_keys() -> str:
-    """A row for each key. Raises ValueError for keys without a meaning, and for meanings without a key."""
+    """An entry for each key. Raises ValueError for keys without a meaning, and for meanings without a key."""
     keys = list(dict.fromkeys(_keys("", full_results().as_json())))
     unknown, stale = set(keys) - set(MEANINGS), set(MEANINGS) - set(keys)
     if unknown or stale:
         raise ValueError(f"docs/generators/results_meanings.py: lacks {sorted(unknown)}, has too much {sorted(stale)}")
-    return table([["key", "holds"], *([code(key), MEANINGS[key]] for key in keys)])
+    return "\n".join(f"{code(key)}\n: {MEANINGS[key]}\n" for key in keys)
 
 
 def _keys(where: str, value: Any) -> Iterator[str]:

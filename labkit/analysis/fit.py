@@ -216,13 +216,13 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 "is the target lit, sharp and large enough?"
             )
         elif not w.test.explains:
-            who = "many starts came back to" if w.test.name == "starts" else "the session vouches for"
+            who = "many starts ended in" if w.test.name == "starts" else "the session confirms"
             why = (
                 f"{who} the optimum: the model lacks something"
                 if w.test.accepted
                 else "the optimum may be a wrong one, or the model lacks something"
             )
-            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors hold that"
+            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors include that"
             doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
         if not low <= w.chi2_per_pixel <= high:
             doubts.append(

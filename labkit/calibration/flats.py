@@ -132,8 +132,8 @@ def flat_warnings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseE
     """What is assumed of light and pixels for want of flats, by range."""
     if not flats:
         yield (
-            "no flat frames: light is taken to vary by low orders, which are fitted with gain and read noise, "
-            "and pixels to be equal"
+            "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; "
+            "all pixels are assumed to be equal"
         )
         return
     for range_mm, flat in flats.items():
