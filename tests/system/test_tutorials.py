@@ -91,6 +91,17 @@ def test_a_folder_of_photographs_becomes_a_report_by_the_tutorial(
     assert focus["G"].value == pytest.approx(practice["bench"]().truth.best_focus_mm["G"], abs=4 * focus["G"].std)
 
 
+def test_the_plan_of_one_photograph_is_that_of_the_real_one(tmp_path: Path) -> None:
+    # which tests/system/test_real_photograph.py measures, where it is at hand
+    for name in ("pattern.pgm", "pattern_noise.pgm"):
+        (tmp_path / name).touch()
+    (shown,) = re.findall(r"```toml\n(.*?)```", tutorial("files"), re.DOTALL)
+    real = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
+    used = Plan.parse(real["PLAN"], tmp_path).replace(target={"file": str(tmp_path / "pattern.pgm")})
+    assert Plan.parse(shown, tmp_path) == used
+    assert real["CORNERS"] in tutorial("files")
+
+
 def test_a_session_is_captured_by_the_tutorial_with_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
