@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -64,10 +65,11 @@ NO_PROSE = re.compile(
 SPAN = re.compile(r"(`+) ?(.+?) ?\1(?!`)")
 
 
-def messages() -> list[str]:
+@cache
+def messages() -> tuple[str, ...]:
     """Every template, sorted."""
     paths = [path for folder in ("labkit", "drivers", "targets") for path in (ROOT / folder).rglob("*.py")]
-    return sorted({text for path in paths for text in messages_of(path)})
+    return tuple(sorted({text for path in paths for text in messages_of(path)}))
 
 
 def explained() -> list[str]:
