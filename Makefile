@@ -1,4 +1,4 @@
-# make demo, make test, make fast, make check, make coverage, make lowest, make bench: each sets up what it needs first.
+# make demo, make test, make fast, make check, make docs, make coverage, make lowest, make bench: each sets up what it needs first.
 # Needs make and Python 3.11 or newer with venv (Debian: apt-get install make python3 python3-venv).
 
 PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Tests run one process a core; more threads than that only get in each other's way.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: picture demo test fast coverage lowest chromium umockdev check types bench readme sony-raw clean
+.PHONY: picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
@@ -51,7 +51,7 @@ umockdev:
 		{ apt-get -qq update && apt-get -qq install -y --no-install-recommends umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0; } >/dev/null 2>&1 || \
 		echo "no umockdev, and apt-get cannot install it: USB trouble will not be tested" >&2
 
-check: types
+check: types docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -q tests/unit/test_imports.py tests/unit/test_house.py tests/unit/test_readme.py
@@ -68,9 +68,14 @@ picture: .venv/installed chromium
 types: .venv/installed-dev
 	rm -rf build/typing && mkdir -p build/typing/labkit
 	ln -s $(CURDIR)/labkit/* $(CURDIR)/drivers $(CURDIR)/targets build/typing/labkit/
-	ln -s $(CURDIR)/tests $(CURDIR)/benchmarks $(CURDIR)/examples build/typing/
+	ln -s $(CURDIR)/tests $(CURDIR)/benchmarks $(CURDIR)/examples $(CURDIR)/docs build/typing/
 	cd build/typing && $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
-		--cache-dir $(CURDIR)/.mypy_cache labkit tests $(wildcard benchmarks/*.py examples/*.py)
+		--cache-dir $(CURDIR)/.mypy_cache labkit tests $(wildcard benchmarks/*.py examples/*.py docs/*.py docs/generators/*.py)
+
+# The documentation as a site in build/docs; what Sphinx warns of is an error, and so is a dead link.
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -q -W --keep-going -b html -E docs build/docs
+	$(BIN)/python -m docs.check_site build/docs
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
@@ -98,7 +103,7 @@ sony-raw: .venv/installed-test
 	touch $@ .venv/installed
 
 .venv/installed-dev: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,dev,docs]'
 	touch $@ .venv/installed-test .venv/installed
 
 clean:

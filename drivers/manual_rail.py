@@ -26,7 +26,8 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
 class ManualRail(ClosesItself):
     """A Rail, moved by a person. Positions are readings of its scale, in mm.
 
-    ask: puts a question and returns the answer. run_up_mm: every stop is to be approached from below over this way.
+    ask: puts a question and returns the answer. run_up_mm: each stop is approached upward over this distance, to remove
+    backlash.
     """
 
     def __init__(self, ask: Callable[[str], str], run_up_mm: float = 1.0) -> None:

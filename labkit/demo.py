@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from math import dist, hypot
 from pathlib import Path
+from shutil import which
 from typing import Any
 
 from labkit.acquisition.capture import run_plan
@@ -159,7 +161,7 @@ class Comparison:
 def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
     """Capture, fit and report a session on the simulated bench of that seed.
 
-    progress: makes, for the name of a stage, a context that gives a function to be told (done, total, step).
+    progress: makes, for the name of a stage, a context that gives a function that is called with (done, total, step).
     Raises SessionError if `folder` is there already.
     """
     refuse_existing(folder)
@@ -171,7 +173,7 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         progress("capturing") as report,
     ):
         run_plan(session, devices, progress=report)
-        # the bench is a driver's: all that is known of it here is that it can tell the truth
+        # the bench is a driver's: all that is known of it here is that it knows the truth
         (bench,) = context.shared.values()
     with progress("fitting") as report:
         results = fit(folder, progress=report)
@@ -209,6 +211,36 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
             true = tuple(modes.get(j, 0.0) for j in w.noll)
             estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))
             yield ComparedWavefront(w.channel, w.range_mm, w.noll, true, estimate, std)
+
+
+def next_steps(folder: Path) -> str:
+    """What to do after the demo, and how to have labkit on the path where it is not."""
+    commands = {
+        "labkit plan IMAGE": "drafts a plan from a photograph of your own",
+        "labkit import FRAMES.csv PLAN.toml SESSION": "makes a session of photographs that you have",
+        f"labkit advise {folder}/plan.toml": "predicts what a plan will determine",
+        f"labkit capture {folder}/plan.toml SESSION": "photographs once more, on simulated devices",
+    }
+    width = max(map(len, commands))
+    steps = "\n".join(
+        [
+            "",
+            f"Next: open {folder}/results/latest/report.html in a browser. Then",
+            *(f"  {command:{width}}  {does}" for command, does in commands.items()),
+            "Documentation: docs/index.md in the repository; `make docs` builds it as a site.",
+        ]
+    )
+    return steps if which("labkit") else f"{steps}\n{_on_the_path()}"
+
+
+def _on_the_path() -> str:
+    root = Path(__file__).resolve().parents[1]
+    source = root if (root / "pyproject.toml").exists() else "labkit"
+    ways = [f"  uv tool install {source}", f"  pipx install {source}"]
+    activate = Path(sys.prefix) / "bin" / "activate"
+    if activate.exists():
+        ways.insert(0, f"  source {activate}   (in each shell)")
+    return "\n".join(["The command labkit is not on your path. One of these puts it there:", *ways])
 
 
 def new_folder(base: Path) -> Path:

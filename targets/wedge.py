@@ -25,7 +25,7 @@ STEPS = (
     (0, 4, 8, 3, 14, 5, 13, 2),
     (12, 9, 11, 15, 1, 7, 10, 6),
 )
-"""Where each step stands, twice: of 20,000 random orders that which tells uneven light best from the steps."""
+"""Where each step stands, twice: of 20,000 random orders that which separates uneven light best from the steps."""
 
 TILES = 8
 """Along a step's side."""

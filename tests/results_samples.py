@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from labkit.plan import Plan
 from labkit.results import Focus, Lens, OptimumTest, Placement, Residuals, Results, Wavefront
+from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
 
@@ -83,6 +85,19 @@ def some_results(**changed: Any) -> Results:
         "warnings": ("no dark frames: the black level of the raw files was used",),
     }
     return Results(**fields | changed)
+
+
+def full_results() -> Results:
+    """Results that hold everything that results can hold."""
+    others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
+    spectrum = ResidualSpectrum(np.array([0.1, 0.4]), np.array([1.2, 1.0]), np.array([1.5, 1.1]))
+    test = replace(ACCEPTED, undetermined=("mode 4",), others=others)
+    return some_results(
+        wavefronts=(a_wavefront(test=test, missing=("low_pass_filter",), spectrum=spectrum),),
+        joint={"focal_length_mm": 0.1},
+        model_parts={"low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px")},
+        parts_tried=(PartTried("low_pass_filter", 120.0, adopted=True),),
+    )
 
 
 def written(folder: Path, **changed: Any) -> Path:

@@ -152,7 +152,7 @@ def _insist(
             changes.append((setting.name, choices[0]))
     if (
         here and not settled
-    ):  # bodies with two names for one thing let only one be set, and may tell rubbish by the other
+    ):  # bodies with two names for one thing let only one be set, and may report rubbish by the other
         advice = insisted.by_hand or f"{here[0].label} off"
         problems.append(f"{here[0].name} is {here[0].value}: set {advice} at the camera")
 

@@ -119,7 +119,7 @@ class Worker:
         return {"files": self._collect(Path(folder), files, wait_s, keep), "strays": strays}
 
     def storage(self) -> list[dict[str, Any]]:
-        """Free space of each store, in images and kilobytes, where the body tells."""
+        """Free space of each store, in images and kilobytes, where the body reports it."""
         gp, stores = self._gp, self._patiently(self._camera.get_storageinfo)
         return [
             {
@@ -183,7 +183,7 @@ class Worker:
         return call(*args)
 
     def _event(self, wait_s: float) -> bool:
-        """Take an event if there is one; files that it tells of are noted."""
+        """Take an event if there is one; files that it announces are noted."""
         kind, data = self._camera.wait_for_event(max(1, round(1000 * wait_s)))
         if kind == self._gp.GP_EVENT_FILE_ADDED:
             self._added.append((data.folder, data.name))
@@ -235,7 +235,7 @@ class Worker:
         self._patiently(self._camera.set_single_config, name, widget)
 
     def _collect(self, folder: Path, files: int | None, wait_s: float, keep: bool) -> list[dict[str, Any]]:
-        """Fetch files as they are told of, at once: some bodies keep them only until the next exposure."""
+        """Fetch files as they are announced, at once: some bodies keep them only until the next exposure."""
         found: list[dict[str, Any]] = []
         end = last = time.monotonic()
         end += wait_s
@@ -250,8 +250,8 @@ class Worker:
         return found
 
     def _fetch(self, place: tuple[str, str], path: Path, keep: bool) -> dict[str, Any]:
-        told = self._patiently(self._camera.file_get_info, *place).file
-        size = told.size if told.fields & self._gp.GP_FILE_INFO_SIZE else None
+        info = self._patiently(self._camera.file_get_info, *place).file
+        size = info.size if info.fields & self._gp.GP_FILE_INFO_SIZE else None
         file = self._patiently(self._camera.file_get, *place, self._gp.GP_FILE_TYPE_NORMAL)
         content = file.get_data_and_size()  # lies in `file`, which must outlive it
         head = bytes(content[:16])

@@ -58,7 +58,7 @@ NEEDED = (
 """Settings that a rail is driven by; their numbers are the same in GRBL 1.1 and grblHAL."""
 
 MACHINE_POSITION, HAL_OFFSET, HAL_PARSER_STATE = 1, 32, 512
-"""Bits of $10: what reports hold. GRBL tells the work offset in any case; grblHAL's parser state would come unasked."""
+"""Bits of $10: what reports hold. GRBL reports the work offset in any case; grblHAL's parser state would come unasked."""
 
 ALWAYS_ON = 255
 """As $1: motors are held at rest too."""
@@ -108,7 +108,7 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
 
 
 def doubts(settings: Mapping[int, float]) -> tuple[str, ...]:
-    """Settings other than docs/bench.md asks for, with which a rail runs all the same, in words."""
+    """Settings other than docs/guides/bench.md asks for, with which a rail runs all the same, in words."""
     found = []
     if (delay := settings.get(IDLE_DELAY, ALWAYS_ON)) != ALWAYS_ON:
         found.append(

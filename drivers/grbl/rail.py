@@ -61,7 +61,7 @@ class GrblRail(SerialRail):
         self._wake()
 
     def check(self, frames: int) -> Check:
-        """What to look at by hand: settings that are not as docs/bench.md asks."""
+        """What to look at by hand: settings that are not as docs/guides/bench.md asks."""
         return Check((), tuple(f"the rail's {words}" for words in grbl.doubts(self._settings)))
 
     def home(self) -> None:

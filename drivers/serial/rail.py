@@ -39,7 +39,7 @@ class SerialRail(ClosesItself):
     """A line at `path`, opened by `_open`; whatever breaks it is raised as RailError and closes it.
 
     It must be homed before it moves, and again whenever its position is in doubt.
-    run_up_mm: every stop is approached from below over this way, which takes up the play of the screw. reply_s: longest
+    run_up_mm: each stop is approached upward over this distance, to remove backlash. reply_s: longest
     silence. back_s: how long a port that was unplugged is waited for; the first time it has to be there. after_close:
     what else is to be let go.
     """

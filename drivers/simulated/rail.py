@@ -13,7 +13,7 @@ from labkit.errors import DeviceTimeoutError, RailError, RailLimitError
 from labkit.plan import Plan
 
 RUN_UP_MM = 1.0
-"""Every stop is approached from below over at least this way, which takes up the play of the screw."""
+"""Each stop is approached upward over at least this distance, to remove backlash."""
 
 TOLERANCE_MM = 0.2
 """A carriage farther than this from where it should be has lost steps."""

@@ -57,7 +57,7 @@ class Advice:
     """What to expect of a plan.
 
     channel: the one that the errors of wavefronts are of; ranges: one for each of the plan; session: what all of them together
-    will tell of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
+    will determine of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
     magnification where the plan's do not, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy
     radius, if there is a display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
     """
@@ -175,7 +175,7 @@ def advise(
 
 
 def _session(shots: _Photographs, of_light: dict[float, ExpectedFit]) -> Outlook | None:
-    """What all ranges together will tell. of_light: the fits of the shortest wavelength."""
+    """What all ranges together will determine. of_light: the fits of the shortest wavelength."""
     plan, first = shots.plan, _shortest(shots.plan)
     ranges = [range_mm for range_mm, fit in of_light.items() if not fit.bound.undetermined]
     if len(ranges) < 2 or plan.fit.zernike_noll[0] != 4:
@@ -199,7 +199,7 @@ def _proposed(shots: _Photographs, nearest_mm: float) -> tuple[tuple[float, ...]
 
 
 def _lens_notes(session: Outlook | None, proposed: tuple[float, ...], proposed_std: Errors) -> list[str]:
-    """What the ranges will hardly tell, and which measurement would, a line each."""
+    """What the ranges will hardly determine, and which measurement would, a line each."""
     notes = []
     for key in session.open_numbers() if session else ():
         assert session is not None
@@ -209,7 +209,7 @@ def _lens_notes(session: Outlook | None, proposed: tuple[float, ...], proposed_s
             better[f"ranges {', '.join(format(r, 'g') for r in proposed)} mm"] = proposed_std[key]
         would = "; ".join(f"{what} would make it ± {std:.2g}{unit}" for what, std in better.items())
         would = would or "no measurement beside the photographs would halve that; more light or a larger target may"
-        notes.append(f"these ranges hardly tell the {name}, ± {session.std[key]:.2g}{unit}: {would}")
+        notes.append(f"these ranges hardly determine the {name}, ± {session.std[key]:.2g}{unit}: {would}")
     return notes
 
 

@@ -122,7 +122,7 @@ def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observatio
 
 
 def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:
-    """What the session's files tell: of their damage, against the plan, of programs that have altered them; and `found`."""
+    """What the session's files say: of their damage, against the plan, of programs that have altered them; and `found`."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
     altered = (note for frame in session.frames for note in frame.meta.get("altered", ()))
     return list(dict.fromkeys([*session.warnings, *stated, *altered, *found]))
@@ -135,7 +135,7 @@ def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, n
 
 
 def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
-    """Of fits, all or a part of a session's. wanted: whether they were to tell best focus."""
+    """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     warnings = [*words_of_parts(fits, found), *warnings_of(fits)]
@@ -218,13 +218,13 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 "is the target lit, sharp and large enough?"
             )
         elif not w.test.explains:
-            who = "many starts came back to" if w.test.name == "starts" else "the session vouches for"
+            who = "many starts ended in" if w.test.name == "starts" else "the session confirms"
             why = (
                 f"{who} the optimum: the model lacks something"
                 if w.test.accepted
                 else "the optimum may be a wrong one, or the model lacks something"
             )
-            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors hold that"
+            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors include that"
             doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
         if not low <= w.chi2_per_pixel <= high:
             doubts.append(

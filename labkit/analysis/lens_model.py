@@ -104,7 +104,7 @@ class LensModel:
     """Members, what is stated, and the columns of the estimate.
 
     shared: modes but defocus are the same at all ranges. paraxial: the cone at the sensor and the picture's scale follow from
-    the pupils of a lens that moves as a whole; else they are tied to nothing, and only defocus tells of the lens. lean: by how
+    the pupils of a lens that moves as a whole; else they are tied to nothing, and only defocus bears on the lens. lean: by how
     much the target's makes all sizes less, as ln, and its error, which is none of one size beside another; None where it
     differs from range to range.
     """

@@ -39,7 +39,7 @@ class Task:
 
     @property
     def ranged(self) -> bool:
-        """Whether it can tell of the lens: its range is known, and defocus is fitted."""
+        """Whether it bears on the lens: its range is known, and defocus is fitted."""
         return self.observation.measured_range_mm is not None and 4 in self.optics.noll
 
     def as_member(self, measured: Measured) -> Member:
@@ -70,7 +70,7 @@ class LocalFit:
 
     @property
     def ranged(self) -> bool:
-        """Whether it can tell of the lens."""
+        """Whether it bears on the lens."""
         return self.task.ranged
 
     @property

@@ -165,7 +165,7 @@ def _stated_scale(frame: Frame, plan: Plan) -> float | None:
 
 
 def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
-    """The target's corners, at the scale stated or at any: what is wrong with a statement is then told by the size.
+    """The target's corners, at the scale stated or at any: what is wrong with a statement then shows in the size.
 
     A carpet is looked for at any scale first, for a wrong one would find a smaller carpet in it; other targets are found
     sooner at the right one.

@@ -1,4 +1,4 @@
-"""What a session will tell of its lens, before it is photographed: its own estimator, on fits as they are expected."""
+"""What a session will determine of its lens, before it is photographed: its own estimator, on fits as they are expected."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ from labkit.uncertain import Uncertain
 
 STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
 CLOSEST = 3.0  # focal lengths: nearer ones are macro photography
-CLEARLY, TRIED = 0.8, 25  # of the telling error, that proposed ranges keep to; nearest ranges that are tried
-DETERMINED = 0.5  # of the stated error: a session that leaves more of it has hardly told anything
+CLEARLY, TRIED = (
+    0.8,
+    25,
+)  # of the largest error that determines, which proposed ranges keep to; nearest ranges that are tried
+DETERMINED = 0.5  # of the stated error: a session that leaves more of it has hardly determined anything
 WORTH = 0.5  # of an error: what a further measurement must leave of it, to be named
 
 NUMBERS = {
@@ -57,12 +60,12 @@ class Outlook:
         return self.std["pupil_magnification"] <= TELLING_STD
 
     def open_numbers(self) -> list[str]:
-        """Keys of what the session will hardly tell: less than the plan states already, or a magnification of any lens."""
+        """Keys of what the session will hardly determine: less than the plan states already, or a magnification of any lens."""
         hardly = [name for name, stated in self.stated.items() if self.std[name] > DETERMINED * stated > 0]
         return [*hardly, *([] if self.determined else ["pupil_magnification"])]
 
     def worthwhile(self, name: str) -> list[Remedy]:
-        """Of what else a measurement would tell one number better, by half or more."""
+        """Of what else a measurement would determine one number better, by half or more."""
         return [one for one in self.remedies if one.of != name and one.std[name] <= WORTH * self.std[name]]
 
 
@@ -101,7 +104,7 @@ def expected_member(range_mm: float, channel: str, measured: Measured) -> Member
 
 
 def outlook(members: Sequence[Member], stated: Stated, focus_mm: float) -> Outlook:
-    """What a session of these fits will tell, the lens focused at a range. Two ranges of some channel at least."""
+    """What a session of these fits will determine, the lens focused at a range. Two ranges of some channel at least."""
     there = as_predicted(members, stated, focus_mm)
     remedies = [
         Remedy(what, of, _errors(there, better(stated)))

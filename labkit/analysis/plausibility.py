@@ -1,7 +1,7 @@
 """Do the target's sizes in the pictures agree with what plan and ranges state? Looked at before any fit, which would
 search for long and then reject, and could not say why.
 
-A number off by a factor is told, an uncertain one is not: what a fit can live with, it estimates.
+A number off by a factor is reported, an uncertain one is not: what a fit can live with, it estimates.
 """
 
 from __future__ import annotations

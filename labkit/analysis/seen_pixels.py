@@ -54,7 +54,7 @@ ABSENT = 0.5
 @dataclass(frozen=True)
 class SeenPixels:
     """A panel's pixels as photographs show them. per_cell: to a cell of the target; layout: of `TargetPixels`, None where the
-    colours do not tell; contrast: amplitude of the pattern, of white; others: the same by (axis, pixels to a cell less 1)."""
+    colours do not say; contrast: amplitude of the pattern, of white; others: the same by (axis, pixels to a cell less 1)."""
 
     pitch_mm: float
     per_cell: int

@@ -73,7 +73,7 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[st
 
 
 def _changed(lens: LensFit, name: str) -> str:
-    """What leaving a part out would do to best focus, as far as the estimate's covariance tells."""
+    """What leaving a part out would do to best focus, as far as the estimate's covariance says."""
     at = [k for k, c in enumerate(lens.model.columns) if c.kind == "part" and str(c.of[0]).split(".")[0] == name]
     moved = -lens.covariance[:, at] @ np.linalg.solve(lens.covariance[np.ix_(at, at)], lens.theta[at])
     focus = [f"{c} {moved[lens.model.index('best focus', c)]:+.2g} mm" for c in lens.model.channels]

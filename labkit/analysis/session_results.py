@@ -33,7 +33,7 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
-    """With the session's word on the optimum, where it has one: other frames tell a wrong optimum, residuals a poor model.
+    """With the session's word on the optimum, where it has one: other frames show a wrong optimum, residuals a poor model.
 
     Of frames without others, the search's: many starts that come back.
     """
@@ -117,12 +117,12 @@ def warnings_of(session: SessionFits) -> list[str]:
     """What the session found, a line each."""
     lens, labels = session.lens, [local.task.label for local in session.fits]
     warnings = [
-        f"{labels[k]}: the search's {local.task.patience_s:g} s were up after {local.fit.starts} starts with no optimum "
-        "accepted; the likeliest is kept, a longer --patience looks further"
+        f"{labels[k]}: the search ended after {local.task.patience_s:g} s and {local.fit.starts} starts without an "
+        "accepted optimum; the likeliest is kept, a longer --patience searches further"
         for k, local in enumerate(session.fits)
         if local.fit.cut_short and k not in session.members
     ]
-    warnings += [f"{labels[k]}: made again from the other fits, and mended" for k in session.mended]
+    warnings += [f"{labels[k]}: fitted again from what the other fits predict, and mended" for k in session.mended]
     warnings += [
         f"{labels[k]}: does not belong to the session, as the other fits have it; was the lens touched, or is it another "
         "optimum? It is left out of best focus"
@@ -136,7 +136,7 @@ def warnings_of(session: SessionFits) -> list[str]:
         )
         return [*warnings, f"no best focus: {why}"]
     warnings += [
-        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would tell"
+        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would determine it"
         for channel in session.open_channels
     ]
     warnings += _lens_warnings(lens)
@@ -167,7 +167,7 @@ def _lens_warnings(lens: LensFit) -> list[str]:
             "not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size right?"
         )
     if not lens.model.shared:
-        warnings.append("the modes differ from range to range beyond their errors: they were not taken for the same")
+        warnings.append("the modes differ from range to range beyond their errors: they were estimated for each range")
     if lens.widening > 1:
         warnings.append(
             f"the fits depart from one lens by {lens.widening:.1f} times their standard errors (χ² per degree of freedom "

@@ -42,7 +42,7 @@ Input = TypeVar("Input", Task, Question)
 class SessionFits:
     """All fits of a session, in the order of its observations, and the lens that they have in common.
 
-    lens: None where no ranges, or no defocus, are there to tell of one. members: which fits it is made of; the others were
+    lens: None where no ranges, or no defocus, are there to determine one. members: which fits it is made of; the others were
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
     belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
     about; missing: one that those call for which their model does not explain, and that was not taken in. lost: observations
@@ -298,7 +298,7 @@ class _Chain:
         nearest = _nearest(observation, accepted)
         if nearest is None:
             return task
-        # one range tells neither best focus nor the right twin
+        # one range determines neither best focus nor the right twin
         law = len({f.member.stop for f in accepted if f.ranged}) > 1
         if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))

@@ -45,7 +45,7 @@ class Calibration:
 
     @property
     def light_known(self) -> bool:
-        """Whether flats tell the illumination, low orders and all."""
+        """Whether flats determine the illumination, low orders and all."""
         return bool(self.illumination) and not self.panel_seen
 
 

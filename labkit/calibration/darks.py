@@ -48,10 +48,10 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
 def dark_warnings(kinds: Mapping[str, Sequence[Frame]]) -> Iterable[str]:
     """What is assumed of the dark level for want of frames. kinds: the session's frames by kind."""
     if not kinds["dark"] and not kinds["bias"]:
-        yield "no dark frames: the black level of the files (or the plan) is taken, and no pixel is known to be hot"
+        yield "no dark frames: the black level of the files (or the plan) is used, and hot pixels are not known"
         return
     if not kinds["dark"]:
-        yield "no dark frames: bias frames are taken instead, and dark current as none"
+        yield "no dark frames: bias frames are used instead, and dark current is neglected"
     exposures = {frame.exposure_s for frame in (*kinds["dark"], *kinds["target"]) if frame.exposure_s is not None}
     if kinds["dark"] and exposures and max(exposures) > 1.05 * min(exposures):
         yield "dark and target frames differ in exposure time: dark current may be off"

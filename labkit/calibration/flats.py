@@ -21,7 +21,7 @@ LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
 
 LEAST_LIT = 0.2
-"""Of its surroundings' light, what a pixel gets between a panel's pixels that still tells its response."""
+"""Of its surroundings' light, what a pixel gets between a panel's pixels that still determines its response."""
 
 NEAR_PX = 3.0
 """Pixels of a plane: over so little light is smoothed where a panel is near enough to show its pixels. Its unevenness shows
@@ -132,8 +132,8 @@ def flat_warnings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseE
     """What is assumed of light and pixels for want of flats, by range."""
     if not flats:
         yield (
-            "no flat frames: light is taken to vary by low orders, which are fitted with gain and read noise, "
-            "and pixels to be equal"
+            "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; "
+            "all pixels are assumed to be equal"
         )
         return
     for range_mm, flat in flats.items():

@@ -79,7 +79,10 @@ class Tone:
     def notes(self) -> Iterator[str]:
         """What to know of it, a line each."""
         if (most := float(self.numbers.max())) < BRIGHT:
-            yield f"numbers above {most:.2f} of full scale were not measured, the curve goes on straight there: expose more"
+            yield (
+                f"numbers above {most:.2f} of full scale were not measured, the curve is extrapolated as a straight line: "
+                "expose more"
+            )
         if self.uneven > EVEN:
             yield f"the wedge's light varies by {self.uneven:.0%}: it is allowed for, an evenly lit wedge is better"
 

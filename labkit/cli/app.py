@@ -24,9 +24,9 @@ app.add_typer(camera_app, name="camera")
 rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
 app.add_typer(rail_app, name="rail")
 
-CameraPlace = Annotated[str, typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="a plan, or such as gphoto2:")]
-PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what to do and with what")]
-SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="the session's folder")]
+CameraPlace = Annotated[str, typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="A plan, or a camera's address.")]
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="The plan: what to do, and with what.")]
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="The session's folder.")]
 
 
 def _version(asked: bool) -> None:
@@ -38,10 +38,12 @@ def _version(asked: bool) -> None:
 @app.callback()
 def options(
     ctx: typer.Context,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where in the code an error arose.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, nothing else.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
 ) -> None:
     """Options of every command; they may stand after it too."""
     ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
+from labkit.cli.complete import panels, targets
 from labkit.console import Console
 from labkit.errors import LabkitError, PlanError
 
@@ -21,6 +22,13 @@ if TYPE_CHECKING:
     from labkit.devices.operator import Operator
     from labkit.plan import Plan
     from labkit.session.session import Session
+
+TargetText = Annotated[
+    str,
+    typer.Argument(
+        metavar="SPEC", help="A plan, or a target such as sierpinski:order=5,size_mm=46.8.", autocompletion=targets
+    ),
+]
 
 SAFE = "every photograph so far is safe, "
 DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
@@ -31,9 +39,9 @@ DAMAGED = "photographs are missing or the journal is damaged: labkit verify name
 @app.command()
 def devices(
     ctx: typer.Context,
-    udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
+    udev: Annotated[bool, typer.Option("--udev", help="Print only the udev rules that give access.")] = False,
 ) -> None:
-    """What is connected, which program holds it, what may not be opened, and which drivers are installed."""
+    """List devices, ports and drivers. Also which program holds each device, and what may not be opened."""
     from labkit.devices.inventory import list_connected, udev_rules
 
     console: Console = ctx.obj
@@ -63,7 +71,7 @@ def devices(
 
 @camera_app.command("settings")
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
-    """Everything that a camera lets be set or read."""
+    """List what a camera lets be set or read."""
     from labkit.acquisition.camera_check import offered, open_alone
 
     console: Console = ctx.obj
@@ -82,7 +90,7 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
 
 @camera_app.command("test")
 def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
-    """Take one photograph, keep nothing of it: focus, clipping, noise."""
+    """Take one photograph and judge it. Reports light, clipping, noise, focus and the target; keeps nothing."""
     from labkit.acquisition.camera_check import open_alone, take_test_frame
 
     console: Console = ctx.obj
@@ -90,7 +98,7 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     with alone.camera:
         found = take_test_frame(alone)
     console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
-    rows = [["colour", "middle", "brightest", "full", "noise"]]
+    rows = [["colour", "median", "brightest", "saturated", "noise"]]
     for colour in found.colours:
         full = f"{colour.full_percent:.2g} %"
         rows.append([colour.name, f"{colour.median:.0f}", f"{colour.brightest:.0f}", full, f"{colour.noise:.1f}"])
@@ -107,12 +115,15 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
 @camera_app.command("tone")
 def camera_tone(
     ctx: typer.Context,
-    photograph: Annotated[Path, typer.Argument(metavar="IMAGE", help="of the wedge: JPEG, PNG, TIFF")],
+    photograph: Annotated[
+        Path, typer.Argument(metavar="IMAGE", help="The photograph of the wedge: JPEG, PNG or TIFF.")
+    ],
     out: Annotated[
-        Path | None, typer.Option(metavar="TONE.toml", help="Write it here; nothing is overwritten.")
+        Path | None,
+        typer.Option(metavar="TONE.toml", help="File to write; nothing is overwritten.", show_default="the terminal"),
     ] = None,
 ) -> None:
-    """The camera's tone curve, as a plan takes it, from a photograph of labkit target serve wedge:size_mm=100."""
+    """Measure a camera's tone curve. From a photograph of labkit target serve wedge:size_mm=100; prints it for the plan."""
     from labkit.calibration.tone_wedge import measure_tone
     from labkit.files import write_new
 
@@ -131,12 +142,16 @@ def camera_tone(
 @target_app.command("render")
 def target_render(
     ctx: typer.Context,
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="a plan, or sierpinski:order=5,size_mm=46.8")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="what to write: .png or .pdf")],
-    dpi: Annotated[float | None, typer.Option(help="Raster in dots per inch.")] = None,
-    pixels: Annotated[int | None, typer.Option(help="Raster in dots along the height, instead of --dpi.")] = None,
+    spec: TargetText,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write: .png or .pdf.")],
+    dpi: Annotated[
+        float | None, typer.Option(metavar="DPI", help="Raster in dots per inch.", show_default="what suits the file")
+    ] = None,
+    pixels: Annotated[
+        int | None, typer.Option(metavar="N", help="Raster in dots along the height, instead of --dpi.")
+    ] = None,
 ) -> None:
-    """A target as a picture of its true size."""
+    """Write a target to print, in its true size."""
     from labkit.target import open_target
     from labkit.target_file import render_file
 
@@ -152,15 +167,21 @@ def target_render(
 @target_app.command("serve")
 def target_serve(
     ctx: typer.Context,
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="a plan, or sierpinski:order=5,size_mm=46.8")],
+    spec: TargetText,
     panel: Annotated[
-        list[str] | None, typer.Option(help="The display's panel; again for each further one. By default the plan's.")
+        list[str] | None,
+        typer.Option(
+            metavar="PANEL",
+            help="The display's panel; may be repeated for several displays.",
+            show_default="the plan's",
+            autocompletion=panels,
+        ),
     ] = None,
     listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="0.0.0.0:8642 to be reached from other machines.")
+        str, typer.Option(metavar="HOST:PORT", help="Where to listen; 0.0.0.0:8642 for other machines.")
     ] = "127.0.0.1:8642",
 ) -> None:
-    """A target on an iPad or any browser, until Ctrl-C; other pictures by the operator's page."""
+    """Show a target in a browser. On an iPad or any display, until Ctrl-C; the operator's page shows patterns too."""
     from labkit.devices.context import DeviceContext
     from labkit.devices.registry import open_display
     from labkit.devices.serve_target import panel_plans, serve_target
@@ -176,15 +197,17 @@ def target_serve(
             serve_target(target, displays, context)
 
 
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")]
-Simulate = Annotated[bool, typer.Option("--simulate", help="Use simulated devices, whatever the plan names.")]
-NoPreflight = Annotated[bool, typer.Option("--no-preflight", help="Begin without looking first whether all is right.")]
-WithMonitor = Annotated[
-    bool, typer.Option("--monitor", help="Serve an operator's page; a web display brings one anyway.")
-]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a session that was interrupted.")]
+Simulate = Annotated[bool, typer.Option("--simulate", help="Use simulated devices instead of the plan's.")]
+NoPreflight = Annotated[bool, typer.Option("--no-preflight", help="Begin without checking everything first.")]
+WithMonitor = Annotated[bool, typer.Option("--monitor", help="Serve an operator's page; a web display always does.")]
 Listen = Annotated[
     str | None,
-    typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642 for the lab's network."),
+    typer.Option(
+        metavar="HOST:PORT",
+        help="Where the page listens; 0.0.0.0:8642 for the lab's network.",
+        show_default="this machine only",
+    ),
 ]
 
 
@@ -199,7 +222,7 @@ def capture(
     monitor: WithMonitor = False,
     listen: Listen = None,
 ) -> None:
-    """Run a plan: flats and photographs of the target at every range."""
+    """Photograph what a plan asks for. Flats and target at every range, then darks; Ctrl-C and --resume are safe."""
     from labkit.acquisition.capture import run_plan as run_capture
     from labkit.acquisition.sequence import missing, picture_for
     from labkit.plan import Plan
@@ -295,9 +318,14 @@ def _ask(request: str) -> None:
 def rail_calibrate(
     ctx: typer.Context,
     plan: PlanPath,
-    at: Annotated[list[float] | None, typer.Option(metavar="MM", help="A rail position to measure at; again.")] = None,
+    at: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="MM", help="A rail position to measure at; may be repeated.", show_default="three, over the travel"
+        ),
+    ] = None,
 ) -> None:
-    """Find rail.direction and rail.range_at_zero_mm: the rail moves, you measure."""
+    """Determine the rail's direction and zero. The rail moves, you measure; prints two lines for the plan."""
     from labkit.devices.context import DeviceContext
     from labkit.devices.rail_calibration import find_zero, stops
     from labkit.devices.registry import open_rail

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import PlanPath, SessionPath, app
+from labkit.cli.complete import channels, studies
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError
 
@@ -22,11 +23,16 @@ if TYPE_CHECKING:
 @app.command()
 def demo(
     ctx: typer.Context,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; by default a new labkit-demo.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Which lens, sensor, rail and noise.")] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder to make.", show_default="labkit-demo, or the next free name"),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Number of the lens, sensor, rail and noise to simulate.")
+    ] = 1,
 ) -> None:
-    """A whole session on simulated devices, to the report; prints the truth beside the estimate."""
-    from labkit.demo import new_folder, run_demo
+    """Measure a simulated lens. From capture to report; prints the truth beside the estimate, then what to do next."""
+    from labkit.demo import new_folder, next_steps, run_demo
 
     console: Console = ctx.obj
     folder = out or new_folder(Path("labkit-demo"))
@@ -35,17 +41,20 @@ def demo(
     heading = ["waves RMS", "truth", "error", "expected", "worst mode's error/std."]
     console.table([heading, *comparison.wavefront_rows()])
     console.say(f"report: {comparison.report}")
+    console.say(next_steps(folder))
     console.answer(comparison.as_json())
 
 
 @app.command("import")
 def import_(
     ctx: typer.Context,
-    frames: Annotated[Path, typer.Argument(metavar="FRAMES.csv", help="file,kind,range_mm of each photograph")],
+    frames: Annotated[
+        Path, typer.Argument(metavar="FRAMES.csv", help="The list of photographs: file, kind, range_mm.")
+    ],
     plan: PlanPath,
     session: SessionPath,
 ) -> None:
-    """Make a session of photographs taken elsewhere."""
+    """Make a session of existing photographs. Each is checked and copied; nothing is made if one cannot be used."""
     from labkit.session.import_frames import import_frames
 
     console: Console = ctx.obj
@@ -61,12 +70,12 @@ def import_(
 @app.command("plan")
 def plan_(
     ctx: typer.Context,
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="a photograph: raw, JPEG, TIFF, PNG, PGM")],
-    out: Annotated[Path, typer.Option(metavar="PLAN.toml", help="What to write; nothing is overwritten.")] = Path(
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="A photograph: raw, JPEG, TIFF, PNG or PGM.")],
+    out: Annotated[Path, typer.Option(metavar="PLAN.toml", help="File to write; nothing is overwritten.")] = Path(
         "plan.toml"
     ),
 ) -> None:
-    """A plan made from a photograph, with what its file does not say left to fill in."""
+    """Draft a plan from a photograph. What its file does not state is left to fill in, with an example."""
     from labkit.session.draft_plan import draft_plan, write_draft
 
     console: Console = ctx.obj
@@ -78,7 +87,7 @@ def plan_(
 
 @app.command()
 def verify(ctx: typer.Context, session: SessionPath) -> None:
-    """Check every frame against its checksum, and the journal against the folder."""
+    """Check a session against its checksums. Every frame, the plan, and the journal against the folder."""
     from labkit.session.session import Session
     from labkit.session.verify import remarks
     from labkit.session.verify import verify as find_problems
@@ -95,19 +104,45 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
 
 
-OnlyRanges = Annotated[list[float] | None, typer.Option("--range", metavar="MM", help="Only this range; again.")]
-OnlyChannels = Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this channel; again.")]
-OtherPlan = Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Instead of the session's own.")]
-Modes = Annotated[str | None, typer.Option(metavar="FIRST:LAST", help="Of Zernike's, by Noll: such as 4:22.")]
-ResultsName = Annotated[str | None, typer.Option(metavar="NAME", help="Of the results; by default latest.")]
-Patience = Annotated[
-    float, typer.Option(min=0.0, metavar="S", help="Seconds, after which a wavefront is searched no more.")
+OnlyRanges = Annotated[
+    list[float] | None,
+    typer.Option("--range", metavar="MM", help="Fit this range only; may be repeated.", show_default="all"),
 ]
-Joint = Annotated[bool, typer.Option("--joint", help="Climb over all frames at once in the end.")]
-Split = Annotated[bool, typer.Option("--split", help="Fit apart what came before and after a change of the lens.")]
-Plain = Annotated[bool, typer.Option("--plain", help="Take no part of the camera into the model that the plan lacks.")]
-Diagnose = Annotated[bool, typer.Option("--diagnose", help="Show what parts of the camera were tried.")]
-Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")]
+OnlyChannels = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--channel",
+        metavar="NAME",
+        help="Fit this channel only; may be repeated.",
+        show_default="all",
+        autocompletion=channels,
+    ),
+]
+OtherPlan = Annotated[
+    Path | None, typer.Option(metavar="PLAN.toml", help="Plan to fit by.", show_default="the session's own")
+]
+Modes = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FIRST:LAST", help="First and last Zernike mode, in Noll's order.", show_default="as in the plan"
+    ),
+]
+ResultsName = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Name for the results.", show_default="latest; of a fit in part, its ranges and channels"
+    ),
+]
+Patience = Annotated[
+    float, typer.Option(min=0.0, metavar="S", help="Seconds after which the search for a wavefront ends.")
+]
+Joint = Annotated[bool, typer.Option("--joint", help="Finally climb over all frames at once.")]
+Split = Annotated[bool, typer.Option("--split", help="Fit separately what came before and after the lens was changed.")]
+Plain = Annotated[bool, typer.Option("--plain", help="Use no part of the camera that the plan does not state.")]
+Diagnose = Annotated[bool, typer.Option("--diagnose", help="Show which parts of the camera were tried.")]
+Workers = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
+]
 
 
 @app.command()
@@ -126,7 +161,7 @@ def fit(
     plain: Plain = False,
     diagnose: Diagnose = False,
 ) -> None:
-    """Flat field, wavefronts, the lens that they have in common."""
+    """Estimate wavefronts, best focus, the lens. Results go to SESSION/results/NAME; a fit that was killed goes on."""
     from labkit.analysis.fit import fit as fit_session
     from labkit.session.session import Session
 
@@ -151,13 +186,13 @@ def fit(
     _show(console, results, opened.warnings, diagnose)
 
 
-def _show(console: Console, results: Results, told: Sequence[str], diagnose: bool) -> None:
-    """What a fit found, and with diagnose what parts of the camera were tried. told: warnings that were shown before.
+def _show(console: Console, results: Results, shown: Sequence[str], diagnose: bool) -> None:
+    """What a fit found, and with diagnose what parts of the camera were tried. shown: warnings that were printed before.
 
     Raises DataError for what it was to find and could not.
     """
     for warning in results.warnings:
-        if warning not in (*told, results.unanswered):
+        if warning not in (*shown, results.unanswered):
             console.warn(warning)
     if diagnose and results.parts_tried:
         console.table(results.part_rows())
@@ -188,9 +223,9 @@ def _modes(noll: str | None) -> tuple[int, int] | None:
 def report(
     ctx: typer.Context,
     session: SessionPath,
-    name: Annotated[str, typer.Option(metavar="NAME", help="Of the results.")] = "latest",
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the results to report.")] = "latest",
 ) -> None:
-    """The measurement as one HTML page with figures."""
+    """Write the report as one HTML page. It needs nothing beside it; figures also lie in the folder."""
     from labkit.report.html import write_report
     from labkit.results import Results
     from labkit.session.session import Session
@@ -207,12 +242,15 @@ def advise(
     ctx: typer.Context,
     plan: PlanPath,
     ranges_mm: Annotated[
-        list[float] | None, typer.Option("--range", metavar="MM", help="Instead of the plan's; once for each.")
+        list[float] | None,
+        typer.Option("--range", metavar="MM", help="A range; may be repeated.", show_default="the plan's"),
     ] = None,
-    electrons: Annotated[float, typer.Option(metavar="N", help="At white, in one photograph.")] = 20_000,
-    want: Annotated[float | None, typer.Option(metavar="WAVES", help="A wavefront error to be reached.")] = None,
+    electrons: Annotated[float, typer.Option(metavar="N", help="Electrons at white in one photograph.")] = 20_000,
+    want: Annotated[
+        float | None, typer.Option(metavar="WAVES", help="Report how many photographs this standard error requires.")
+    ] = None,
 ) -> None:
-    """Before capture: what the target, the light and the ranges of a plan will tell."""
+    """Predict what a plan will determine. Standard errors at each range and of the lens, and what would reduce them."""
     from labkit.analysis.advice_tables import range_rows, session_rows
     from labkit.analysis.advise import advise as advise_on
     from labkit.plan import Plan
@@ -229,12 +267,17 @@ def advise(
 @app.command()
 def study(
     ctx: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="which; a wrong one lists them")],
-    quick: Annotated[bool, typer.Option("--quick", help="A few trials: to see that it works.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write its figure, CSV and JSON here.")] = None,
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="The study; a wrong name lists them.", autocompletion=studies)
+    ],
+    quick: Annotated[bool, typer.Option("--quick", help="Run a few trials only, to see that it works.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for figure, CSV and JSON.", show_default="nothing is written"),
+    ] = None,
     workers: Workers = None,
 ) -> None:
-    """An experiment of the thesis; prints its claims beside ours as JSON."""
+    """Run an experiment of the thesis. Prints its claims beside ours as JSON."""
     from labkit.execute import default_workers
     from labkit.experiments.runner import Setting, run_study
 

@@ -146,7 +146,7 @@ class Camera(AbstractContextManager["Camera"], Protocol):
 
 @runtime_checkable
 class Candid(Protocol):
-    """A device that gets over trouble by itself, and tells of it."""
+    """A device that gets over trouble by itself, and reports it."""
 
     def overcome(self) -> tuple[str, ...]:
         """What it was since this was asked last, in words."""
@@ -207,7 +207,7 @@ class Rail(AbstractContextManager["Rail"], Protocol):
 
 @runtime_checkable
 class Steadfast(Protocol):
-    """A rail that can tell whether it was moved."""
+    """A rail that can detect whether it was moved."""
 
     def check_still(self) -> None:
         """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""

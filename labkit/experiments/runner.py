@@ -15,26 +15,13 @@ from matplotlib.figure import Figure
 
 from labkit.errors import InputError
 from labkit.execute import run_all
+from labkit.experiments.studies import STUDIES
 from labkit.files import write_atomically
 from labkit.report.style import plain_logs, png, styled
 from labkit.types import Progress
 
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
-
-STUDIES = {
-    "crb": "accuracy",
-    "global": "search",
-    "minima": "minima",
-    "annealing": "annealing",
-    "psf-accuracy": "pupil_size",
-    "roc": "roc",
-    "uniform-crb": "uniform_crb",
-    "targets": "targets",
-    "extension": "extension",
-    "edges": "edge_ranging",
-}
-"""Name of a study -> the module of this context that does it, by its function `run`."""
 
 
 @dataclass(frozen=True, slots=True)

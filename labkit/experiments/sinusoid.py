@@ -1,4 +1,4 @@
-"""The thesis's small problem of telling local from global optima: the frequency of a sinusoid, (4.5)-(4.8), (4.23)."""
+"""The thesis's small problem of distinguishing local from global optima: the frequency of a sinusoid, (4.5)-(4.8), (4.23)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -87,7 +87,7 @@ class Pose:
     def log_scale(self) -> tuple[float, Floats]:
         """ln of pixels per mm at the target's centre, the geometric mean over all directions; and its slopes (8,) by v.
 
-        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_shortening` tells.
+        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_shortening` gives.
         """
         log_det = np.linalg.slogdet(self.matrix)[1]
         slopes = np.asarray(0.5 * np.linalg.inv(self.matrix).T, dtype=float)

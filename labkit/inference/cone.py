@@ -335,7 +335,7 @@ def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
 def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
     """Mean and standard deviation over the poses that a covariance (8, 8) allows.
 
-    Where the picture hardly tells which way the target leans, that is far from linear in the pose.
+    Where the picture hardly determines which way the target leans, that is far from linear in the pose.
     """
     root = scipy.linalg.sqrtm(covariance).real
     steps = np.random.default_rng(0).normal(size=(POSES, POSE_SIZE)) @ root

@@ -1,6 +1,6 @@
 """What frames say of parts of the camera that their model lacks: score tests at the optimum without them.
 
-A part's numbers are such that the likelihood is regular where they are 0 (`labkit.imaging.parts`), so its slope there tells
+A part's numbers are such that the likelihood is regular where they are 0 (`labkit.imaging.parts`), so its slope there says
 what the part would gain, to second order, and no climb with it is needed: C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948).
 """
 

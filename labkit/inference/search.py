@@ -252,7 +252,7 @@ class Search:
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:
-    """Whether an end has the modes that were predicted, defocus apart: then its residuals tell of the model."""
+    """Whether an end has the modes that were predicted, defocus apart: then its residuals judge the model."""
     return float(np.linalg.norm((best.freed.solution.state.waves - state.waves)[1:])) < PREDICTED_WAVES
 
 

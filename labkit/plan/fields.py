@@ -6,9 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, TypeVar, get_args
 
 from pydantic import AfterValidator, Strict
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 Value = TypeVar("Value", str, float)
@@ -31,15 +32,46 @@ class Allowed:
         return f"{'a whole' if self.whole else 'a'} number, {self.low:.10g} to {self.high:.10g}"
 
 
-def matches(pattern: str, words: str) -> AfterValidator:
-    """A validator of printable text that a regular expression describes; `words` say what is allowed."""
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """Printable text that a regular expression describes, as a pydantic validator and as words for messages."""
 
-    def check(value: str) -> str:
-        if not (value.isprintable() and re.fullmatch(pattern, value)):
-            raise not_allowed(words)
+    pattern: str
+    words: str
+
+    def __call__(self, value: str) -> str:
+        if not (value.isprintable() and re.fullmatch(self.pattern, value)):
+            raise not_allowed(self.words)
         return value
 
-    return AfterValidator(check)
+    def __str__(self) -> str:
+        return self.words
+
+
+@dataclass(frozen=True, slots=True)
+class Takes:
+    """What a field takes, where its type does not say it: words for messages and for the reference."""
+
+    words: str
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def matches(pattern: str, words: str) -> AfterValidator:
+    """A validator of printable text that a regular expression describes; `words` say what is allowed."""
+    return AfterValidator(Matching(pattern, words))
+
+
+def what_it_takes(field: FieldInfo) -> str:
+    """What a field of a table takes, in words; empty where its type says enough."""
+    optional = [item for part in get_args(field.annotation) for item in getattr(part, "__metadata__", ())]
+    found = [item.func if isinstance(item, AfterValidator) else item for item in (*field.metadata, *optional)]
+    for kind in (Takes, Allowed, Matching):
+        for item in found:
+            if isinstance(item, kind):
+                return str(item)
+    return ""
 
 
 def not_allowed(words: str) -> PydanticCustomError:

@@ -7,11 +7,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, get_args
 
-from pydantic import AfterValidator, BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from labkit.errors import LONGEST, shown
-from labkit.plan.fields import Allowed
+from labkit.plan.fields import what_it_takes
 
 Step = int | str
 
@@ -117,12 +117,4 @@ def _unknown_key(loc: tuple[Step, ...], where: str, model: type[BaseModel]) -> s
 def _needs(loc: tuple[Step, ...], model: type[BaseModel]) -> str:
     """What a field takes, in words; empty where its type says enough."""
     field = _model_at(loc, model).model_fields.get(str(loc[-1])) if loc else None
-    if field is None:
-        return ""
-    if field.description:
-        return field.description
-    optional = [item for part in get_args(field.annotation) for item in getattr(part, "__metadata__", ())]
-    for item in (*field.metadata, *optional):
-        if isinstance(item, AfterValidator) and isinstance(item.func, Allowed):
-            return str(item.func)
-    return ""
+    return "" if field is None else what_it_takes(field)

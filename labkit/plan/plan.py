@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
-from labkit.plan.fields import problem, repeated
+from labkit.plan.fields import Takes, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import CameraSettings, Channel, DisplaySettings, FitSettings, Lens, RailSettings, TargetSpec
@@ -35,7 +35,7 @@ class Plan(Table):
 
     lens: Lens
     sensor: Sensor
-    channel: Annotated[tuple[Channel, ...], Field(min_length=1, description="one or more [[channel]] tables")]
+    channel: Annotated[tuple[Channel, ...], Field(min_length=1), Takes("one or more [[channel]] tables")]
     target: TargetSpec
     fit: FitSettings = FitSettings()
     camera: CameraSettings | None = None

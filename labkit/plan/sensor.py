@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labkit.errors import PlanError
-from labkit.plan.fields import Allowed, Count, Number, matches, not_allowed, problem
+from labkit.plan.fields import Allowed, Count, Number, Takes, matches, not_allowed, problem
 from labkit.plan.table import Table
 
 SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
@@ -29,13 +29,14 @@ def _spread(given: Any) -> Any:
 
 
 class LowPassFilter(Table):
-    """An optical low-pass filter before the sensor: how far apart its spots lie, in pixel pitches of the file.
+    """An optical low-pass filter in front of the sensor. Without this table no filter is assumed, and `labkit fit` looks
+    for one."""
 
-    spread_px: along rows and columns alike, or [rows, columns], or "fit". turned: by 45 degrees.
-    """
-
-    spread_px: Annotated[float | tuple[float, float] | Literal["fit"], BeforeValidator(_spread)]
+    spread_px: Annotated[float | tuple[float, float] | Literal["fit"], BeforeValidator(_spread), Takes(SPREAD)]
+    """Distance between the filter's spots, in pixel pitches of the file: along rows and columns alike, or
+    `[rows, columns]`; `"fit"` estimates it."""
     turned: bool = False
+    """Whether the spots lie on the diagonals, turned by 45°."""
 
     @property
     def squares(self) -> tuple[float, float]:
@@ -56,12 +57,14 @@ HEADERLESS = "[rows, columns], each from 2 to 65536"
 
 
 class MeasuredTone(Table):
-    """A tone curve as `labkit camera tone` measures it. light: of each step; numbers: that the camera wrote for it, shares of
-    full scale, a list for each colour or one for all; std: their standard errors."""
+    """A tone curve as `labkit camera tone` measures it."""
 
-    light: Annotated[tuple[Number, ...], Field(min_length=2)]
-    numbers: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1)]
-    std: tuple[tuple[Number, ...], ...] = ()
+    light: Annotated[tuple[Number, ...], Field(min_length=2), Takes("rising numbers, 0 to 1, two or more")]
+    """Light of each step, as a share of white's."""
+    numbers: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1), Takes("rising numbers, 0 to 1, as many")]
+    """What the camera wrote for each step, as a share of full scale: one list for each colour, or one for all."""
+    std: Annotated[tuple[tuple[Number, ...], ...], Takes("as many numbers as in `numbers`")] = ()
+    """Standard errors of `numbers`."""
 
     @model_validator(mode="after")
     def _rising(self) -> MeasuredTone:
@@ -83,23 +86,28 @@ def _tone(given: Any) -> Any:
 
 
 class Sensor(Table):
-    """Sampling of the file, and what the file does not state of itself.
-
-    pixel_pitch_um is between neighbouring samples of the file; fill_factor is active area over pitch squared;
-    cfa_pattern reads the 2x2 cell row by row ("RGGB"), or is "mono", or "RGB" of pictures in colours, demosaiced already.
-    tone_curve: what pictures that are no raw files went through, to be undone; "file": what each one states, sRGB where
-    it is in colours and states nothing; or as measured. headerless_px: [rows, columns] of files that are 16-bit numbers and
-    nothing else, the lower byte first.
-    """
+    """The sensor's sampling, and what image files do not state. Raw files state their colour filter pattern and their
+    levels themselves: leave those keys out."""
 
     pixel_pitch_um: Annotated[Number, AfterValidator(Allowed(0.1, 1000))]
+    """Distance between neighbouring samples of the file."""
     fill_factor: Annotated[Number, AfterValidator(Allowed(0.001, 1))] = 1.0
+    """Active area of a pixel over the square of the pitch."""
     cfa_pattern: Annotated[str, matches("mono|RGB|[A-Z]{4}", CFA)] | None = None
+    """The 2 × 2 cell of the colour filter array, row by row, such as `"RGGB"`; `"mono"` for a sensor without filters; `"RGB"`
+    for pictures in which every pixel has all three colours. Default: as the files state."""
     black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
+    """Count without light. Default: as the files state."""
     white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
-    headerless_px: Annotated[tuple[Pixels, Pixels] | None, Field(description=HEADERLESS)] = None
+    """Count at saturation; above the black level. Default: as the files state."""
+    headerless_px: Annotated[tuple[Pixels, Pixels] | None, Takes(HEADERLESS)] = None
+    """Size of files that hold nothing but 16-bit numbers, lower byte first. Default: the files have headers."""
     low_pass_filter: LowPassFilter | None = None
-    tone_curve: Annotated[Literal["file", "linear", "sRGB"] | MeasuredTone, BeforeValidator(_tone)] = "file"
+    tone_curve: Annotated[Literal["file", "linear", "sRGB"] | MeasuredTone, BeforeValidator(_tone), Takes(TONE)] = (
+        "file"
+    )
+    """Tone curve of processed pictures (JPEG, PNG, TIFF in colours), which labkit undoes. `"file"`: the curve that each file
+    states, sRGB where a picture in colours states none. `"linear"`: none. A table: as `labkit camera tone` measured it."""
 
     @property
     def active_um(self) -> float:

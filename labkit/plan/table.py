@@ -14,9 +14,9 @@ from labkit.plan.text import plain
 
 
 class Table(BaseModel):
-    """A table of the plan: frozen, and unknown keys are errors."""
+    """A table of the plan: frozen, and unknown keys are errors. The text below a field is its entry in the reference."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     @classmethod
     def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Self:

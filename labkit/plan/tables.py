@@ -24,6 +24,7 @@ from labkit.plan.fields import (
     Line,
     Name,
     Number,
+    Takes,
     matches,
     not_allowed,
     problem,
@@ -64,15 +65,16 @@ Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
 
 
 class Lens(Table):
-    """The lens as engraved: nominal values are enough.
-
-    focal_length_std_mm, f_number_std: how far engravings may be off, standard errors; 2 % and 3 % where they are left out.
-    """
+    """The lens as engraved; nominal values are enough."""
 
     focal_length_mm: Annotated[Number, AfterValidator(Allowed(0.1, 10_000))]
+    """Focal length as engraved."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
+    """F-number as engraved: at infinity, at the aperture that was set."""
     focal_length_std_mm: Error | None = None
+    """Standard error of the engraved focal length. Default: 2 % of it."""
     f_number_std: Error | None = None
+    """Standard error of the engraved f-number. Default: 3 % of it."""
 
     @property
     def stated_focal_length(self) -> Uncertain:
@@ -92,15 +94,18 @@ class Lens(Table):
 
 
 class Channel(Table):
-    """A colour of the filter array and the wavelength that stands for it; 0.5 % is its standard error if none is given.
-
-    spectrum: [[nm, weight], ...], of the light times the filter, where it is known.
-    """
+    """A colour of the filter array, and the wavelength that represents it. One table, in double brackets, for each colour."""
 
     name: Name
+    """Colour of the filter array: `"R"`, `"G"` or `"B"`, or a letter of `sensor.cfa_pattern`; `"G"` is both green planes
+    together. The one channel of a mono sensor may have any name."""
     wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
+    """Mean wavelength of the light times the filter."""
     wavelength_std_nm: Error | None = None
-    spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Field(description=SPECTRUM)] = None
+    """Standard error of the wavelength. Default: 0.5 % of it."""
+    spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Takes(SPECTRUM)] = None
+    """Spectrum of the light times the filter, where it is known; its mean lies within 5 % of the wavelength. Default: one
+    wavelength; `labkit fit` looks for a width."""
 
     @property
     def samples(self) -> tuple[list[float], list[float]]:
@@ -134,16 +139,15 @@ Cells = Annotated[Count, AfterValidator(Allowed(1, 4096, whole=True))]
 
 
 class TargetPixels(Table):
-    """The pixels of the panel that shows the target, where the camera resolves them.
-
-    pitch_mm: of square pixels; the display's where it is left out. layout: of red, green and blue in each, by columns from left
-    to right ("stripes") or by rows from top to bottom, as the frame shows the panel upright. aperture: (across, down), the
-    share of its third, and of the pitch along it, that a stripe is lit over; estimated where it is left out.
-    """
+    """The pixels of the panel that shows the target, where the camera resolves them. The table may be empty."""
 
     pitch_mm: Length | None = None
+    """Pitch of the panel's square pixels. Default: that of `[display]`."""
     layout: Literal["rgb-stripes", "bgr-stripes", "rgb-rows", "bgr-rows"] = "rgb-stripes"
-    aperture: Annotated[tuple[Number, Number] | None, Field(description=APERTURE)] = None
+    """Order of the colours in a pixel, as the photograph shows the panel upright: columns from left to right (stripes), or rows
+    from top to bottom."""
+    aperture: Annotated[tuple[Number, Number] | None, Takes(APERTURE)] = None
+    """Share of its third of a pixel, and of the pitch along it, over which a stripe is lit. Default: estimated."""
 
     @field_validator("aperture")
     @classmethod
@@ -154,25 +158,33 @@ class TargetPixels(Table):
 
 
 class TargetSpec(Table):
-    """What was photographed. `file` is absolute once a plan is loaded.
-
-    order: of a carpet, or octaves of a tri-bar target; cells: along a side of a checkerboard or of noise, which `seed` draws;
-    angle_deg: by which a slanted edge leans; grid, diameter_mm: of disks, [rows, columns]. size_std_mm: standard error of the
-    size; 1e-4 of it where it is left out.
-    """
+    """The target that was photographed. Which keys it needs depends on its kind."""
 
     kind: Annotated[str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
+    """Kind of target: one that comes with labkit, or of a package of your own."""
     size_mm: Length
+    """Side of the whole target; its height, where it is not square."""
     size_std_mm: Error | None = None
+    """Standard error of the size. Default: 1e-4 of it."""
     order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
+    """Order of a Sierpinski carpet, which has 3ⁿ × 3ⁿ cells; octaves of a tri-bar target. Default: none."""
     cells: Cells | None = None
+    """Squares along a side of a checkerboard or of noise. Default: none."""
     seed: Annotated[Count, AfterValidator(Allowed(0, 2**32 - 1, whole=True))] = 0
+    """Number from which noise is drawn; the same number draws the same target."""
     angle_deg: Annotated[Number, AfterValidator(Allowed(-45, 45))] = 5.0
-    grid: Annotated[tuple[Cells, Cells] | None, Field(description="[rows, columns], each from 1 to 4096")] = None
+    """Angle of a slanted edge to the vertical; its lower end leans to the right."""
+    grid: Annotated[tuple[Cells, Cells] | None, Takes("[rows, columns], each from 1 to 4096")] = None
+    """Rows and columns of disks, each in the middle of a square; `size_mm` is the height of all rows. Default: none."""
     diameter_mm: Length | None = None
+    """Diameter of a disk, less than the side of its square. Default: none."""
     surround: Literal["black", "white", "unknown"] = "black"
+    """What surrounds the target."""
     file: Path | None = None
-    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Field(description=CORNERS)] = None
+    """Grey PNG, PGM or TIFF, relative to the plan; its values are relative radiance. Default: none."""
+    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS)] = None
+    """Corners of the target in the photographs, in the order (0, 0), (0, w), (h, w), (h, 0) of its own; pixel centres are at
+    integers, rows count down, columns right. Default: labkit searches for the target."""
     pixels: TargetPixels | None = None
 
     @property
@@ -208,17 +220,18 @@ class TargetSpec(Table):
 
 
 class FitSettings(Table):
-    """What to estimate: Zernike modes by Noll index, the wavelength that waves are counted in, the focus model.
+    """What to estimate, and how well the ranges are known."""
 
-    Standard errors of the ranges: range_std_mm of each beside the others, range_zero_std_mm of what is common to all, the
-    tape from the lens to the rail.
-    """
-
-    zernike_noll: Annotated[tuple[Count, Count], Field(description=NOLL)] = (4, 15)
+    zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] = (4, 15)
+    """First and last Zernike mode to estimate, in Noll's order."""
     reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
+    """Wavefronts are reported in waves of this wavelength. Default: 450 nm, or the wavelength of a single channel."""
     convention: Literal["corrected", "thesis"] = "corrected"
+    """Focus model: with the thesis's equation (4.40) corrected, or as printed there."""
     range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.01
+    """Standard error of a range reading relative to the others."""
     range_zero_std_mm: Error = 10.0
+    """Standard error that all ranges have in common: that of the tape measure from the lens to the rail."""
 
     @field_validator("zernike_noll")
     @classmethod
@@ -229,33 +242,46 @@ class FitSettings(Table):
 
 
 class CameraSettings(Table):
-    """How to expose. f_number: what to set on the body, lens.f_number if it is left out."""
+    """The camera: where it is, how to expose, how many photographs to take."""
 
     address: Address
+    """Driver and device: `"gphoto2:"` for the only camera on USB, `"gphoto2:usb:001,004"`, `"simulated:"`."""
     exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))]
+    """Exposure time of every frame."""
     iso: Annotated[Count, AfterValidator(Allowed(1, 10_000_000, whole=True))] = 100
+    """Sensitivity of every frame."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))] | None = None
+    """Aperture to set on the camera, if different from `lens.f_number`. Default: `lens.f_number`."""
     capture_target: Literal["ram", "card"] = "ram"
+    """Where the camera puts a photograph before it is fetched; those on a card stay there."""
     frames_per_range: Annotated[Count, AfterValidator(Allowed(1, 10_000, whole=True))] = 4
+    """Photographs of the target at each range."""
     flats_per_range: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
+    """Photographs of the white display at each range."""
     darks: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
+    """Photographs with the lens capped."""
 
 
 class RailSettings(Table):
-    """Where to stop: range = range_at_zero_mm + direction * rail position.
-
-    run_up_mm: every stop is approached from below over this way; microstep_um: what a Zaber counts in; homing_std_mm: to
-    what its home switch repeats.
-    """
+    """The rail: where it is, and where to stop. The range is `range_at_zero_mm` + `direction` × rail position."""
 
     address: Address
-    ranges_mm: Annotated[tuple[Length, ...], Field(min_length=1, description="one or more ranges in mm")]
+    """Driver and device: `"grbl:/dev/ttyUSB0"`, `"zaber:/dev/ttyUSB0"`, `"manual:"`, `"simulated:"`; `"grbl:simulated"` and
+    `"zaber:simulated"` are the real drivers on simulated controllers."""
+    ranges_mm: Annotated[tuple[Length, ...], Field(min_length=1), Takes("one or more ranges in mm")]
+    """Distances from the target to the camera at which to photograph, each once and above the focal length."""
     range_at_zero_mm: Annotated[Number, AfterValidator(Allowed(-1e6, 1e6))]
+    """Range when the rail's position is 0; `labkit rail calibrate` determines it."""
     direction: Literal[1, -1] = 1
+    """1: a larger position is a longer range; -1: a shorter one."""
     settle_s: Annotated[Number, AfterValidator(Allowed(0, 3600))] = 1.0
+    """Wait after each move."""
     run_up_mm: Annotated[Number, AfterValidator(Allowed(0, 100))] = 1.0
+    """Each stop is approached upward over this distance, to remove backlash."""
     microstep_um: Annotated[Number, AfterValidator(Allowed(1e-4, 1e4))] | None = None
+    """Microstep of a Zaber stage, from its data sheet. Default: none; a Zaber stage needs it."""
     homing_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.03
+    """Repeatability of the home switch, as a standard error."""
 
     @field_validator("ranges_mm")
     @classmethod
@@ -274,12 +300,17 @@ class RailSettings(Table):
 
 
 class DisplaySettings(Table):
-    """The glass the target is shown on: a panel by name, or its pitch and (height, width) in pixels."""
+    """The display that shows the target. Give `panel`, or `pixel_pitch_mm` and `pixels`."""
 
     address: Address
+    """Driver and place: `"web://127.0.0.1:8642"` for a browser on this machine, `"web://0.0.0.0:8642"` for one on the network
+    too, `"simulated:"`."""
     panel: Line | None = None
+    """Name of a panel that labkit knows. Default: none."""
     pixel_pitch_mm: Length | None = None
-    pixels: Annotated[tuple[Count, Count] | None, Field(description="[height, width] in pixels")] = None
+    """Pixel pitch of any other panel, from its data sheet. Default: that of `panel`."""
+    pixels: Annotated[tuple[Count, Count] | None, Takes("[height, width] in pixels")] = None
+    """Size of any other panel. Default: that of `panel`."""
 
     @model_validator(mode="after")
     def _one_way(self) -> DisplaySettings:

@@ -151,7 +151,7 @@ def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> floa
     """How much the strength of differences in these tiles repeats from column to column, or from row to row.
 
     Second differences of pixels that were made at the same places between old ones are as strong; where those places lie
-    symmetrically, as in twice as many pixels, first differences tell.
+    symmetrically, as in twice as many pixels, first differences decide.
     """
     strongest = 0.0
     for picture, turned in ((plane, places), (plane.T, places[:, ::-1])):

@@ -62,7 +62,7 @@ def import_frames(
 ) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
-    plan: or its path. Returns the session, open to read; its `warnings` tell where files contradict the plan, and what was
+    plan: or its path. Returns the session, open to read; its `warnings` say where files contradict the plan, and what was
     done to processed pictures.
     Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
     line; then nothing has been made.

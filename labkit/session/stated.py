@@ -27,12 +27,12 @@ Stated = tuple[str, Exif]
 def contradictions(photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan) -> list[str]:
     """Where files contradict the plan or each other, a line each that names both and what to do.
 
-    photographs: name, kind and file; darks tell nothing of a lens. Files that state nothing contradict nothing.
+    photographs: name, kind and file; darks say nothing about a lens. Files that state nothing contradict nothing.
     """
     stated: list[Stated] = []
     for name, kind, path in photographs:
         if kind in ("target", "flat"):
-            with suppress(OSError):  # what is missing is told by others
+            with suppress(OSError):  # others report what is missing
                 stated.append((name, read_exif(path)))
     return [*_against_plan(stated, plan), *_among_each_other(stated)]
 

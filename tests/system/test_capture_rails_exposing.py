@@ -81,7 +81,7 @@ def test_a_frame_during_which_the_stage_was_moved_is_taken_again(photographs: Ph
 def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(
     photographs: Photographs, tmp_path: Path
 ) -> None:
-    # steps alone do not tell: this holds what docs/bench.md says of rails without an encoder
+    # steps alone do not tell: this holds what docs/guides/bench.md says of rails without an encoder
     port = RAILS["grbl"].port([])
     controller = port.controller
     assert isinstance(controller, GrblController)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from labkit.cli import run
-from labkit.experiments.runner import STUDIES
+from labkit.experiments.studies import STUDIES
 
 NAMES = ("crb", "uniform-crb", "targets", "minima", "roc", "global", "annealing", "psf-accuracy", "extension", "edges")
 FIELDS: dict[str, Any] = {"what": str, "measured": (int, float, type(None)), "unit": str, "n": int}

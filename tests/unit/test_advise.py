@@ -60,7 +60,7 @@ def test_what_the_ranges_hardly_tell_is_named_with_what_would_tell_it(usual: Adv
     assert tape in usual.session.worthwhile("pupil_magnification")
     assert tape not in usual.session.worthwhile("range_zero_mm")  # what one measures is no news of it
     told = f"a tape right to 1 mm would make it ± {tape.std['pupil_magnification']:.2g}"
-    assert any("hardly tell the pupil magnification" in note and told in note for note in usual.notes)
+    assert any("hardly determine the pupil magnification" in note and told in note for note in usual.notes)
 
 
 @pytest.mark.slow

@@ -1,15 +1,22 @@
 """Results beside the truth of a simulated bench."""
 
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
 
-from labkit.demo import Comparison, compare, compare_wavefronts, new_folder
+from labkit.cli import bench, sessions
+from labkit.cli.app import app
+from labkit.demo import Comparison, compare, compare_wavefronts, new_folder, next_steps
 from labkit.results import Lens
 from labkit.uncertain import Uncertain
 from tests.results_samples import a_wavefront, some_results
+
+assert bench
+assert sessions  # they add their commands to the app
 
 
 def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> None:
@@ -45,3 +52,20 @@ def test_a_new_folder_is_never_one_that_is_there(tmp_path: Path) -> None:
     (tmp_path / "demo").mkdir()
     (tmp_path / "demo-2").mkdir()
     assert new_folder(tmp_path / "demo") == tmp_path / "demo-3"
+
+
+def test_the_demos_end_names_commands_that_there_are() -> None:
+    words = [line.split() for line in next_steps(Path("labkit-demo")).splitlines()]
+    named = {line[1] for line in words if line[:1] == ["labkit"]}
+    assert named == {"plan", "import", "advise", "capture"}
+    assert named <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def test_the_demos_end_says_how_to_have_labkit_on_the_path_where_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent))
+    assert "path" not in next_steps(Path("labkit-demo"))
+    monkeypatch.setenv("PATH", "/nowhere")
+    said = next_steps(Path("labkit-demo"))
+    assert "uv tool install" in said
+    assert "pipx install" in said
+    assert f"source {sys.prefix}/bin/activate" in said

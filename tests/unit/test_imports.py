@@ -92,7 +92,9 @@ def test_the_core_imports_no_driver_and_no_target(path: Path) -> None:
     assert [dotted for dotted in imported(path) if room(dotted) in ("drivers", "targets")] == []
 
 
-@pytest.mark.parametrize("path", modules("labkit", "drivers", "targets", "tests", "benchmarks", "examples"), ids=name)
+@pytest.mark.parametrize(
+    "path", modules("labkit", "drivers", "targets", "tests", "benchmarks", "examples", "docs"), ids=name
+)
 def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> None:
     # that would give a second copy of every class in them
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in ("drivers", "targets")] == []

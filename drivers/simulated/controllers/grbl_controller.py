@@ -30,7 +30,7 @@ class GrblController:
 
     limit_alarm: 1 stops everything until a reset, as the firmware on a microcontroller does; 3 is what the firmware
     compiled for a computer was recorded to do, a reset in motion. blank: settings were never stored.
-    `noticed` is told each line and real-time command as it comes in, `moved` where the carriage truly stands whenever
+    `noticed` is called with each line and real-time command as it comes in, `moved` where the carriage truly stands whenever
     it comes to rest.
     """
 
@@ -321,7 +321,7 @@ class GrblController:
         self.say(f"<{'|'.join(fields)}>")
 
     def offset_changed(self) -> None:
-        """The next report tells the work offset."""
+        """The next report gives the work offset."""
         self._until_refresh["WCO"] = 0
 
     def _turn(self, name: str, moving: bool) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """What tells one firmware from the other. defaults: settings as it prints them, by number."""
+    """What distinguishes one firmware from the other. defaults: settings as it prints them, by number."""
 
     banner: str
     about: tuple[str, ...]

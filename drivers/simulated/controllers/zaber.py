@@ -30,7 +30,7 @@ OF_AXIS = {"peripheralid": "0"}
 class ZaberController:
     """A device with one axis, in its own time. Positions in microsteps, speed in microsteps/s.
 
-    The carriage truly stands `slip` beyond the position; homing makes the slip zero. `moved` is told where it truly
+    The carriage truly stands `slip` beyond the position; homing makes the slip zero. `moved` is called with where it truly
     comes to rest.
     """
 

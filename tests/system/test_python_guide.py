@@ -1,4 +1,4 @@
-"""The README's Python, run as it stands, on a session of the simulator in tests/golden, and beside that session's truth."""
+"""The Python of docs/guides/python.md, run as it stands on a session of the simulator in tests/golden, beside its truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labkit.raw.decode import read_raw
 from labkit.types import Floats
 from tests.golden.simulate import ACTIVE, FINER, ORDER, PITCH_UM, SIZE_MM, cone, write_session
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "python.md"
 pytestmark = pytest.mark.slow
 
 LIMIT_OF_A_SESSION, LIMIT_OF_ONE = 0.0018, 0.0018
@@ -31,7 +31,7 @@ def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def blocks() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    return re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
 def truth(folder: Path) -> Floats:
@@ -53,7 +53,7 @@ def test_photographs_become_a_plot_of_the_mtf(golden: Path, monkeypatch: pytest.
 
 def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
     code = blocks()[1]
-    # the README's numbers are those of this session's target, lens and sensor
+    # the page's numbers are those of this session's target, lens and sensor
     numbers = (
         f"order={ORDER},size_mm={SIZE_MM:g}",
         f"f_number={cone('G'):.2f}",
