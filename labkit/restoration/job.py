@@ -1,0 +1,173 @@
+"""Photographs of one scene and the lenses they were taken through, and how parts of them become views of a scene's part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.fft
+
+from labkit.imaging.blur import Blur
+from labkit.imaging.model import Optics
+from labkit.optics.psf import Pupil
+from labkit.restoration.grid import SceneGrid
+from labkit.restoration.views import View, Views
+from labkit.types import Bools, Complexes64, Floats
+
+Area = tuple[slice, slice]
+"""Rows and columns of the photographs, pixels."""
+
+Shift = tuple[float, float]
+"""Pixels down and right."""
+
+LEAST_USED = 4
+"""Counts of a plane's part; one with fewer is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Colour:
+    """One colour of the scene: where its pixels lie in the filter array's cell, and the lens in its light.
+
+    optics, waves: of the session; waves_at: (row, column) of a place in the photograph -> (modes,), where they differ over the
+    field. gain: counts an electron; read_variance: counts squared. magnified: by how much its picture is larger than the
+    others' about `Job.centre_px`, relative: lateral colour.
+    """
+
+    name: str
+    places: tuple[tuple[int, int], ...]
+    optics: Optics
+    waves: Floats
+    gain: float
+    read_variance: float
+    magnified: float = 0.0
+    waves_at: Callable[[float, float], Floats] | None = None
+
+    def waves_near(self, place: tuple[float, float]) -> Floats:
+        """(modes,) at a place in the photograph."""
+        return self.waves if self.waves_at is None else self.waves_at(*place)
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """counts: (rows, columns) of all colours, black removed. used: neither clipped nor dead. light: relative illumination.
+    motion: (2, 3), where what the first photograph shows at [row, column, 1] stands in this one, less [row, column], px."""
+
+    counts: Floats
+    used: Bools
+    light: Floats
+    motion: Floats = field(default_factory=lambda: np.zeros((2, 3)))
+
+    def shift(self, place: tuple[float, float]) -> Shift:
+        """At a place."""
+        down, right = self.motion @ np.array([*place, 1.0])
+        return float(down), float(right)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """All that a scene is to be restored from. period: pixels to a cell of the filter array; samples: of the scene to a pixel;
+    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it."""
+
+    photographs: tuple[Photograph, ...]
+    colours: tuple[Colour, ...]
+    period: int
+    samples: int
+    guard_px: int
+    coupling: Floats
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the photographs, pixels."""
+        rows, columns = self.photographs[0].counts.shape
+        return rows, columns
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """About which colours differ in size."""
+        rows, columns = self.shape
+        return (rows - 1) / 2, (columns - 1) / 2
+
+    @property
+    def pitch_um(self) -> float:
+        """Of pixels."""
+        return self.colours[0].optics.pitch_um
+
+    def of_samples(self, samples: int) -> Job:
+        """The same on a grid of so many samples to a pixel."""
+        return replace(self, samples=samples)
+
+    def views(self, area: Area) -> Views | None:
+        """Of the scene in an area of whole cells; None where no count of it can be used."""
+        frame = (area[0].stop - area[0].start, area[1].stop - area[1].start)
+        grid = SceneGrid(frame, self.guard_px, self.pitch_um, self.samples, self.period)
+        place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
+        found = []
+        for component, colour in enumerate(self.colours):
+            transfer = transfer_on(grid, colour.optics, colour.waves_near(place))
+            beside = tuple(colour.magnified * (p - c) for p, c in zip(place, self.centre_px, strict=True))
+            for photograph in self.photographs:
+                by = tuple(a + b for a, b in zip(photograph.shift(place), beside, strict=True))
+                found += self._planes(photograph, area, component, grid, transfer, (by[0], by[1]))
+        return Views(grid, tuple(found), len(self.colours)) if self._complete(found) else None
+
+    def small(self, place: tuple[float, float], cells: int) -> Views:
+        """The same planes on a torus of a few cells, all counts there: what errors of even noise are computed on."""
+        side = cells * self.period
+        one, none = np.ones((side, side)), np.zeros((side, side))
+        photographs = tuple(replace(p, counts=none, used=one > 0, light=one) for p in self.photographs)
+        job = replace(self, photographs=photographs, guard_px=0)
+        views = replace(job, colours=tuple(replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours))
+        found = views.views((slice(0, side), slice(0, side)))
+        assert found is not None
+        return found
+
+    def _planes(
+        self,
+        photograph: Photograph,
+        area: Area,
+        component: int,
+        grid: SceneGrid,
+        transfer: Complexes64,
+        by: Shift,
+    ) -> Sequence[View]:
+        colour, found = self.colours[component], []
+        for row, column in colour.places:
+            plane = (
+                slice(area[0].start + row, area[0].stop, self.period),
+                slice(area[1].start + column, area[1].stop, self.period),
+            )
+            used = photograph.used[plane]
+            if used.sum() < LEAST_USED:
+                continue
+            found.append(
+                View(
+                    component,
+                    (row, column),
+                    grid.shifted(transfer, (by[0] - row, by[1] - column)),
+                    photograph.counts[plane].astype(np.float64),
+                    used,
+                    photograph.light[plane].astype(np.float64),
+                    colour.gain,
+                    colour.read_variance,
+                )
+            )
+        return found
+
+    def _complete(self, found: Sequence[View]) -> bool:
+        return {view.component for view in found} == set(range(len(self.colours)))
+
+
+def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
+    """Half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference wavelength."""
+    torus, side_um = grid.pixels, min(grid.pixels.fine) * grid.pixels.spacing_um
+    cutoff = 1 / (optics.airy_um * optics.spectrum.shortest)
+    finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
+    spacing_um = torus.spacing_um / finer
+    window_um = min(optics.window_airy(waves) * optics.airy_um, side_um)
+    size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
+    size = min(size, min(torus.fine) * finer)
+    pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
+    blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts, optics.given)
+    return grid.whole(blur.transfer(waves))
