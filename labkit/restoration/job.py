@@ -68,7 +68,8 @@ class Photograph:
 @dataclass(frozen=True, eq=False)
 class Job:
     """All that a scene is to be restored from. period: pixels to a cell of the filter array; samples: of the scene to a pixel;
-    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it."""
+    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it. centre_px: (row,
+    column) about which colours differ in size."""
 
     photographs: tuple[Photograph, ...]
     colours: tuple[Colour, ...]
@@ -76,18 +77,13 @@ class Job:
     samples: int
     guard_px: int
     coupling: Floats
+    centre_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the photographs, pixels."""
         rows, columns = self.photographs[0].counts.shape
         return rows, columns
-
-    @property
-    def centre_px(self) -> tuple[float, float]:
-        """About which colours differ in size."""
-        rows, columns = self.shape
-        return (rows - 1) / 2, (columns - 1) / 2
 
     @property
     def pitch_um(self) -> float:
@@ -97,6 +93,32 @@ class Job:
     def of_samples(self, samples: int) -> Job:
         """The same on a grid of so many samples to a pixel."""
         return replace(self, samples=samples)
+
+    def only(self, components: Sequence[int]) -> Job:
+        """The same of some of its colours."""
+        colours = tuple(self.colours[c] for c in components)
+        covariance = np.linalg.inv(self.coupling)[np.ix_(components, components)]
+        return replace(self, colours=colours, coupling=np.linalg.inv(covariance))
+
+    def sees(self, component: int) -> bool:
+        """Whether some plane has usable counts of a colour."""
+        return any(
+            photograph.used[row :: self.period, column :: self.period].sum() >= LEAST_USED
+            for photograph in self.photographs
+            for row, column in self.colours[component].places
+        )
+
+    def cut(self, area: Area) -> Job:
+        """A part of it, with the lens and the motion of its place."""
+        origin = np.array([area[0].start, area[1].start], float)
+        photographs = tuple(
+            replace(p, counts=p.counts[area], used=p.used[area], light=p.light[area], motion=_from(p.motion, origin))
+            for p in self.photographs
+        )
+        place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
+        colours = tuple(replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours)
+        centre = (self.centre_px[0] - origin[0], self.centre_px[1] - origin[1])
+        return replace(self, photographs=photographs, colours=colours, centre_px=centre)
 
     def views(self, area: Area) -> Views | None:
         """Of the scene in an area of whole cells; None where no count of it can be used."""
@@ -157,6 +179,13 @@ class Job:
 
     def _complete(self, found: Sequence[View]) -> bool:
         return {view.component for view in found} == set(range(len(self.colours)))
+
+
+def _from(motion: Floats, origin: Floats) -> Floats:
+    """A motion in coordinates that begin elsewhere."""
+    moved = motion.copy()
+    moved[:, 2] += motion[:, :2] @ origin
+    return moved
 
 
 def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:

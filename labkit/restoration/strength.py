@@ -23,7 +23,7 @@ SMOOTH = 1.0  # cells, of counts that tell their own variance
 LEAST, MOST = -6.0, 4.0  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
 EXACT = 0.02  # decades
-BENDS = 17  # points of an L-curve
+BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
 
 
@@ -41,7 +41,8 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
-    follows most of the noise. "l-curve": where misfit against roughness, both logarithmic, bends most.
+    follows most of the noise. "l-curve": where misfit against roughness, both logarithmic, bends most, among strengths that
+    leave a tenth to ten times the noise.
     """
     trials = [_Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)
@@ -52,9 +53,11 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
             middle = 0.5 * (low + high)
             low, high = (middle, high) if excess(middle) < 0 else (low, middle)
         return Strength(unit * 10 ** (0.5 * (low + high)), how)
-    decades = np.linspace(LEAST, MOST - 2, BENDS)
-    points = np.log([np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades])
-    return Strength(unit * 10 ** float(decades[_bend(points)]), how)
+    decades = np.linspace(LEAST, MOST, BENDS)
+    points = np.array([np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades])
+    likely = np.abs(np.log10(points[:, 0] / sum(trial.views.data for trial in trials))) < 1
+    decade = decades[likely][_bend(np.log(points[likely]))] if likely.sum() > 4 else decades[BENDS // 2]
+    return Strength(unit * 10 ** float(decade), how)
 
 
 def _excess_of(trials: Sequence[_Trial], unit: float) -> Callable[[float], float]:
