@@ -33,7 +33,9 @@ class ErrorMap:
     by_penalty: Floats32
 
 
-def standard_errors(views: Views, small: Views, coupling: Floats, stiffness: float, means: Sequence[Floats]) -> ErrorMap:
+def standard_errors(
+    views: Views, small: Views, coupling: Floats, stiffness: float, means: Sequence[Floats]
+) -> ErrorMap:
     """Of the scene that `restore` finds, the bound at 0 left out.
 
     small: the same planes through the same lenses on a torus that is only as large as the PSF; stiffness: as `Strength` has it;

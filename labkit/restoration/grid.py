@@ -58,8 +58,7 @@ class SceneGrid:
     def inner(self) -> tuple[slice, slice]:
         """The fine samples of the frame: those within its pixels, the first of each in its centre."""
         rows, columns = (
-            slice(m * self.samples, (m + f) * self.samples)
-            for m, f in zip(self.pixels.margin, self.frame, strict=True)
+            slice(m * self.samples, (m + f) * self.samples) for m, f in zip(self.pixels.margin, self.frame, strict=True)
         )
         return rows, columns
 
@@ -78,7 +77,7 @@ class SceneGrid:
 
     @cached_property
     def share(self) -> Floats32:
-        """(half, 1) by which a half plane's rows are summed to what the whole plane would sum to: Parseval's, means of squares."""
+        """(half, 1) by which a half plane's squares sum to those of the image: Parseval's."""
         rows, columns = self.shape
         share = np.full((rows // 2 + 1, 1), 2.0 / (rows * columns), np.float32)
         share[0] /= 2
@@ -95,8 +94,7 @@ class SceneGrid:
     def shifted(self, transfer: Complexes64, shift_px: tuple[float, float]) -> Complexes64:
         """The same where a picture stands shifted, pixels down and right."""
         down, right = (
-            np.exp(-2j * np.pi * by * w).astype(np.complex64)
-            for by, w in zip(shift_px, self.frequencies, strict=True)
+            np.exp(-2j * np.pi * by * w).astype(np.complex64) for by, w in zip(shift_px, self.frequencies, strict=True)
         )
         return np.asarray(transfer * down * right)
 

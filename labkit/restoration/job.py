@@ -31,8 +31,8 @@ class Colour:
     """One colour of the scene: where its pixels lie in the filter array's cell, and the lens in its light.
 
     optics, waves: of the session; waves_at: (row, column) of a place in the photograph -> (modes,), where they differ over the
-    field. gain: counts an electron; read_variance: counts squared. magnified: by how much its picture is larger than the
-    others' about `Job.centre_px`, relative: lateral colour.
+    field. gain: counts an electron; read_variance: counts squared. motion: (2, 3), lateral colour: where what another colour
+    shows at [row, column, 1] stands in this one, less [row, column], px.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Colour:
     waves: Floats
     gain: float
     read_variance: float
-    magnified: float = 0.0
+    motion: Floats = field(default_factory=lambda: np.zeros((2, 3)))
     waves_at: Callable[[float, float], Floats] | None = None
 
     def waves_near(self, place: tuple[float, float]) -> Floats:
@@ -59,17 +59,11 @@ class Photograph:
     light: Floats
     motion: Floats = field(default_factory=lambda: np.zeros((2, 3)))
 
-    def shift(self, place: tuple[float, float]) -> Shift:
-        """At a place."""
-        down, right = self.motion @ np.array([*place, 1.0])
-        return float(down), float(right)
-
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """All that a scene is to be restored from. period: pixels to a cell of the filter array; samples: of the scene to a pixel;
-    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it. centre_px: (row,
-    column) about which colours differ in size."""
+    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it."""
 
     photographs: tuple[Photograph, ...]
     colours: tuple[Colour, ...]
@@ -77,7 +71,6 @@ class Job:
     samples: int
     guard_px: int
     coupling: Floats
-    centre_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -116,9 +109,10 @@ class Job:
             for p in self.photographs
         )
         place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
-        colours = tuple(replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours)
-        centre = (self.centre_px[0] - origin[0], self.centre_px[1] - origin[1])
-        return replace(self, photographs=photographs, colours=colours, centre_px=centre)
+        colours = tuple(
+            replace(c, waves=c.waves_near(place), waves_at=None, motion=_from(c.motion, origin)) for c in self.colours
+        )
+        return replace(self, photographs=photographs, colours=colours)
 
     def views(self, area: Area) -> Views | None:
         """Of the scene in an area of whole cells; None where no count of it can be used."""
@@ -128,10 +122,10 @@ class Job:
         found = []
         for component, colour in enumerate(self.colours):
             transfer = transfer_on(grid, colour.optics, colour.waves_near(place))
-            beside = tuple(colour.magnified * (p - c) for p, c in zip(place, self.centre_px, strict=True))
             for photograph in self.photographs:
-                by = tuple(a + b for a, b in zip(photograph.shift(place), beside, strict=True))
-                found += self._planes(photograph, area, component, grid, transfer, (by[0], by[1]))
+                down, right = (photograph.motion + colour.motion) @ np.array([*place, 1.0])
+                by = (float(down), float(right))
+                found += self._planes(photograph, area, component, grid, transfer, by)
         return Views(grid, tuple(found), len(self.colours)) if self._complete(found) else None
 
     def small(self, place: tuple[float, float], cells: int) -> Views:

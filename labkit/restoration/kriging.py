@@ -25,8 +25,8 @@ TOLERANCE, MOST_STEPS = 1e-3, 400  # of conjugate gradients
 class Stiffness:
     """A quadratic penalty, half of f^T (rough M Q + pull) f, diagonal in frequency.
 
-    coupling: M, (components, components). rough: what w^2, (radians a pixel)^2, is multiplied by; pull: a pull to where the scene
-    is, which leaves nothing without a penalty. Raises ValueError unless both are above 0.
+    coupling: M, (components, components). rough: what w^2, (radians a pixel)^2, is multiplied by; pull: to where the
+    scene is, so that nothing is without a penalty. Raises ValueError unless both are above 0.
     """
 
     grid: SceneGrid
@@ -128,8 +128,5 @@ class Kriging:
         cells = np.zeros((len(planes), *self.grid.cells.pixels))
         cells[:, *self.grid.at_frame] = planes
         spectra = scipy.fft.rfft2(cells)
-        if len(planes) == 1:
-            mixed = kernels[0] * spectra
-        else:
-            mixed = np.einsum("ijrc,jrc->irc", kernels, spectra)
+        mixed = kernels[0] * spectra if len(planes) == 1 else np.einsum("ijrc,jrc->irc", kernels, spectra)
         return np.asarray(scipy.fft.irfft2(mixed, s=self.grid.cells.pixels)[:, *self.grid.at_frame])

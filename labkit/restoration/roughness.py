@@ -27,8 +27,8 @@ class Roughness:
     The mean and the norm are taken over what the data see. Over all of the torus, as printed, a smooth swelling where no data
     contradict it, beyond the frame or where all is clipped, would make the norm larger and R less without end.
     strength: lambda; frequencies in radians a pixel. coupling: (components, components) by which colours' roughness is
-    weighed, the inverse of their covariance in scenes. held: a larger scene's norm, which this is a tile of: then the penalty is
-    the quadratic form that has the same gradient where all tiles' scenes together have that norm.
+    weighed, the inverse of their covariance in scenes. held: the norm of a larger scene that this is a tile of: then the
+    penalty is the quadratic form that has the same gradient where all tiles' scenes together have that norm.
     """
 
     grid: SceneGrid

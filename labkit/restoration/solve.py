@@ -1,8 +1,8 @@
 """The scene of least penalised misfit, none of it below 0 (thesis 4.41).
 
 Newton's steps: the misfit's curvature averaged over the noise (Fisher's), the penalty's exact slope. Each step's quadratic
-problem under f >= 0 is solved by splitting (S. Boyd et al., Found. Trends Mach. Learn. 3, 1 (2011), §5.2): in turn the scene that
-the data and a pull to a scene without negative samples call for, by `Kriging`, and the nearest such scene to it.
+problem under f >= 0 is solved by splitting (S. Boyd et al., Found. Trends Mach. Learn. 3, 1 (2011), §5.2): in turn the scene
+that the data and a pull to a scene without negative samples call for, by `Kriging`, and the nearest such scene to it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ PULL = 0.02  # of the data's curvature, for what is constant
 OVER = 1.6  # relaxation: between 1.5 and 1.8 is usual
 SAME_NORM = 0.01  # relative: lambda need be no more exact
 SETTLED = 0.05  # of a Newton step, RMS: the splitting's own error
-DECREASE = 3e-3  # of the misfit, for each count: a restored sample is then within a few hundredths of its standard error
+DECREASE = (
+    3e-3  # of the misfit, for each count: a restored sample is then within a few hundredths of its standard error
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +146,16 @@ class Solver:
         else:
             self.kriging.weigh(weights)
         slopes = self.views.slopes(point.means)
-        data = np.array([
-            mean - slope / np.where(weight > 0, weight, 1.0)
-            for mean, slope, weight in zip(point.means, slopes, weights, strict=True)
-        ])
+        data = np.array(
+            [
+                mean - slope / np.where(weight > 0, weight, 1.0)
+                for mean, slope, weight in zip(point.means, slopes, weights, strict=True)
+            ]
+        )
         _, beside = self.penalty.gradient(point.scene, point.spectra)
         kept, multiplier = point.scene, self.multiplier
         pull = np.float32(self.pull)
-        for turn in range(MOST_TURNS):
+        for _ in range(MOST_TURNS):
             called = self.grid.spectrum(pull * (kept - multiplier) - beside)
             free = self.kriging.stiffness.inverse(called)
             self.planes = self.kriging.solve(data - np.array(self.views.means(free)), self.planes)

@@ -20,9 +20,13 @@ Choice = Literal["discrepancy", "l-curve"]
 
 LONGEST_PX = 120.0  # period of waves that roughness alone decides on: longer ones are pulled to the mean
 SMOOTH = 1.0  # cells, of counts that tell their own variance
-LEAST, MOST = -6.0, 4.0  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
+LEAST, MOST = (
+    -6.0,
+    4.0,
+)  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
 EXACT = 0.02  # decades
+SCORED = (-4.0, -3.0, -2.0, -1.0)  # decades at which a lens is scored
 BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
 
@@ -60,6 +64,20 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
     return Strength(unit * 10 ** float(decade), how)
 
 
+def generalised_misfit(parts: Sequence[Views], coupling: Floats, rng: np.random.Generator) -> float:
+    """The least, over strengths, of generalised cross-validation's score of a lens; logarithm, for each count.
+
+    G. Golub, M. Heath and G. Wahba, Technometrics 21, 215 (1979). rng: draws a trace's signs.
+    """
+    trials = [_Trial(views, coupling, rng) for views in parts]
+    unit, data = max(trial.unit for trial in trials), sum(trial.views.data for trial in trials)
+    scores = []
+    for decade in SCORED:
+        sums = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
+        scores.append(float(np.log(sums[0] / data) - 2 * np.log(max(sums[1], 1e-6 * data) / data)))
+    return min(scores)
+
+
 def _excess_of(trials: Sequence[_Trial], unit: float) -> Callable[[float], float]:
     def excess(decade: float) -> float:
         return sum(trial.excess(unit * 10**decade) for trial in trials)
@@ -79,7 +97,10 @@ def _bracket(excess: Callable[[float], float]) -> tuple[float, float]:
 
 
 def _bend(points: Floats) -> int:
-    """Where a curve (n, 2) bends most to the left, as an L does. P. Hansen and D. O'Leary, SIAM J. Sci. Comput. 14, 1487 (1993)."""
+    """Where a curve (n, 2) bends most to the left, as an L does.
+
+    P. Hansen and D. O'Leary, SIAM J. Sci. Comput. 14, 1487 (1993).
+    """
     x, y = points.T
     dx, dy = np.gradient(x), np.gradient(y)
     ddx, ddy = np.gradient(dx), np.gradient(dy)
@@ -107,11 +128,16 @@ class _Trial:
 
     def excess(self, stiffness: float) -> float:
         """Of the squared residuals over what they should sum to."""
+        squares, left = self.sums(stiffness)
+        return squares - left
+
+    def sums(self, stiffness: float) -> tuple[float, float]:
+        """Squared residuals over their variance, and how many counts the scene does not take up."""
         kriging = self.kriging(stiffness)
         planes = kriging.solve(self.apart)
         signs = np.where(kriging.used, kriging.variance * self.signs, 0.0)
         left = float(np.sum(self.signs * kriging.solve(signs, tolerance=LOOSE)))
-        return float(np.sum(kriging.variance * planes**2)) - left
+        return float(np.sum(kriging.variance * planes**2)), left
 
     def corner(self, stiffness: float) -> tuple[float, float]:
         """Squared residuals, and roughness: f^T K f is that of the planes by way of the scene."""

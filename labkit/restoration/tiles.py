@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import ndimage
@@ -31,7 +32,8 @@ REACH_CELLS = 1.5  # from a used count, beyond which nothing is said of the scen
 @dataclass(frozen=True, eq=False)
 class Picture:
     """scene, std, by_penalty: (colours, rows, columns) samples of the photograph, counts above black, nan where nothing is
-    known; see `ErrorMap`. strength: lambda, that of the whole; stiffness: as `Strength` has it; norm: of the scene; tiles: how many."""
+    known; see `ErrorMap`. strength: lambda of the whole; stiffness: as `Strength`
+    has it; norm: of the scene; tiles: how many."""
 
     scene: Floats32
     std: Floats32
@@ -76,7 +78,7 @@ def restore_job(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> Picture:
-    """Restore a scene. strength: lambda, or how to choose it; tile_px: a tile's side without its overlap with others, overlap_px."""
+    """Restore a scene. strength: lambda, or how to choose it; tile_px: a tile's side; overlap_px: with others."""
     areas = list(tiles(job.shape, tile_px, overlap_px, job.period))
     progress(0, len(areas) + 1, "choosing how smooth")
     square = guessed_square(job)
@@ -148,7 +150,7 @@ def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
 
 
 def tiles(shape: tuple[int, int], tile_px: int, overlap_px: int, period: int) -> Iterator[tuple[Area, Floats]]:
-    """Areas of whole cells, each with its overlap, and the weights (rows, columns) of its pixels: over all areas they sum to 1."""
+    """Areas of whole cells, each with its overlap, and weights (rows, columns) of its pixels that sum to 1 over all areas."""
     for rows, by_row in _stretches(shape[0], tile_px, overlap_px, period):
         for columns, by_column in _stretches(shape[1], tile_px, overlap_px, period):
             yield (rows, columns), np.outer(by_row, by_column)
@@ -158,7 +160,7 @@ def _stretches(length: int, tile: int, overlap: int, period: int) -> Iterator[tu
     count = max(1, -(-length // tile))
     edges = [round(k * length / count / period) * period for k in range(count + 1)]
     half = -(-overlap // (2 * period)) * period
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         first, last = max(low - 2 * half, 0), min(high + 2 * half, length)
         place = np.arange(first, last) + 0.5
         weight = np.ones(last - first)
@@ -189,7 +191,10 @@ def parts_of(job: Job) -> list[Views]:
 def _contrast(job: Job, area: Area) -> float:
     """Of the first photograph's first colour; none where much is clipped."""
     photograph, (row, column) = job.photographs[0], job.colours[0].places[0]
-    plane = slice(area[0].start + row, area[0].stop, job.period), slice(area[1].start + column, area[1].stop, job.period)
+    plane = (
+        slice(area[0].start + row, area[0].stop, job.period),
+        slice(area[1].start + column, area[1].stop, job.period),
+    )
     used = photograph.used[plane]
     return float(photograph.counts[plane][used].std()) if used.mean() > 0.8 else -1.0
 
