@@ -32,6 +32,7 @@ STUDIES = {
     "uniform-crb": "uniform_crb",
     "targets": "targets",
     "extension": "extension",
+    "restoration": "restoration",
 }
 """Name of a study -> the module of this context that does it, by its function `run`."""
 

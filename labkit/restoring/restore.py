@@ -18,7 +18,7 @@ from labkit.restoration.baselines import Method, baseline
 from labkit.restoration.blind import fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
-from labkit.restoration.registration import registered
+from labkit.restoration.registration import refined, registered
 from labkit.restoration.strength import Choice
 from labkit.restoration.tiles import Picture, memory_bytes, restore_job
 from labkit.restoring import output
@@ -47,8 +47,8 @@ PER_BLUR = 8 * math.sqrt(12)  # diameter of defocus's blur over N times its wave
 class Wanted:
     """How a scene is to be restored; what is None is chosen.
 
-    strength: lambda, or how it is chosen. samples: to a pixel. tile_px: a tile's side. memory_gb: that may be taken. force:
-    take a PSF though the photograph contradicts it. method: of the baselines, or "model", ours. sixteen_bit: write such a TIFF too.
+    strength: lambda, or how it is chosen. samples: to a pixel. tile_px: a tile's side. memory_gb: to use at most. force: take a
+    PSF though the photograph contradicts it. method: of the baselines, or "model", ours. sixteen_bit: write such a TIFF too.
     """
 
     strength: float | Choice = "discrepancy"
@@ -265,7 +265,7 @@ def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted, origi
     at = np.array([origin[0], origin[1]], float)
     colours = [replace(c, motion=_begun_at(c.motion, at)) for c in colours]
     job = Job(tuple(photographs), tuple(colours), period, samples, _guard(colours, wanted), np.eye(len(colours)))
-    return replace(job, coupling=colour_coupling(job)) if len(colours) > 1 else job
+    return refined(replace(job, coupling=colour_coupling(job)) if len(colours) > 1 else job)
 
 
 def _begun_at(motion: Floats, origin: Floats) -> Floats:
