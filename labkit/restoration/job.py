@@ -11,6 +11,7 @@ import scipy.fft
 
 from labkit.imaging.blur import Blur
 from labkit.imaging.model import Optics
+from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
 from labkit.restoration.grid import SceneGrid
 from labkit.restoration.views import View, Views
@@ -188,7 +189,7 @@ def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     cutoff = 1 / (optics.airy_um * optics.spectrum.shortest)
     finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
     spacing_um = torus.spacing_um / finer
-    window_um = min(optics.window_airy(waves) * optics.airy_um, side_um)
+    window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
     size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
     size = min(size, min(torus.fine) * finer)
     pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)

@@ -19,7 +19,7 @@ MOST_STEPS, ENOUGH = 200, 1e-7  # of the search
 SMOOTH_CELLS = 5  # width of the filter that noise and aliases are taken off by
 COARSE, MIDDLE_PX = 2, 256  # samples a pixel, and pixels, that motions are estimated with
 SOFT, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
-USUAL_TURN = 1e-3  # of frames taken one after the other, standard deviation
+USUAL_TURN = 2e-4  # of frames taken one after the other, standard deviation
 MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that turn or grow by more, a pixel in fifty
 
 
@@ -29,8 +29,8 @@ def registered(
     """(2, 3) motion of a photograph beside the first, as `Photograph.motion` has it: a shift, by correlation of grey cells.
 
     places: of the cell's pixels that are looked at, all by default. It is right to some tenths of a pixel, since cells alias:
-    `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where they do
-    not show the same.
+    `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where
+    they do not show the same.
     """
     places = places or [(row, column) for row in range(period) for column in range(period)]
     one, two = _grey(first, period, places), _grey(other, period, places)
@@ -50,14 +50,14 @@ def registered(
 def refined(job: Job) -> Job:
     """The job with the motions under which the first photograph, restored, predicts the others best, and then all of them.
 
-    Gauss-Newton steps of six numbers a photograph; what of the scene is not known passes for noise. Raises DataError for a
-    photograph that is turned or grown against the first by more than tiles can follow.
+    Gauss-Newton steps of six numbers a photograph; what of the scene is not known passes for noise. Raises DataError for one
+    that is turned or grown against the first by more than tiles can follow.
     """
     if len(job.photographs) == 1:
         return job
     area = _middle(job)
     coarse = job.of_samples(min(COARSE, job.samples))
-    for known in (1, 1, *3 * [len(job.photographs)]):
+    for known in (1, 1, *2 * [len(job.photographs)]):
         views = replace(coarse, photographs=coarse.photographs[:known]).views(area)
         if views is None:
             return job
@@ -98,7 +98,8 @@ def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> 
         return np.zeros((2, 3))
     grid, half = views.grid, max(views.grid.frame) / 2
     centre = np.array([(part.start + part.stop - 1) / 2 for part in area])
-    normal, right = np.diag(np.tile([1.0, 1.0, 0.0], 2) / (half * USUAL_TURN) ** 2), np.zeros(6)
+    normal = np.diag(np.tile([1.0, 1.0, 0.0], 2) / (half * USUAL_TURN) ** 2)
+    right = -normal @ (half * photograph.motion).ravel()
     for view, mean in zip(views, views.means(scene), strict=True):
         slopes = [
             view.light * grid.sample((-2j * np.pi * w).astype(np.complex64) * scene[view.component] * view.transfer)

@@ -26,6 +26,7 @@ COARSE = 2  # samples to a pixel, on which the bound's active samples are found 
 PARTS, PART_PX = 3, 96  # what a strength is chosen by
 SEED = 1
 BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour, and for each plane
+LEAST_ROWS = 96
 REACH_CELLS = 1.5  # from a used count, beyond which nothing is said of the scene
 
 
@@ -118,7 +119,7 @@ def restore_tile(task: Task) -> Part:
         return Part(nothing, nothing, nothing, 0.0, 0, Norm(0.0, np.zeros(count), 0.0), 0.0)
     part = job.only(there)
     views, restored = _restored(part, task)
-    small = part.small(_middle(job.shape), max(24, 2 * -(-job.guard_px // job.period)))
+    small = part.small(_middle(job.shape), _small_cells(job))
     errors = standard_errors(views, small, part.coupling, task.stiffness, restored.means)
     scene, std, by_penalty = (nothing.copy() for _ in range(3))
     scene[there] = restored.scene[:, *views.grid.inner]
@@ -129,6 +130,12 @@ def restore_tile(task: Task) -> Part:
     chi2 = views.chi2_per_pixel(restored.means) * views.data
     norm = replace(restored.norm, means=means)
     return Part(scene, std, by_penalty, chi2, views.data, norm, pixels)
+
+
+def _small_cells(job: Job) -> int:
+    """Cells along a side that errors are computed on: as far as a count's light reaches, and enough, and odd if that helps, that
+    Nyquist's row, which no plane sees, is a small share of all."""
+    return max(24, 2 * -(-job.guard_px // job.period), -(-LEAST_ROWS // (job.period * job.samples))) | 1
 
 
 def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
