@@ -28,7 +28,7 @@ BLIND_ROUNDS, BLIND_STEPS, BLIND_PX = (
     3.0,
 )  # rounds of picture and PSF; the first PSF's standard deviation, pixels
 BALANCE = 1e-3  # of Wiener's roughness, for pictures of 0 to 1
-TV_WEIGHT, TV_STEPS = 1e-3, 60
+TV_WEIGHT, TV_STEPS = 5e-4, 50
 LEAST = 1e-4  # of white: a multiplicative step never leaves 0
 
 

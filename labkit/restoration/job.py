@@ -84,6 +84,13 @@ class Job:
         """Of pixels."""
         return self.colours[0].optics.pitch_um
 
+    @property
+    def nyquist_samples(self) -> int:
+        """To a pixel, that hold all that the lens passes."""
+        optics = [colour.optics for colour in self.colours]
+        nyquist_um = min(o.airy_um * o.spectrum.shortest / 2 for o in optics)
+        return math.ceil(self.pitch_um / nyquist_um * (1 - 1e-9))
+
     def of_samples(self, samples: int) -> Job:
         """The same on a grid of so many samples to a pixel."""
         return replace(self, samples=samples)

@@ -9,6 +9,7 @@ kriging, with the penalty as the scene's covariance (G. Wahba, Spline models for
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,9 +74,20 @@ class Kriging:
         """Take other weights."""
         self.used = np.array(weights) > 0
         self.variance = 1 / np.where(self.used, weights, 1.0)
+        self._invert()
+
+    def _invert(self) -> None:
+        """What `apply` does, inverted, were all counts there and equally good."""
         typical = [float(np.median(v[u])) for v, u in zip(self.variance, self.used, strict=True)]
         blocks = np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(typical)
         self.nearly = np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1))
+
+    def stiffer(self, factor: float) -> Kriging:
+        """The same of a penalty so many times as stiff; its `scene` is still that of this one."""
+        other = copy(self)
+        other._between = self._between / factor
+        other._invert()
+        return other
 
     def solve(self, data: Floats, start: Floats | None = None, tolerance: float = TOLERANCE) -> Floats:
         """(views, rows, columns) u of (W^-1 + H K^-1 H^T) u = data at used counts, 0 elsewhere; conjugate gradients."""

@@ -17,7 +17,7 @@ from labkit.types import AnyComplexes, Floats, Floats32
 
 MOST_STEPS, ENOUGH = 200, 1e-7  # of the search
 SMOOTH_CELLS = 5  # width of the filter that noise and aliases are taken off by
-COARSE, MIDDLE_PX = 2, 256  # samples a pixel, and pixels, that motions are estimated with
+COARSE, MIDDLE_PX = 4, 192  # samples a pixel, and pixels, that motions are estimated with
 SOFT, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
 USUAL_TURN = 2e-4  # of frames taken one after the other, standard deviation
 MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that turn or grow by more, a pixel in fifty
@@ -56,7 +56,7 @@ def refined(job: Job) -> Job:
     if len(job.photographs) == 1:
         return job
     area = _middle(job)
-    coarse = job.of_samples(min(COARSE, job.samples))
+    coarse = job.of_samples(min(COARSE, job.nyquist_samples))
     for known in (1, 1, *2 * [len(job.photographs)]):
         views = replace(coarse, photographs=coarse.photographs[:known]).views(area)
         if views is None:

@@ -25,7 +25,7 @@ LEAST, MOST = (
     4.0,
 )  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
-EXACT = 0.02  # decades
+EXACT, STRIDE = 0.02, 0.25  # decades
 SCORED = (-4.0, -3.0, -2.0, -1.0)  # decades at which a lens is scored
 BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
@@ -45,7 +45,8 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
-    follows most of the noise. "l-curve": where misfit against roughness, both logarithmic, bends most, among strengths that
+    follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges leave
+    residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic, bends most, among strengths that
     leave a tenth to ten times the noise.
     """
     trials = [_Trial(views, coupling, rng) for views in parts]
@@ -56,7 +57,7 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
         while high - low > EXACT:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if excess(middle) < 0 else (low, middle)
-        return Strength(unit * 10 ** (0.5 * (low + high)), how)
+        return Strength(unit * 10 ** _cross_validated(trials, unit, 0.5 * (low + high)), how)
     decades = np.linspace(LEAST, MOST, BENDS)
     points = np.array([np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades])
     likely = np.abs(np.log10(points[:, 0] / sum(trial.views.data for trial in trials))) < 1
@@ -70,12 +71,23 @@ def generalised_misfit(parts: Sequence[Views], coupling: Floats, rng: np.random.
     G. Golub, M. Heath and G. Wahba, Technometrics 21, 215 (1979). rng: draws a trace's signs.
     """
     trials = [_Trial(views, coupling, rng) for views in parts]
-    unit, data = max(trial.unit for trial in trials), sum(trial.views.data for trial in trials)
-    scores = []
-    for decade in SCORED:
-        sums = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
-        scores.append(float(np.log(sums[0] / data) - 2 * np.log(max(sums[1], 1e-6 * data) / data)))
-    return min(scores)
+    unit = max(trial.unit for trial in trials)
+    return min(_score(trials, unit * 10**decade) for decade in SCORED)
+
+
+def _score(trials: Sequence[_Trial], stiffness: float) -> float:
+    """Of generalised cross-validation, its logarithm."""
+    data = sum(trial.views.data for trial in trials)
+    squares, left = np.sum([trial.sums(stiffness) for trial in trials], axis=0)
+    return float(np.log(squares / data) - 2 * np.log(max(left, 1e-6 * data) / data))
+
+
+def _cross_validated(trials: Sequence[_Trial], unit: float, from_decade: float) -> float:
+    """The decade from there on, up the strengths, to where the score rises."""
+    decade, here = from_decade, _score(trials, unit * 10**from_decade)
+    while decade < MOST and (there := _score(trials, unit * 10 ** (decade + STRIDE))) < here:
+        decade, here = decade + STRIDE, there
+    return decade
 
 
 def _excess_of(trials: Sequence[_Trial], unit: float) -> Callable[[float], float]:
@@ -112,19 +124,19 @@ class _Trial:
     """One part of the photograph, solved for any stiffness."""
 
     def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator) -> None:
-        self.views, self.coupling = views, coupling
+        self.views = views
         self.weights = [_weight(view) for view in views]
         levels = [float(np.mean(view.counts[view.used] / view.light[view.used])) for view in views]
         self.apart = np.array([v.counts - level * v.light for v, level in zip(views, levels, strict=True)])
         self.signs = rng.choice([-1.0, 1.0], self.apart.shape)
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2
+        soft = 1 / views.grid.samples**2
+        pull = soft * (2 * np.pi / LONGEST_PX) ** 2
+        self.soft = Kriging(views, Stiffness(views.grid, coupling, soft, pull), self.weights)
 
     def kriging(self, stiffness: float) -> Kriging:
-        grid = self.views.grid
-        rough = stiffness / grid.samples**2
-        pull = rough * (2 * np.pi / LONGEST_PX) ** 2
-        return Kriging(self.views, Stiffness(grid, self.coupling, rough, pull), self.weights)
+        return self.soft.stiffer(stiffness)
 
     def excess(self, stiffness: float) -> float:
         """Of the squared residuals over what they should sum to."""

@@ -23,6 +23,7 @@ from labkit.restoration.views import Views
 from labkit.types import Bools, Floats, Floats32, Progress, no_progress
 
 COARSE = 2  # samples to a pixel, on which the bound's active samples are found first
+CHOSEN_ON = 4  # samples to a pixel, at most, that a strength is chosen on
 PARTS, PART_PX = 3, 96  # what a strength is chosen by
 SEED = 1
 BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour, and for each plane
@@ -133,8 +134,8 @@ def restore_tile(task: Task) -> Part:
 
 
 def _small_cells(job: Job) -> int:
-    """Cells along a side that errors are computed on: as far as a count's light reaches, and enough, and odd if that helps, that
-    Nyquist's row, which no plane sees, is a small share of all."""
+    """Cells along a side that errors are computed on: as far as a count's light reaches, and enough, odd if that helps, that
+    Nyquist's row, which no plane sees, is a small share."""
     return max(24, 2 * -(-job.guard_px // job.period), -(-LEAST_ROWS // (job.period * job.samples))) | 1
 
 
@@ -179,8 +180,11 @@ def _stretches(length: int, tile: int, overlap: int, period: int) -> Iterator[tu
 
 
 def parts_of(job: Job) -> list[Views]:
-    """Those of a photograph that a strength is chosen by: the richest in contrast, and some between."""
-    coarse = job.of_samples(min(COARSE, job.samples))
+    """Those of a photograph that a strength is chosen by: the richest in contrast, and some between.
+
+    On samples fine enough for the lens: what a coarser grid cannot hold of the scene would pass for noise.
+    """
+    coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
     side = PART_PX // job.period * job.period
     areas = [
         (slice(r, min(r + side, job.shape[0])), slice(c, min(c + side, job.shape[1])))

@@ -259,12 +259,10 @@ def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted, origi
     photographs = [first]
     for shot in shots[1:]:
         photographs.append(with_motion(shot, registered(first, shot.photograph, period)))
-    optics = [colour.optics for colour in colours]
-    nyquist = min(o.wavelength_um * o.spectrum.shortest * o.f_number / 2 for o in optics)
-    samples = wanted.samples or math.ceil(optics[0].pitch_um / nyquist * (1 - 1e-9))
     at = np.array([origin[0], origin[1]], float)
     colours = [replace(c, motion=_begun_at(c.motion, at)) for c in colours]
-    job = Job(tuple(photographs), tuple(colours), period, samples, _guard(colours, wanted), np.eye(len(colours)))
+    job = Job(tuple(photographs), tuple(colours), period, 1, _guard(colours), np.eye(len(colours)))
+    job = job.of_samples(wanted.samples or job.nyquist_samples)
     return refined(replace(job, coupling=colour_coupling(job)) if len(colours) > 1 else job)
 
 
@@ -275,7 +273,7 @@ def _begun_at(motion: Floats, origin: Floats) -> Floats:
     return moved
 
 
-def _guard(colours: Sequence[Colour], wanted: Wanted) -> int:
+def _guard(colours: Sequence[Colour]) -> int:
     """From how far light reaches a pixel, but for the halo's last share, pixels."""
     reach = 0.0
     for colour in colours:
