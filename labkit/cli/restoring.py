@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,6 +15,8 @@ from labkit.errors import DataError, SessionError
 
 if TYPE_CHECKING:
     from labkit.restoration.job import Area
+    from labkit.restoring.restore import Wanted
+    from labkit.results import Results
     from labkit.session.session import Session
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -61,10 +63,8 @@ def restore(
     workers: Workers = None,
 ) -> None:
     """The scene behind photographs, with standard errors: by a session's lens."""
-    from labkit.restoring.restore import Wanted, restore_images, restore_session
-    from labkit.results import Results
+    from labkit.restoring.restore import Wanted
 
-    console: Console = ctx.obj
     if method not in METHODS:
         raise DataError(f"--method {method}: allowed is {', '.join(METHODS)}")
     wanted = Wanted(
@@ -81,31 +81,45 @@ def restore(
         sixteen_bit=sixteen_bit,
         workers=workers or 1,
     )
-    own = psf is None
-    if own and not (len(photographs) == 1 and photographs[0].is_dir()):
+    _restored(ctx.obj, photographs, psf, out, name, wanted)
+
+
+def _restored(
+    console: Console, photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted
+) -> None:
+    """Restore each range's photographs into a folder, and say so."""
+    from labkit.restoring.restore import restore_images, restore_session
+    from labkit.results import Results
+
+    if psf is None and not (len(photographs) == 1 and photographs[0].is_dir()):
         raise DataError("whose lens took them? Give --psf SESSION, or a session's folder alone")
     folder = photographs[0] if psf is None else psf
-    results, session = Results.load(folder, name), _session(folder, own)
+    results, session = Results.load(folder, name), _session(folder, own=psf is None)
     answers = []
-    if not own:
-        places = [(out or photographs[0].parent / f"{photographs[0].stem}-restored", range_mm)]
-    else:
-        ranges = results.ranges_mm if range_mm is None else (range_mm,)
-        base = out or folder / "results" / name / "restored"
-        places = [(base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges]
-    for place, at in places:
+    for place, range_mm in _places(photographs, psf, out, name, wanted, results):
         with console.progress("restoring") as report:
-            if own:
+            if psf is None:
                 assert session is not None
-                made = restore_session(session, results, at, place, wanted, console.say, report)
+                made = restore_session(session, results, range_mm, place, wanted, console.say, report)
             else:
                 made = restore_images(photographs, results, session, place, wanted, console.say, report)
         console.warn(*made.notes)
-        strongest = made.about["lambda"]
-        by = f"lambda {strongest['value']:.3g} by {strongest['chosen_by']}" if strongest else method
+        chosen = made.about["lambda"]
+        by = f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}" if chosen else str(wanted.method)
         console.say(f"restored: {made.folder}, {by}, {made.about['seconds']:.0f} s")
         answers.append({"folder": str(made.folder), **made.about})
     console.answer(answers[0] if len(answers) == 1 else {"restored": answers})
+
+
+def _places(
+    photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted, results: Results
+) -> list[tuple[Path, float | None]]:
+    """Folders to write to, each with its range."""
+    if psf is not None:
+        return [(out or photographs[0].parent / f"{photographs[0].stem}-restored", wanted.range_mm)]
+    ranges = results.ranges_mm if wanted.range_mm is None else (wanted.range_mm,)
+    base = out or photographs[0] / "results" / name / "restored"
+    return [(base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges]
 
 
 def _session(folder: Path, own: bool) -> Session | None:
@@ -120,10 +134,12 @@ def _session(folder: Path, own: bool) -> Session | None:
         return None
 
 
-def _strength(given: str) -> float | str:
+def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:
     """Raises DataError for what is neither a number above 0 nor a way to choose one."""
-    if given in ("discrepancy", "l-curve"):
-        return given
+    if given == "discrepancy":
+        return "discrepancy"
+    if given == "l-curve":
+        return "l-curve"
     try:
         value = float(given)
     except ValueError:

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
-from labkit.types import Complexes, Floats, Floats32
+from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
 LEVELS = 9
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
@@ -70,14 +70,19 @@ def _even(small: Views, coupling: Floats, stiffness: float, weights: Sequence[fl
     variances, shares = [], []
     for component in range(small.components):
         before = float(np.sum(grid.share * solid.between(component, component), dtype=np.float64))
-        kernels = [solid.between(component, view.component) * np.conj(view.transfer) for view in small]
-        taken, noise = 0.0, 0.0
+        kernels: list[Complexes] = [
+            np.multiply(np.conj(view.transfer), solid.between(component, view.component), dtype=complex)
+            for view in small
+        ]
+        taken, noise = np.zeros(2 * (grid.cells.oversampling,)), np.zeros(2 * (grid.cells.oversampling,))
         for j, kernel in enumerate(kernels):
-            answer = sum(_repeated(inverse[i, j], half, grid.cells.oversampling) * k for i, k in enumerate(kernels))
-            free, held = grid.image(kernel), grid.image(np.asarray(answer))
+            answer: Complexes = np.zeros(kernel.shape, complex)
+            for i, other in enumerate(kernels):
+                answer += _repeated(inverse[i, j], half, grid.cells.oversampling) * other
+            free, held = grid.image(kernel), grid.image(answer)
             taken = taken + _over_cells(free * held, grid.cells.oversampling)
             noise = noise + _over_cells(held**2, grid.cells.oversampling) / weights[j]
-        variance = before - np.asarray(taken)
+        variance = before - taken
         variances.append(variance)
         shares.append(np.clip(1 - noise / variance, 1e-6, 1.0))
     return np.array(variances), np.array(shares)
@@ -93,10 +98,10 @@ def _repeated(cells: Complexes, half: int, times: int) -> Complexes:
     return np.tile(cells, (1, times))[np.arange(half) % len(cells)]
 
 
-def _over_cells(kernel: Floats, step: int) -> Floats:
+def _over_cells(kernel: AnyFloats, step: int) -> Floats:
     """(step, step) a kernel summed over its places in all cells."""
     rows, columns = (side // step for side in kernel.shape)
-    return kernel.reshape(rows, step, columns, step).sum(axis=(0, 2), dtype=np.float64)
+    return np.asarray(kernel.reshape(rows, step, columns, step).sum(axis=(0, 2), dtype=np.float64))
 
 
 def _spread_out(values: Floats, at: Floats, level: Floats, step: int) -> Floats32:

@@ -15,7 +15,7 @@ from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
 from labkit.restoration.grid import SceneGrid
 from labkit.restoration.views import View, Views
-from labkit.types import Bools, Complexes64, Floats
+from labkit.types import AnyFloats, Bools, Complexes64, Floats
 
 Area = tuple[slice, slice]
 """Rows and columns of the photographs, pixels."""
@@ -55,9 +55,9 @@ class Photograph:
     """counts: (rows, columns) of all colours, black removed. used: neither clipped nor dead. light: relative illumination.
     motion: (2, 3), where what the first photograph shows at [row, column, 1] stands in this one, less [row, column], px."""
 
-    counts: Floats
+    counts: AnyFloats
     used: Bools
-    light: Floats
+    light: AnyFloats
     motion: Floats = field(default_factory=lambda: np.zeros((2, 3)))
 
 
@@ -127,7 +127,7 @@ class Job:
         frame = (area[0].stop - area[0].start, area[1].stop - area[1].start)
         grid = SceneGrid(frame, self.guard_px, self.pitch_um, self.samples, self.period)
         place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
-        found = []
+        found: list[View] = []
         for component, colour in enumerate(self.colours):
             transfer = transfer_on(grid, colour.optics, colour.waves_near(place))
             for photograph in self.photographs:

@@ -80,7 +80,9 @@ class Kriging:
         """What `apply` does, inverted, were all counts there and equally good."""
         typical = [float(np.median(v[u])) for v, u in zip(self.variance, self.used, strict=True)]
         blocks = np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(typical)
-        self.nearly = np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1))
+        self.nearly: Complexes = np.asarray(
+            np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1)), complex
+        )
 
     def stiffer(self, factor: float) -> Kriging:
         """The same of a penalty so many times as stiff; its `scene` is still that of this one."""

@@ -34,12 +34,12 @@ def registered(
     """
     places = places or [(row, column) for row in range(period) for column in range(period)]
     one, two = _grey(first, period, places), _grey(other, period, places)
-    begin = np.eye(2, 3, dtype=np.float32)
+    begin, whole = np.eye(2, 3, dtype=np.float32), np.ones(two.shape, np.uint8)
     shift, _ = cv2.phaseCorrelate(one, two, cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F))
     begin[:, 2] = shift
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_STEPS, ENOUGH)
     try:
-        _, warp = cv2.findTransformECC(one, two, begin, cv2.MOTION_TRANSLATION, criteria, None, SMOOTH_CELLS)
+        _, warp = cv2.findTransformECC(one, two, begin, cv2.MOTION_TRANSLATION, criteria, whole, SMOOTH_CELLS)
     except cv2.error:
         raise DataError("two photographs do not show the same scene: restore them apart") from None
     turned = np.asarray(warp, float)[::-1, [1, 0, 2]]  # rows before columns
@@ -130,13 +130,14 @@ def _middle(job: Job) -> Area:
 
 def _grey(photograph: Photograph, period: int, places: Sequence[tuple[int, int]]) -> Floats32:
     """Means over cells, gaps filled from around, on a scale of 0 to 1."""
-    total, share = 0.0, 0.0
+    rows, columns = (side // period for side in photograph.counts.shape)
+    total, share = np.zeros((rows, columns)), np.zeros((rows, columns))
     for row, column in places:
         plane = slice(row, None, period), slice(column, None, period)
         light = photograph.counts[plane] / np.maximum(photograph.light[plane], 1e-3)
         total = total + np.where(photograph.used[plane], light, 0.0)
         share = share + photograph.used[plane] / len(places)
-    cells, known = np.asarray(total) / len(places), np.asarray(share)
+    cells, known = total / len(places), share
     around = ndimage.gaussian_filter(cells, 2.0) / np.maximum(ndimage.gaussian_filter(known, 2.0), 1e-3)
     grey = np.where(known > 1 - 1e-9, cells, around)
     return np.asarray((grey - grey.min()) / max(np.ptp(grey), 1e-9), np.float32)

@@ -46,8 +46,8 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
     follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges leave
-    residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic, bends most, among strengths that
-    leave a tenth to ten times the noise.
+    residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic, bends most among strengths
+    that leave a tenth to ten times the noise.
     """
     trials = [_Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)

@@ -141,7 +141,7 @@ def _small_cells(job: Job) -> int:
 
 def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
     """Of a tile, with its views."""
-    start, restored = None, None
+    start, done = None, list[tuple[Views, Restored]]()
     for samples in dict.fromkeys((min(COARSE, job.samples), job.samples)):
         views = job.of_samples(samples).views(task.area)
         assert views is not None
@@ -150,9 +150,10 @@ def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
             held = Norm(1.0, np.zeros(len(job.colours)), 0.0)
             penalty = replace(penalty, strength=0.5 * task.stiffness, held=held)
         restored = restore(views, penalty, start)
+        done.append((views, restored))
         start = restored.finer(views.grid, job.samples) if samples < job.samples else None
-    assert restored is not None
-    exact = replace(penalty, held=None)
+    views, restored = done[-1]
+    exact = Roughness(views.grid, views.seen(), 1.0, job.coupling)
     norm = exact.norm(restored.scene, views.grid.spectrum(restored.scene))
     return views, replace(restored, norm=norm)
 

@@ -33,7 +33,6 @@ from labkit.restoring.photographs import (
     with_motion,
 )
 from labkit.results import Results, Wavefront
-from labkit.session.frame import Frame
 from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress
 
@@ -99,7 +98,7 @@ def restore_images(
     range_mm = wanted.range_mm
     if range_mm is None and not wanted.fit_defocus:
         range_mm = _only_range(results)
-    return _restore(shots, results, range_mm, out, wanted, None, say, progress)
+    return _restore(shots, results, range_mm, out, wanted, say, progress)
 
 
 def restore_session(
@@ -120,7 +119,7 @@ def restore_session(
     names = wanted.channels or results.channels
     calibration = calibrate(session.frames, results.plan)
     shots = [read_frame(frame, results.plan, calibration, names, wanted.crop) for frame in frames]
-    return _restore(shots, results, range_mm, out, wanted, frames, say, progress)
+    return _restore(shots, results, range_mm, out, wanted, say, progress)
 
 
 def _restore(
@@ -129,15 +128,13 @@ def _restore(
     range_mm: float | None,
     out: Path,
     wanted: Wanted,
-    frames: Sequence[Frame] | None,
     say: Say,
     progress: Progress,
 ) -> Restoration:
     began, notes = perf_counter(), list[str]()
-    names = _channels(shots[0], results, wanted)
-    colours = [_colour(shots[0], results, name, range_mm, wanted, names) for name in names]
-    colours = _with_lateral_colour(colours, results, range_mm)
-    job = _job(shots, colours, wanted, _origin(shots[0], wanted))
+    names, origin = _channels(shots[0], results, wanted), _origin(shots[0], wanted)
+    colours = [_colour(shots[0], results, name, range_mm, wanted) for name in names]
+    job = _job(shots, _with_lateral_colour(colours, results, range_mm), wanted, origin)
     if (clipped := max(shot.clipped for shot in shots)) > 0:
         notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
     if wanted.fit_defocus:
@@ -145,29 +142,30 @@ def _restore(
     overlap, tile = 2 * job.guard_px, _tile(job, wanted)
     say(_will_take(job, tile, overlap))
     white = shots[0].mosaic.white - float(np.mean(shots[0].mosaic.black))
+    std: Floats32 | None = None
     if wanted.method == "model":
         picture = restore_job(job, wanted.strength, tile, overlap, wanted.workers, progress)
         scene, std, more = picture.scene, picture.std, _about(picture)
         notes += _remarks(picture)
     else:
-        scene, std, more = baseline(job, wanted.method), None, {"lambda": None, "method": wanted.method}
-    row, column = _origin(shots[0], wanted)
-    about = {
-        "schema": 1,
-        "channels": names,
-        "spacing_um": job.pitch_um / job.samples,
-        "origin_px": [row, column],
-        **more,
-        "range_mm": range_mm,
-        "seconds": round(perf_counter() - began, 2),
-        "frames": len(shots),
-        "samples_per_px": job.samples,
-        "defocus_waves": {c.name: _defocus(c) for c in job.colours},
-        "white_counts": white,
-        "notes": notes,
-    }
+        scene, more = baseline(job, wanted.method), {"lambda": None, "method": wanted.method}
+    more |= {"seconds": round(perf_counter() - began, 2), "frames": len(shots), "white_counts": white, "notes": notes}
+    about = _where(job, names, origin, range_mm) | more
     output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
+
+
+def _where(job: Job, names: Sequence[str], origin: tuple[int, int], range_mm: float | None) -> dict[str, Any]:
+    """The contract's first part of restore.json."""
+    return {
+        "schema": 1,
+        "channels": list(names),
+        "spacing_um": job.pitch_um / job.samples,
+        "origin_px": list(origin),
+        "range_mm": range_mm,
+        "samples_per_px": job.samples,
+        "defocus_waves": {c.name: _defocus(c) for c in job.colours},
+    }
 
 
 def _about(picture: Picture) -> dict[str, Any]:
@@ -212,9 +210,7 @@ def _channels(shot: Shot, results: Results, wanted: Wanted) -> list[str]:
     return names
 
 
-def _colour(
-    shot: Shot, results: Results, name: str, range_mm: float | None, wanted: Wanted, names: Sequence[str]
-) -> Colour:
+def _colour(shot: Shot, results: Results, name: str, range_mm: float | None, wanted: Wanted) -> Colour:
     taken = name if name in results.channels else results.channels[0]
     wavefront = nearest(results, taken, range_mm)
     mono = shot.mosaic.pattern == ("M",)
