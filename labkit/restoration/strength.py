@@ -26,7 +26,7 @@ LEAST, MOST = (
 )  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
 EXACT, STRIDE = 0.02, 0.25  # decades
-SCORED = (-4.0, -3.0, -2.0, -1.0)  # decades at which a lens is scored
+SCORED = (-3.5, -3.0, -2.5, -2.0)  # decades at which a lens is scored: weaker ones follow any data
 BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
 

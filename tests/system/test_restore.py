@@ -155,7 +155,7 @@ REFUSED = {
     ),
     "a tile too large": (
         ["{wide}", "--psf", "{session}", "--memory", "0.05", "--samples", "3", "--tile", "640"],
-        "--tile 64 fits",
+        "--tile 96 fits",
     ),
     "inside the focal length": (["{image}", "--psf", "{session}", "--range", "30"], "more than the focal length"),
     "a folder that is no session": (["{folder}"], "labkit fit"),
