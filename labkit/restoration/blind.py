@@ -12,7 +12,7 @@ from labkit.restoration.strength import generalised_misfit
 from labkit.restoration.tiles import parts_of
 from labkit.types import Floats, Progress, no_progress
 
-SPAN_WAVES, STEPS = 1.6, 17  # of the first search, about best focus
+SPAN_WAVES, STEPS = 1.6, 17  # of the first search, from best focus on
 ROUNDS = 3  # of finer ones, each a quarter as wide
 
 
@@ -20,12 +20,13 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> Job:
     """The job with the defocus, Noll mode 4, under which it restores best by generalised cross-validation; those of all
     colours are moved alike. S. Reeves and R. Mersereau, IEEE Trans. Image Process. 1, 301 (1992).
 
-    The wavefront's other modes tell its sign, if they do. Raises ValueError where mode 4 is none of the modes.
+    Its sign is that of the session's own: a photograph hardly tells one from the other.
+    Raises ValueError where mode 4 is none of the modes.
     """
     if any(4 not in colour.optics.noll for colour in job.colours):
         raise ValueError("the session's wavefronts have no mode 4: their defocus cannot be fitted")
-    centre, half, done = 0.0, SPAN_WAVES, 0
     own = float(np.mean([colour.waves[colour.optics.noll.index(4)] for colour in job.colours]))
+    centre, half, done = float(np.copysign(SPAN_WAVES / 2, own)), SPAN_WAVES / 2, 0
     count = STEPS
     for _ in range(ROUNDS + 1):
         places = centre + np.linspace(-half, half, count)

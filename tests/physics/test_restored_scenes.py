@@ -51,7 +51,7 @@ def test_the_discrepancy_finds_nearly_the_best_strength(one: Picture) -> None:
 
 def test_tiles_are_one_picture(one: Picture) -> None:
     taken = job(exposed(world().mean()))
-    parts = restore_job(taken, one.strength, 24, 16)
+    parts = restore_job(taken, "discrepancy", 24, 16)
     assert parts.tiles == 4
     # in standard errors; 0.05 RMS measured
     apart = (parts.scene - one.scene) / one.std
