@@ -18,7 +18,7 @@ from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
-LEVELS = 9
+LEVELS = 6
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
 NEAR_CELLS = 1.0  # standard deviation, cells, of the neighbourhood whose counts a sample hangs on
 
