@@ -56,7 +56,8 @@ class Roughness:
         """Thesis (K.19), in two parts: half planes, and what is to be added to their scene."""
         norm = self.held or self.norm(scene, spectra)
         factor = np.float32(self.stiffness(norm))
-        rough: AnyComplexes = np.multiply(self._weighed(spectra), factor)
+        rough = self._weighed(spectra)
+        rough *= factor
         return rough, -factor * np.float32(norm.roughness) * self._coupled(self._apart(scene, norm.means))
 
     def curvature(
