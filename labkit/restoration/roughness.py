@@ -56,8 +56,7 @@ class Roughness:
         """Thesis (K.19), in two parts: half planes, and what is to be added to their scene."""
         norm = self.held or self.norm(scene, spectra)
         factor = np.float32(self.stiffness(norm))
-        rough = self._weighed(spectra)
-        rough *= factor
+        rough: AnyComplexes = np.asarray(self._weighed(spectra) * complex(factor), np.result_type(spectra))
         return rough, -factor * np.float32(norm.roughness) * self._coupled(self._apart(scene, norm.means))
 
     def curvature(
