@@ -10,6 +10,9 @@ from labkit.restoration.grid import SceneGrid
 from labkit.types import AnyComplexes, AnyFloats, Bools, Floats, Floats32
 
 
+ONE = np.float32(1)
+
+
 @dataclass(frozen=True, slots=True)
 class Norm:
     """A scene's, over what is seen of it. square: squares about the means, integrated over pixels; means: (components,);
@@ -56,8 +59,9 @@ class Roughness:
         """Thesis (K.19), in two parts: half planes, and what is to be added to their scene."""
         norm = self.held or self.norm(scene, spectra)
         factor = np.float32(self.stiffness(norm))
-        rough: AnyComplexes = np.asarray(self._weighed(spectra) * complex(factor), np.result_type(spectra))
-        return rough, -factor * np.float32(norm.roughness) * self._coupled(self._apart(scene, norm.means))
+        return self._weighed(spectra, factor), -factor * np.float32(norm.roughness) * self._coupled(
+            self._apart(scene, norm.means)
+        )
 
     def curvature(
         self, scene: AnyFloats, spectra: AnyComplexes, step: AnyFloats, step_spectra: AnyComplexes
@@ -100,11 +104,11 @@ class Roughness:
             return of_components * of_components.dtype.type(self.coupling[0, 0])
         return np.tensordot(self.coupling.astype(of_components.dtype), of_components, 1)
 
-    def _weighed(self, spectra: AnyComplexes) -> AnyComplexes:
-        """M Q f."""
+    def _weighed(self, spectra: AnyComplexes, factor: np.float32 = ONE) -> AnyComplexes:
+        """M Q f, times a factor."""
         coupled = np.tensordot(self.coupling.astype(np.float32), spectra, 1) if len(spectra) > 1 else spectra
         scale = np.float32(self.coupling[0, 0] if len(spectra) == 1 else 1.0)
-        return coupled * (scale * self.grid.squared_frequency)
+        return coupled * (factor * scale * self.grid.squared_frequency)
 
     def _rough(self, spectra: AnyComplexes) -> float:
         """f^T M Q f."""
