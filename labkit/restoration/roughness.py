@@ -9,7 +9,6 @@ import numpy as np
 from labkit.restoration.grid import SceneGrid
 from labkit.types import AnyComplexes, AnyFloats, Bools, Floats, Floats32
 
-
 ONE = np.float32(1)
 
 
@@ -72,7 +71,9 @@ class Roughness:
         rough = self._weighed(step_spectra)
         if self.held is not None:
             apart = self._apart(step, np.zeros(len(step)))
-            return np.float32(factor) * rough, np.float32(-factor * norm.roughness) * self._coupled(apart)
+            return self._weighed(step_spectra, np.float32(factor)), np.float32(
+                -factor * norm.roughness
+            ) * self._coupled(apart)
         here = self._coupled(self._apart(scene, norm.means))
         moved = self._coupled(self._apart(step, step[:, self.seen].mean(axis=1, dtype=np.float64)))
         square_by = 2 * self._area * float(np.sum(here * step, dtype=np.float64))  # the norm's square along the step
