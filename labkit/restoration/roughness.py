@@ -80,7 +80,7 @@ class Roughness:
         rough_by = 2 * self._area * float(np.sum(self.grid.share * np.real(np.conj(spectra) * rough), dtype=np.float64))
         share = np.float32(square_by / norm.square)
         by_norm = (2 * norm.roughness * square_by - rough_by) / norm.square
-        spectral = np.float32(factor) * (rough - share * self._weighed(spectra))
+        spectral = self._weighed(np.asarray(step_spectra - share * spectra), np.float32(factor))
         return spectral, np.float32(factor) * (np.float32(by_norm) * here - np.float32(norm.roughness) * moved)
 
     def stiffness(self, norm: Norm) -> float:
