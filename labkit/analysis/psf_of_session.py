@@ -13,6 +13,7 @@ from labkit.analysis.local_fits import optics_of
 from labkit.errors import DataError, RawError, SessionError
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.optics.lens import ThinLens
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
@@ -80,8 +81,17 @@ def camera_of(results: Results) -> str:
 
 
 def session_optics(results: Results, plan: Plan, channel: str) -> Optics:
-    """Light, sensor and lens of a channel as the session found them: the cone, and the parts of the camera as given."""
+    """Light, sensor and lens of a channel as the session found them: the cone, and the parts of the camera as given.
+
+    Defocus is the first of the modes.
+    """
     wavefront = session_wavefront(results, channel)
+    return replace(optics_behind(results, plan, wavefront), noll=_defocus_first(wavefront.noll))
+
+
+def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
+    """Light, sensor and lens that a plan's photographs see with through one of a session's wavefronts."""
+    channel = wavefront.channel
     optics = optics_of(plan, channel)
     given = {part.name: part for part in optics.given} | {part.name: part for part in _parts(results.model_parts)}
     spectrum = optics.spectrum
@@ -90,9 +100,9 @@ def session_optics(results: Results, plan: Plan, channel: str) -> Optics:
         spectrum = Spectrum.of_width((width.value / wavefront.wavelength_nm) ** 2)
     return replace(
         optics,
-        f_number=wavefront.f_number,
+        f_number=wavefront.f_number if math.isfinite(wavefront.f_number) else optics.f_number,
         reference_um=wavefront.reference_wavelength_nm * 1e-3,
-        noll=_defocus_first(wavefront.noll),
+        noll=wavefront.noll,
         spectrum=spectrum,
         parts=(),
         given=tuple(given.values()),
@@ -112,6 +122,17 @@ def session_wavefront(results: Results, channel: str) -> Wavefront:
     if not of:
         raise DataError(f"the session has no wavefront of channel {channel}: it has {', '.join(results.channels)}")
     return min(of, key=lambda w: (not w.accepted, float(np.trace(session_modes(w)[1]))))
+
+
+def lens_of(results: Results) -> tuple[ThinLens, float]:
+    """The lens that the results were made with, and what its true ranges are beyond the stated ones, mm."""
+    if results.lens is not None:
+        lens = results.lens
+        numbers = (lens.focal_length, lens.f_number, lens.pupil_magnification)
+        return ThinLens(*(number.value for number in numbers)), lens.range_zero.value
+    stated, focus = results.plan.lens, results.focus
+    magnification = focus.pupil_magnification.value if focus else 1.0
+    return ThinLens(stated.focal_length_mm, stated.f_number, magnification if magnification > 0 else 1.0), 0.0
 
 
 def session_modes(wavefront: Wavefront) -> tuple[Floats, Floats]:

@@ -45,12 +45,12 @@ class Camera:
         carpet = abs(np.linalg.det(affine)) * white_transform(order, along_y, along_x)
         carpet = carpet * np.exp(-2j * np.pi * (where[0] * rows + where[1] * columns))
         pixel = np.sinc(rows * self.oversampling) * np.sinc(columns * self.oversampling)
-        image = scipy.fft.irfft2(carpet * pixel * self._transfer(waves, noll), s=(fine, fine))
+        image = scipy.fft.irfft2(carpet * pixel * self.transfer(waves, noll), s=(fine, fine))
         first = (self.pixels - self.frame) // 2 * self.oversampling
         last = first + self.frame * self.oversampling
         return np.asarray(image[first : last : self.oversampling, first : last : self.oversampling])
 
-    def _transfer(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
+    def transfer(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
         """(fine, fine // 2 + 1) transfer function of the lens at the picture's frequencies."""
         fine = self.pixels * self.oversampling
         radius = PUPIL_FINER * self.pixels * self.pitch_um / (2 * self.wavelength_um * self.f_number)

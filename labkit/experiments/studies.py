@@ -11,5 +11,6 @@ STUDIES = {
     "targets": "targets",
     "extension": "extension",
     "edges": "edge_ranging",
+    "restoration": "restoration",
 }
 """Name of a study -> the module of this room that does it, by its function `run`."""

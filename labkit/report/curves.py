@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import j0, j1
 
+from labkit.analysis.psf_of_session import lens_of
 from labkit.optics.encircled_energy import EncircledEnergy, encircled_energy
 from labkit.optics.lens import defocus_waves
 from labkit.optics.mtf import Curve, Direction, mtf, pixel_mtf
@@ -22,7 +23,6 @@ from labkit.optics.through_focus import (
     strehl_through_focus,
 )
 from labkit.report.best_focus import DIRECTIONS, BestFocus, full_nyquist_per_mm
-from labkit.report.lens_table import lens_of
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

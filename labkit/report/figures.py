@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from labkit.analysis.psf_of_session import lens_of
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.best_focus import BestFocus, full_nyquist_per_mm
@@ -11,7 +12,7 @@ from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.camera_charts import spectrum_chart
 from labkit.report.curves import NEAREST, Curves
 from labkit.report.focus_charts import defocus_chart, energy_chart, residual_chart
-from labkit.report.lens_table import SOURCES, budget_name, lens_of
+from labkit.report.lens_table import SOURCES, budget_name
 from labkit.report.mtf_charts import mtf_chart
 from labkit.report.photographs import Photographs
 from labkit.report.plates import Panel, Plate, chip, drawing, picture

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite, sqrt
 
-from labkit.optics.lens import ThinLens
 from labkit.report.quantities import UNKNOWN, estimated, fixed
 from labkit.report.table import ERRORS, Column, Row, Table
 from labkit.results import Results
@@ -46,17 +45,6 @@ def lens_table(results: Results) -> Table | None:
     )
     columns = (Column("quantity", text=True), Column("", text=True), Column("measured"), Column("stated"))
     return Table(columns, rows, strong=2, channels=1)
-
-
-def lens_of(results: Results) -> tuple[ThinLens, float]:
-    """The lens that the results were made with, and what its true ranges are beyond the stated ones, mm."""
-    if results.lens is not None:
-        lens = results.lens
-        numbers = (lens.focal_length, lens.f_number, lens.pupil_magnification)
-        return ThinLens(*(number.value for number in numbers)), lens.range_zero.value
-    stated, focus = results.plan.lens, results.focus
-    magnification = focus.pupil_magnification.value if focus else 1.0
-    return ThinLens(stated.focal_length_mm, stated.f_number, magnification if magnification > 0 else 1.0), 0.0
 
 
 def working_f_number(results: Results, channel: str) -> Uncertain:

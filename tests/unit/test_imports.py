@@ -17,7 +17,7 @@ ROOMS = [
     ["execute"],
     ["optics"],
     ["imaging"],
-    ["inference"],
+    ["inference", "restoration"],
     ["raw"],
     ["session"],
     ["finder", "edges"],
@@ -26,6 +26,7 @@ ROOMS = [
     ["acquisition"],
     ["results"],
     ["analysis"],
+    ["restoring"],
     ["report"],
     ["fiducials"],
     ["experiments"],
@@ -101,7 +102,9 @@ def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    "path", modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges"), ids=name
+    "path",
+    modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"),
+    ids=name,
 )
 def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES] == []
@@ -157,6 +160,6 @@ def test_no_driver_reaches_a_simulator() -> None:
 
 
 def test_the_mathematics_reaches_no_session_and_no_device() -> None:
-    for path in modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges"):
+    for path in modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"):
         below = {"session", "raw", "devices", "acquisition", "drivers", "analysis", "report"}
         assert {m for m in reached(path) if room(m) in below} == set(), name(path)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labkit.analysis.psf_of_session import lens_of
 from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.focus_charts import defocus_chart
-from labkit.report.lens_table import budget_table, lens_of, lens_table, working_f_number
+from labkit.report.lens_table import budget_table, lens_table, working_f_number
 from labkit.results import Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import BUDGET, LENS, a_wavefront, some_results

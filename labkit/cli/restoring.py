@@ -1,0 +1,161 @@
+"""The command that restores photographs with a session's lens."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from labkit.cli.app import app
+from labkit.cli.sessions import Workers
+from labkit.console import Console
+from labkit.errors import DataError, SessionError
+
+if TYPE_CHECKING:
+    from labkit.restoration.job import Area
+    from labkit.restoring.restore import Wanted
+    from labkit.results import Results
+    from labkit.session.session import Session
+
+# What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
+
+METHODS = ("model", "richardson-lucy", "richardson-lucy-blind", "wiener", "total-variation")
+
+Photographs = Annotated[
+    list[Path], typer.Argument(metavar="IMAGE... | SESSION", help="raw files of one scene, or a session's folder")
+]
+Psf = Annotated[Path | None, typer.Option(metavar="SESSION", help="Whose lens took them.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where to; by default beside the photograph.")]
+ResultsName = Annotated[str, typer.Option("--name", metavar="NAME", help="Of the session's results.")]
+Range = Annotated[float | None, typer.Option("--range", metavar="MM", help="From which they were taken.")]
+Channels = Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this colour; again.")]
+Strength = Annotated[str, typer.Option("--lambda", metavar="L", help="A number, discrepancy, or l-curve.")]
+Samples = Annotated[int | None, typer.Option(min=1, max=32, metavar="N", help="To a pixel; by default Nyquist's.")]
+Crop = Annotated[str | None, typer.Option(metavar="R0,C0,R1,C1", help="Only these rows and columns.")]
+Tile = Annotated[int | None, typer.Option(min=32, metavar="PX", help="Side of a tile.")]
+Memory = Annotated[float | None, typer.Option(min=0.01, metavar="GB", help="To use at most; by default what is free.")]
+FitDefocus = Annotated[bool, typer.Option("--fit-defocus", help="Estimate the photograph's own defocus.")]
+Force = Annotated[bool, typer.Option("--force", help="Take the PSF though camera, aperture or colour is another.")]
+SixteenBit = Annotated[bool, typer.Option("--sixteen-bit", help="Write a linear 16-bit TIFF too.")]
+Method = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}.")]
+
+
+@app.command()
+def restore(
+    ctx: typer.Context,
+    photographs: Photographs,
+    psf: Psf = None,
+    out: Out = None,
+    name: ResultsName = "latest",
+    range_mm: Range = None,
+    channel: Channels = None,
+    strength: Strength = "discrepancy",
+    samples: Samples = None,
+    crop: Crop = None,
+    tile: Tile = None,
+    memory: Memory = None,
+    fit_defocus: FitDefocus = False,
+    force: Force = False,
+    sixteen_bit: SixteenBit = False,
+    method: Method = "model",
+    workers: Workers = None,
+) -> None:
+    """The scene behind photographs, with standard errors: by a session's lens."""
+    from labkit.restoring.restore import Wanted
+
+    if method not in METHODS:
+        raise DataError(f"--method {method}: allowed is {', '.join(METHODS)}")
+    wanted = Wanted(
+        strength=_strength(strength),
+        channels=tuple(channel or ()),
+        range_mm=range_mm,
+        samples=samples,
+        crop=_area(crop),
+        tile_px=tile,
+        memory_gb=memory,
+        fit_defocus=fit_defocus,
+        force=force,
+        method=method,  # type: ignore[arg-type]
+        sixteen_bit=sixteen_bit,
+        workers=workers or 1,
+    )
+    _restored(ctx.obj, photographs, psf, out, name, wanted)
+
+
+def _restored(
+    console: Console, photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted
+) -> None:
+    """Restore each range's photographs into a folder, and say so."""
+    from labkit.restoring.restore import restore_images, restore_session
+    from labkit.results import Results
+
+    if psf is None and not (len(photographs) == 1 and photographs[0].is_dir()):
+        raise DataError("whose lens took them? Give --psf SESSION, or a session's folder alone")
+    folder = photographs[0] if psf is None else psf
+    results, session = Results.load(folder, name), _session(folder, own=psf is None)
+    answers = []
+    for place, range_mm in _places(photographs, psf, out, name, wanted, results):
+        with console.progress("restoring") as report:
+            if psf is None:
+                assert session is not None
+                made = restore_session(session, results, range_mm, place, wanted, console.say, report)
+            else:
+                made = restore_images(photographs, results, session, place, wanted, console.say, report)
+        console.warn(*made.notes)
+        chosen = made.about["lambda"]
+        by = f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}" if chosen else str(wanted.method)
+        console.say(f"restored: {made.folder}, {by}, {made.about['seconds']:.0f} s")
+        answers.append({"folder": str(made.folder), **made.about})
+    console.answer(answers[0] if len(answers) == 1 else {"restored": answers})
+
+
+def _places(
+    photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted, results: Results
+) -> list[tuple[Path, float | None]]:
+    """Folders to write to, each with its range."""
+    if psf is not None:
+        return [(out or photographs[0].parent / f"{photographs[0].stem}-restored", wanted.range_mm)]
+    ranges = results.ranges_mm if wanted.range_mm is None else (wanted.range_mm,)
+    base = out or photographs[0] / "results" / name / "restored"
+    return [(base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges]
+
+
+def _session(folder: Path, own: bool) -> Session | None:
+    """The session in a folder; None where results alone lie there and its photographs are not needed."""
+    from labkit.session.session import Session
+
+    try:
+        return Session.open(folder)
+    except SessionError:
+        if own:
+            raise
+        return None
+
+
+def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:
+    """Raises DataError for what is neither a number above 0 nor a way to choose one."""
+    if given == "discrepancy":
+        return "discrepancy"
+    if given == "l-curve":
+        return "l-curve"
+    try:
+        value = float(given)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e30:
+        raise DataError(f"--lambda {given}: a number above 0, discrepancy, or l-curve")
+    return value
+
+
+def _area(crop: str | None) -> Area | None:
+    """Raises DataError for what is not four whole numbers."""
+    if crop is None:
+        return None
+    if not re.fullmatch(r"\d{1,6}(,\d{1,6}){3}", crop):
+        raise DataError(
+            f"--crop {crop}: give first row, first column, row and column after the last, such as 0,0,256,256"
+        )
+    r0, c0, r1, c1 = map(int, crop.split(","))
+    return slice(r0, r1), slice(c0, c1)

@@ -1,0 +1,205 @@
+"""Scenes restored from one colour of a D7000's frames, defocused as at 3.2 m, beside other methods: thesis Figure 4.31."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labkit.errors import InputError
+from labkit.experiments.camera import Camera
+from labkit.experiments.picture_camera import PictureCamera
+from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
+from labkit.imaging.model import Optics
+from labkit.report.style import panels
+from labkit.restoration.baselines import METHODS, interpolated, psf_of
+from labkit.restoration.job import Colour, Job, Photograph
+from labkit.restoration.registration import refined, registered
+from labkit.restoration.tiles import restore_job
+from labkit.types import Floats
+
+PICTURES = ("camera", "coins", "brick", "grass", "moon", "page")  # scikit-image's, which lie on the disk with it
+WAVELENGTH_UM, REFERENCE_UM, F_NUMBER, PITCH_UM = 0.65, 0.45, 2.868, 4.78  # the cone at the sensor, focused at 3 m
+NOLL = tuple(range(4, 16))
+WAVES = np.array([1.068, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020])
+GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
+FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
+INSIDE_PX = 8  # from the border, where the frame's end no longer counts
+FRAMES = 4
+GRANTED = {"richardson-lucy": (25, 50, 100, 200, 400), "richardson-lucy-blind": (2, 4, 8)} | {
+    "wiener": (1e-5, 1e-4, 1e-3, 1e-2, 1e-1),
+    "total-variation": (5e-4,),
+}
+"""Settings of the others, of which each scene's best is taken by its truth; ours are not chosen so."""
+OURS, DEFOCUS_ONLY, SEVERAL, BLURRED = "full PSF", "defocus alone", "four frames", "interpolated"
+
+
+@dataclass(frozen=True)
+class Task:
+    picture: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """restored: relative radiance by method; seconds: of each; covered: share of truth within 1 and 2 errors of ours."""
+
+    truth: Floats
+    data: Floats
+    restored: dict[str, Floats]
+    seconds: dict[str, float]
+    covered: tuple[float, float]
+
+    def rmse(self, method: str, inside: bool = False) -> float:
+        """Relative to white, over the frame or what is inside it."""
+        apart = self.restored[method] - self.truth
+        border = INSIDE_PX * SAMPLES
+        return float(np.sqrt(np.mean((apart[border:-border, border:-border] if inside else apart) ** 2)))
+
+    def ssim(self, method: str) -> float:
+        """Structural similarity, of white's range."""
+        similarity = _skimage("metrics").structural_similarity
+        return float(similarity(self.truth, self.restored[method], data_range=1.0))
+
+
+def scene(name: str) -> Floats:
+    """(n, n) radiance 0..1 of a picture's middle, mirrored where it is too small. Raises InputError without scikit-image."""
+    whole = (np.asarray(getattr(_skimage("data"), name)(), dtype=np.float64) / 255) ** 2.2
+    side = SQUARES * TORUS
+    missing = [max(side - n, 0) for n in whole.shape]
+    whole = np.pad(whole, [(m // 2, m - m // 2) for m in missing], mode="reflect")
+    top, left = ((n - side) // 2 for n in whole.shape)
+    return np.asarray(whole[top : top + side, left : left + side])
+
+
+def job_of(frames: list[Floats], waves: Floats = WAVES) -> Job:
+    """Red's plane of frames, as the estimator knows the camera; where they stand is registered."""
+    optics = Optics(
+        wavelength_um=WAVELENGTH_UM,
+        reference_um=REFERENCE_UM,
+        f_number=F_NUMBER,
+        pitch_um=PITCH_UM,
+        active_um=PITCH_UM,
+        noll=NOLL,
+    )
+    colour = Colour("R", ((0, 0),), optics, waves, GAIN, READ_NOISE**2)
+    red = np.zeros(frames[0].shape, bool)
+    red[::2, ::2] = True
+    shots = [Photograph(counts, red, np.ones(counts.shape)) for counts in frames]
+    shots = [shots[0], *(replace(shot, motion=registered(shots[0], shot, 2, ((0, 0),))) for shot in shots[1:])]
+    return refined(Job(tuple(shots), (colour,), 2, SAMPLES, GUARD, np.eye(1)))
+
+
+def work(task: Task) -> Answer:
+    """Photograph one scene, and restore it in every way."""
+    seed = PICTURES.index(task.picture)
+    rng = np.random.default_rng(seed)
+    camera = Camera(WAVELENGTH_UM, F_NUMBER, PITCH_UM, TORUS, FRAME, 8)
+    world = PictureCamera(scene(task.picture), SQUARES, camera, WAVES * REFERENCE_UM / WAVELENGTH_UM, NOLL)
+    shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
+    frames = [_exposed(WHITE * world.mean((down, right)), rng) for down, right in shifts]
+    truth, one = world.truth(SAMPLES), job_of(frames[:1])
+    restored, seconds = {BLURRED: interpolated(one, 0) / WHITE}, {BLURRED: 0.0}
+    for name in GRANTED:
+        began = perf_counter()
+        restored[name] = _best(name, one, truth)
+        seconds[name] = perf_counter() - began
+    alone = np.where(np.array(NOLL) == 4, WAVES, 0.0)
+    for name, job in ((DEFOCUS_ONLY, job_of(frames[:1], alone)), (OURS, one), (SEVERAL, job_of(frames))):
+        began = perf_counter()
+        found = restore_job(job, "discrepancy", FRAME, 0)
+        restored[name], seconds[name] = found.scene[0] / WHITE, perf_counter() - began
+        if name == OURS:
+            apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)
+            covered = (float(np.mean(apart < 1)), float(np.mean(apart < 2)))
+    return Answer(truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered)
+
+
+def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
+    """Counts above black, rounded."""
+    return np.rint(GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape))
+
+
+def _best(name: str, job: Job, truth: Floats) -> Floats:
+    """Another method's scene with the setting that suits the truth best; no further ones are tried once they get worse."""
+    blurred, psf = interpolated(job, 0) / WHITE, psf_of(job, 0)
+    reach, best, least = GUARD * SAMPLES, blurred, np.inf
+    wide, method = np.pad(blurred, reach, mode="reflect"), METHODS[name]
+    for setting in GRANTED[name]:
+        found = method(wide, psf, setting)[reach:-reach, reach:-reach]
+        error = float(np.mean((found - truth) ** 2))
+        if error > least and name.startswith("richardson"):
+            break
+        if error < least:
+            best, least = found, error
+    return best
+
+
+def run(setting: Setting) -> Outcome:
+    """RMSE, PSNR and SSIM of every method on every scene."""
+    tasks = [Task(name) for name in (PICTURES[:1] if setting.quick else PICTURES)]
+    answers = all_answers(setting, work, tasks, lambda task: task.picture)
+    rows = [
+        {
+            "picture": task.picture,
+            "method": name,
+            "rmse": answer.rmse(name),
+            "rmse_inside": answer.rmse(name, inside=True),
+            "psnr_db": -20 * np.log10(answer.rmse(name)),
+            "ssim": answer.ssim(name),
+            "seconds": answer.seconds[name],
+            "within_1_std": answer.covered[0] if name == OURS else None,
+            "within_2_std": answer.covered[1] if name == OURS else None,
+        }
+        for task, answer in zip(tasks, answers, strict=True)
+        for name in answer.restored
+    ]
+    return Outcome(_claims(rows, len(tasks)), rows, partial(_draw, answers[0]))
+
+
+def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
+    """The thesis gives its figure's RMSE of its own target; the order of the methods is to be compared."""
+
+    def mean(method: str, key: str) -> float:
+        return float(np.mean([row[key] for row in rows if row["method"] == method]))
+
+    def below(method: str, other: str, key: str) -> float:
+        return 100 * (1 - mean(method, key) / mean(other, key))
+
+    claims = []
+    for name in dict.fromkeys(row["method"] for row in rows):
+        claims.append(Claim(f"RMSE, {name}", None, 100 * mean(name, "rmse"), "% of white", n))
+        claims.append(Claim(f"PSNR, {name}", None, mean(name, "psnr_db"), "dB", n))
+        claims.append(Claim(f"SSIM, {name}", None, mean(name, "ssim"), "", n))
+    for key, where in (("rmse", "whole frame"), ("rmse_inside", f"{INSIDE_PX} pixels off its border")):
+        for method, other in ((OURS, "richardson-lucy"), (SEVERAL, OURS), (OURS, DEFOCUS_ONLY)):
+            claims.append(Claim(f"{method} below {other}, {where}", None, below(method, other, key), "%", n))
+    for k, key in ((1, "within_1_std"), (2, "within_2_std")):
+        claims.append(Claim(f"truth within {k} standard errors, {OURS}", None, 100 * mean(OURS, key), "%", n))
+    return claims
+
+
+def _draw(answer: Answer) -> Figure:
+    figure, axes = panels(8, 4, 2.6)
+    order = (BLURRED, "richardson-lucy-blind", "richardson-lucy", "total-variation", DEFOCUS_ONLY, OURS, SEVERAL)
+    shown = {"truth": answer.truth} | {name: answer.restored[name] for name in order}
+    shape: Callable[[Floats], Floats] = lambda image: image.clip(0, 1) ** (1 / 2.2)  # noqa: E731
+    for axis, (name, image) in zip(axes, shown.items(), strict=False):
+        axis.imshow(shape(image), cmap="gray", vmin=0, vmax=1)
+        axis.set_axis_off()
+        if name in answer.restored:
+            name += f"\nRMSE {100 * answer.rmse(name):.1f} %, SSIM {answer.ssim(name):.2f}"
+        axis.set_title(name, fontsize=7)
+    return figure
+
+
+def _skimage(part: str) -> Any:
+    try:
+        import skimage
+    except ImportError as error:
+        raise InputError("the study of restorations needs scikit-image: pip install 'labkit[study]'") from error
+    return getattr(skimage, part)

@@ -1,0 +1,1 @@
+"""Scenes restored from aliased mosaics: arrays in, arrays out (thesis §4.5.3, Appendix K)."""

@@ -1,0 +1,146 @@
+"""Scenes by the data's own equations: as many as there are counts, on the mosaic's grid, whatever the scene's.
+
+A penalty K, quadratic, and weights W make the normal equations (K + H^T W H) f = H^T W d. By Woodbury's formula they are
+solved by (W^-1 + H K^-1 H^T) u = d - H f0: K^-1 is diagonal in frequency and H K^-1 H^T a few convolutions from plane to
+plane of the mosaic, so that a step costs no transform of the fine grid. Masked counts are left out, not weighed by 0. It is
+kriging, with the penalty as the scene's covariance (G. Wahba, Spline models for observational data, SIAM 1990, ch. 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.fft
+
+from labkit.restoration.grid import SceneGrid
+from labkit.restoration.views import Views
+from labkit.types import AnyComplexes, Complexes, Floats, Floats32
+
+TOLERANCE, MOST_STEPS = 1e-3, 400  # of conjugate gradients
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffness:
+    """A quadratic penalty, half of f^T (rough M Q + pull) f, diagonal in frequency.
+
+    coupling: M, (components, components). rough: what w^2, (radians a pixel)^2, is multiplied by; pull: to where the
+    scene is, so that nothing is without a penalty. Raises ValueError unless both are above 0.
+    """
+
+    grid: SceneGrid
+    coupling: Floats
+    rough: float
+    pull: float
+    turn: Floats = field(init=False, repr=False)
+    give: Floats = field(init=False, repr=False)
+    _give: Floats32 = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not (self.rough > 0 and self.pull > 0):
+            raise ValueError(f"rough {self.rough:g}, pull {self.pull:g}: numbers above 0 are needed")
+        weights, turn = np.linalg.eigh(self.coupling)
+        squared = self.grid.squared_frequency.astype(np.float64)
+        give = np.array([1 / (self.rough * weight * squared + self.pull) for weight in weights])
+        object.__setattr__(self, "turn", turn)
+        object.__setattr__(self, "give", give)
+        object.__setattr__(self, "_give", give.astype(np.float32))
+
+    def inverse(self, spectra: AnyComplexes) -> AnyComplexes:
+        """K^-1 of half planes (components, half, columns)."""
+        if len(spectra) == 1:
+            return self._give * spectra
+        own = np.tensordot(self.turn.T.astype(np.float32), spectra, 1)
+        own *= self._give
+        return np.tensordot(self.turn.astype(np.float32), own, 1)
+
+    def between(self, one: int, other: int) -> Floats:
+        """Half plane by which light in one colour moves the scene in another."""
+        return np.asarray(np.tensordot(self.turn[one] * self.turn[other], self.give, 1))
+
+
+class Kriging:
+    """The scene of a quadratic penalty, given data with noise: `weights` (rows, columns) of each view's, 0 where not used."""
+
+    def __init__(self, views: Views, stiffness: Stiffness, weights: Sequence[Floats]) -> None:
+        self.views, self.stiffness, self.grid = views, stiffness, views.grid
+        self.light = np.array([view.light for view in views])
+        self._between = self._kernels()
+        self.weigh(weights)
+
+    def weigh(self, weights: Sequence[Floats]) -> None:
+        """Take other weights."""
+        self.used = np.array(weights) > 0
+        self.variance = 1 / np.where(self.used, weights, 1.0)
+        self._invert()
+
+    def _invert(self) -> None:
+        """What `apply` does, inverted, were all counts there and equally good."""
+        typical = [float(np.median(v[u])) for v, u in zip(self.variance, self.used, strict=True)]
+        blocks = np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(typical)
+        self.nearly: Complexes = np.asarray(
+            np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1)), complex
+        )
+
+    def stiffer(self, factor: float) -> Kriging:
+        """The same of a penalty so many times as stiff; its `scene` is still that of this one."""
+        other = copy(self)
+        other._between = self._between / factor
+        other._invert()
+        return other
+
+    def solve(self, data: Floats, start: Floats | None = None, tolerance: float = TOLERANCE) -> Floats:
+        """(views, rows, columns) u of (W^-1 + H K^-1 H^T) u = data at used counts, 0 elsewhere; conjugate gradients."""
+        solution = np.zeros_like(data) if start is None else start.copy()
+        wanted = np.where(self.used, data, 0.0)
+        rest = wanted if start is None else wanted - self.apply(solution)
+        enough = tolerance**2 * float(np.sum(wanted * wanted))
+        near = self._nearly(rest)
+        direction, product = near, float(np.sum(rest * near))
+        for _ in range(MOST_STEPS):
+            if not (product > 0 and np.sum(rest * rest) > enough):
+                break
+            image = self.apply(direction)
+            length = product / float(np.sum(direction * image))
+            solution += length * direction
+            rest = rest - length * image
+            near = self._nearly(rest)
+            before, product = product, float(np.sum(rest * near))
+            direction = near + product / before * direction
+        return solution
+
+    def apply(self, planes: Floats) -> Floats:
+        """(W^-1 + H K^-1 H^T) of planes (views, rows, columns)."""
+        return np.where(self.used, self.variance * planes, 0.0) + self.data_part(planes)
+
+    def data_part(self, planes: Floats) -> Floats:
+        """H K^-1 H^T of planes, at used counts."""
+        return np.where(self.used, self.light * self._convolved(self._between, self.light * planes), 0.0)
+
+    def scene(self, planes: Floats) -> AnyComplexes:
+        """Half planes of K^-1 H^T u."""
+        return self.stiffness.inverse(self.views.spread(list(planes)))
+
+    def _kernels(self) -> Complexes:
+        """(views, views, rows, columns // 2 + 1) DFT of how light in one plane moves the other, on the torus of cells."""
+        count, (rows, columns) = len(self.views), self.grid.cells.pixels
+        between = np.zeros((count, count, rows, columns // 2 + 1), complex)
+        for i, one in enumerate(self.views):
+            for j, other in enumerate(self.views.views[: i + 1]):
+                give = self.stiffness.between(one.component, other.component)
+                between[j, i] = self.grid.kernel(give * np.conj(one.transfer) * other.transfer)
+                between[i, j] = np.conj(between[j, i])
+        return between
+
+    def _nearly(self, planes: Floats) -> Floats:
+        """The inverse of what `apply` does, were all counts there and equally good."""
+        return np.where(self.used, self._convolved(self.nearly, planes), 0.0)
+
+    def _convolved(self, kernels: Complexes, planes: Floats) -> Floats:
+        cells = np.zeros((len(planes), *self.grid.cells.pixels))
+        cells[:, *self.grid.at_frame] = planes
+        spectra = scipy.fft.rfft2(cells)
+        mixed = kernels[0] * spectra if len(planes) == 1 else np.einsum("ijrc,jrc->irc", kernels, spectra)
+        return np.asarray(scipy.fft.irfft2(mixed, s=self.grid.cells.pixels)[:, *self.grid.at_frame])

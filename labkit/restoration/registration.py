@@ -1,0 +1,143 @@
+"""Where photographs of one scene stand beside one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from labkit.errors import DataError
+from labkit.restoration.job import Area, Job, Photograph
+from labkit.restoration.kriging import Kriging, Stiffness
+from labkit.restoration.views import Views
+from labkit.types import AnyComplexes, Floats, Floats32
+
+MOST_STEPS, ENOUGH = 200, 1e-7  # of the search
+SMOOTH_CELLS = 5  # width of the filter that noise and aliases are taken off by
+COARSE, MIDDLE_PX = 4, 192  # samples a pixel, and pixels, that motions are estimated with
+SOFT, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
+USUAL_TURN = 2e-4  # of frames taken one after the other, standard deviation
+MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that turn or grow by more, a pixel in fifty
+
+
+def registered(
+    first: Photograph, other: Photograph, period: int, places: Sequence[tuple[int, int]] | None = None
+) -> Floats:
+    """(2, 3) motion of a photograph beside the first, as `Photograph.motion` has it: a shift, by correlation of grey cells.
+
+    places: of the cell's pixels that are looked at, all by default. It is right to some tenths of a pixel, since cells alias:
+    `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where
+    they do not show the same.
+    """
+    places = places or [(row, column) for row in range(period) for column in range(period)]
+    one, two = _grey(first, period, places), _grey(other, period, places)
+    begin, whole = np.eye(2, 3, dtype=np.float32), np.ones(two.shape, np.uint8)
+    shift, _ = cv2.phaseCorrelate(one, two, cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F))
+    begin[:, 2] = shift
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_STEPS, ENOUGH)
+    try:
+        _, warp = cv2.findTransformECC(one, two, begin, cv2.MOTION_TRANSLATION, criteria, whole, SMOOTH_CELLS)
+    except cv2.error:
+        raise DataError("two photographs do not show the same scene: restore them apart") from None
+    turned = np.asarray(warp, float)[::-1, [1, 0, 2]]  # rows before columns
+    motion = turned - np.eye(2, 3)
+    return np.asarray(motion * period)
+
+
+def refined(job: Job) -> Job:
+    """The job with the motions under which the first photograph, restored, predicts the others best, and then all of them.
+
+    Gauss-Newton steps of six numbers a photograph; what of the scene is not known passes for noise. Raises DataError for one
+    that is turned or grown against the first by more than tiles can follow.
+    """
+    if len(job.photographs) == 1:
+        return job
+    area = _middle(job)
+    coarse = job.of_samples(min(COARSE, job.nyquist_samples))
+    for known in (1, 1, *2 * [len(job.photographs)]):
+        views = replace(coarse, photographs=coarse.photographs[:known]).views(area)
+        if views is None:
+            return job
+        scene = _scene(views, coarse)
+        moved = [replace(p, motion=p.motion + _step(coarse, p, area, scene)) for p in coarse.photographs[1:]]
+        coarse = replace(coarse, photographs=(coarse.photographs[0], *moved))
+    for photograph in coarse.photographs:
+        if (turn := float(np.abs(photograph.motion[:, :2]).max())) > MOST_TURN:
+            raise DataError(
+                f"one photograph is turned or grown against the first by {turn:.2g}; at most {MOST_TURN:g}: restore them apart"
+            )
+    return coarse.of_samples(job.samples)
+
+
+def _scene(views: Views, job: Job) -> AnyComplexes:
+    """Half planes of the scene without the bound, under a penalty about as strong as a choice would make it."""
+    levels = np.array(
+        [
+            np.mean([v.counts[v.used].mean() / v.light[v.used].mean() for v in views if v.component == c])
+            for c in range(views.components)
+        ]
+    )
+    means = [view.light * levels[view.component] for view in views]
+    weights = views.weights(means)
+    density = sum(float(w.mean()) for w in weights) / len(job.photographs) / job.period**2
+    rough = SOFT * density / (np.pi / 2) ** 2 / job.samples**2
+    kriging = Kriging(views, Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2), weights)
+    apart = np.array([view.counts - mean for view, mean in zip(views, means, strict=True)])
+    spectra = kriging.scene(kriging.solve(apart))
+    spectra[:, 0, 0] += (levels * views.grid.shape[0] * views.grid.shape[1]).astype(np.float32)
+    return spectra
+
+
+def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> Floats:
+    """(2, 3) by which a photograph's motion is to be changed."""
+    views = replace(job, photographs=(photograph,)).views(area)
+    if views is None:
+        return np.zeros((2, 3))
+    grid, half = views.grid, max(views.grid.frame) / 2
+    centre = np.array([(part.start + part.stop - 1) / 2 for part in area])
+    normal = np.diag(np.tile([1.0, 1.0, 0.0], 2) / (half * USUAL_TURN) ** 2)
+    right = -normal @ (half * photograph.motion).ravel()
+    for view, mean in zip(views, views.means(scene), strict=True):
+        slopes = [
+            view.light * grid.sample((-2j * np.pi * w).astype(np.complex64) * scene[view.component] * view.transfer)
+            for w in grid.frequencies
+        ]
+        rows, columns = (
+            (np.arange(n) * grid.period + p + part.start - c) / half
+            for n, p, part, c in zip(view.counts.shape, view.place, area, centre, strict=True)
+        )
+        places = [rows[:, None] + 0 * columns, columns[None, :] + 0 * rows[:, None], np.ones(view.counts.shape)]
+        design = np.array([slope * place for slope in slopes for place in places])
+        apart, near = view.counts - mean, view.used
+        weight = np.where(near, 1 / (view.variance(mean) + float(np.mean(apart[near] ** 2))), 0.0)
+        normal += np.einsum("irc,jrc,rc->ij", design, design, weight)
+        right += np.einsum("irc,rc,rc->i", design, apart, weight)
+    change = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), right).reshape(2, 3)
+    change[:, :2] /= half
+    change[:, 2] -= change[:, :2] @ centre
+    return np.asarray(change)
+
+
+def _middle(job: Job) -> Area:
+    """Of the photographs, in whole cells, as much as serves."""
+    sides = [min(side, MIDDLE_PX) // job.period * job.period for side in job.shape]
+    rows, columns = ((side - part) // 2 // job.period * job.period for side, part in zip(job.shape, sides, strict=True))
+    return slice(rows, rows + sides[0]), slice(columns, columns + sides[1])
+
+
+def _grey(photograph: Photograph, period: int, places: Sequence[tuple[int, int]]) -> Floats32:
+    """Means over cells, gaps filled from around, on a scale of 0 to 1."""
+    rows, columns = (side // period for side in photograph.counts.shape)
+    total, share = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for row, column in places:
+        plane = slice(row, None, period), slice(column, None, period)
+        light = photograph.counts[plane] / np.maximum(photograph.light[plane], 1e-3)
+        total = total + np.where(photograph.used[plane], light, 0.0)
+        share = share + photograph.used[plane] / len(places)
+    cells, known = total / len(places), share
+    around = ndimage.gaussian_filter(cells, 2.0) / np.maximum(ndimage.gaussian_filter(known, 2.0), 1e-3)
+    grey = np.where(known > 1 - 1e-9, cells, around)
+    return np.asarray((grey - grey.min()) / max(np.ptp(grey), 1e-9), np.float32)

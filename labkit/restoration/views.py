@@ -1,0 +1,116 @@
+"""From a scene to the counts of a mosaic's planes, the likelihood of those, and its derivatives (thesis 3.2, 3.5, 4.41)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.restoration.grid import SceneGrid
+from labkit.types import AnyComplexes, Bools, Complexes64, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One plane of a mosaic: what the scene looks like through one colour's lens, at one place of the filter array's cell.
+
+    component: which of the scene's colours it shows. place: (row, column) in the cell. transfer: half plane, of lens, pixel and
+    shift, the place's own included: `SceneGrid.shifted`. counts: (rows, columns) of cells, black removed; used: of those that
+    are neither clipped nor dead. light: relative illumination, by which the scene's light is multiplied. gain: counts an
+    electron; read_variance: counts squared, of what does not depend on the light.
+    Raises ValueError for noise that is none and a plane without a used pixel.
+    """
+
+    component: int
+    place: tuple[int, int]
+    transfer: Complexes64
+    counts: Floats
+    used: Bools
+    light: Floats
+    gain: float
+    read_variance: float
+
+    def __post_init__(self) -> None:
+        if not (self.gain > 0 and self.read_variance > 0):
+            raise ValueError(f"gain {self.gain:g}, read variance {self.read_variance:g}: numbers above 0 are needed")
+        if not self.used.any():
+            raise ValueError("a plane without a usable pixel")
+
+    def variance(self, mean: Floats) -> Floats:
+        """Of counts about a mean, (rows, columns). Thesis (3.2): what is below 0, as a PSF's rings may be, makes no noise."""
+        return np.asarray(self.gain * np.maximum(mean, 0) + self.read_variance)
+
+    def misfit(self, mean: Floats) -> float:
+        """Minus the log-likelihood of the counts, but for a constant. Thesis (3.5)."""
+        variance = self.variance(mean)[self.used]
+        return float(0.5 * np.sum((self.counts - mean)[self.used] ** 2 / variance + np.log(variance)))
+
+    def slope(self, mean: Floats) -> Floats:
+        """Its derivative by the mean, (rows, columns), 0 where not used. Thesis (3.9)."""
+        variance, error = self.variance(mean), self.counts - mean
+        by_variance = np.where(mean > 0, self.gain, 0.0)
+        slope = -error / variance + 0.5 * by_variance * (1 / variance - (error / variance) ** 2)
+        return np.where(self.used, slope, 0.0)
+
+    def weight(self, mean: Floats) -> Floats:
+        """What its second derivative is on average, (rows, columns), 0 where not used. Thesis (3.15)."""
+        variance = self.variance(mean)
+        by_variance = np.where(mean > 0, self.gain, 0.0)
+        return np.where(self.used, 1 / variance + 0.5 * (by_variance / variance) ** 2, 0.0)
+
+    def chi2(self, mean: Floats) -> float:
+        """Squared deviations of the used counts, each over its variance, summed."""
+        return float(np.sum(((self.counts - mean) ** 2 / self.variance(mean))[self.used]))
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """All planes that show one scene, of all colours and frames. components: the scene's colours."""
+
+    grid: SceneGrid
+    views: tuple[View, ...]
+    components: int = 1
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __iter__(self) -> Iterator[View]:
+        return iter(self.views)
+
+    @property
+    def data(self) -> int:
+        """Counts that are used."""
+        return int(sum(view.used.sum() for view in self.views))
+
+    def seen(self) -> Bools:
+        """(rows, columns) fine samples of the frame where there are data."""
+        return self.grid.seen([(view.place, view.used) for view in self.views])
+
+    def means(self, spectra: AnyComplexes) -> list[Floats]:
+        """Each plane's mean. spectra: (components, half, columns) of the scene."""
+        return [v.light * self.grid.sample(spectra[v.component] * v.transfer) for v in self.views]
+
+    def spread(self, planes: Sequence[Floats]) -> AnyComplexes:
+        """`means`'s transpose: (components, half, columns)."""
+        rows, columns = self.grid.shape
+        total = np.zeros((self.components, rows // 2 + 1, columns), np.complex64)
+        for view, plane in zip(self.views, planes, strict=True):
+            total[view.component] += self.grid.spread(view.light * plane, view.transfer)
+        return total
+
+    def misfit(self, means: Sequence[Floats]) -> float:
+        """Minus the log-likelihood of all counts."""
+        return sum(view.misfit(mean) for view, mean in zip(self.views, means, strict=True))
+
+    def slopes(self, means: Sequence[Floats]) -> list[Floats]:
+        """Its derivatives by the means."""
+        return [view.slope(mean) for view, mean in zip(self.views, means, strict=True)]
+
+    def weights(self, means: Sequence[Floats]) -> list[Floats]:
+        """Its second derivatives, on average."""
+        return [view.weight(mean) for view, mean in zip(self.views, means, strict=True)]
+
+    def chi2_per_pixel(self, means: Sequence[Floats]) -> float:
+        """Of all used counts."""
+        return sum(view.chi2(mean) for view, mean in zip(self.views, means, strict=True)) / self.data

@@ -1,0 +1,1 @@
+"""Photographs restored with a session's lens: from files to files."""
