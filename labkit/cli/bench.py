@@ -210,7 +210,7 @@ def capture(
     console: Console = ctx.obj
     wanted = Plan.load(plan)
     if not resume:
-        refuse_existing(session)
+        refuse_existing(session, "--resume")
     with ExitStack() as stack:
         begun = resume and (session / JOURNAL).exists()
         if begun and not missing(opened := stack.enter_context(begin(plan, session, resume))):

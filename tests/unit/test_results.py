@@ -219,8 +219,15 @@ def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
     results = some_results(wavefronts=(a_wavefront(3000.0, "R", -0.3, test=rejected), a_wavefront(None)))
     _, first, second = results.wavefront_rows()
     # sqrt(0.3^2 + 0.03^2 + 0.04^2)
-    assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041", "1.018", "REJECTED"]
+    assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041 ± 0.0011", "1.018", "REJECTED"]
     assert second[:2] == ["", "R"]
+
+
+def test_a_row_has_as_many_digits_as_its_error() -> None:
+    small = a_wavefront(covariance=np.diag([1.21e-10, 1e-10, 1e-10]))  # standard errors of 1.1e-5 and 1e-5
+    (_, row) = some_results(wavefronts=(small,)).wavefront_rows()
+    assert row[2].endswith("± 0.000011")
+    assert "± 0.0000 " not in " ".join([*row, ""])
 
 
 def test_a_magnification_that_is_not_determined_is_marked() -> None:
