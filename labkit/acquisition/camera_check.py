@@ -17,7 +17,7 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import pixel_noise
+from labkit.raw.frame_quality import exposure_problem, pixel_noise
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.target import open_target
 from labkit.types import Counts
@@ -104,30 +104,42 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    blur, words = None, "not looked for: give a plan that describes it"
-    try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
-        if alone.planned:
-            target = open_target(alone.plan.target)
-            blur, words = blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
-    except TargetError as error:
-        words = str(error)
+    light = exposure_problem(mosaic, "target", _names(mosaic))
+    dark = light is not None and light.startswith("is black")
+    if dark:
+        light = f"{light}: is the cap on the lens, the target dark, the exposure too short?"
+    blur, words = (None, "not looked for: there is no light") if dark else _blur_on_target(mosaic, alone)
     return FrameReport(
         exposure_s=frame.exposure_s,
         iso=frame.iso or mosaic.iso or 0,
         pixels=(mosaic.counts.shape[0], mosaic.counts.shape[1]),
         colours=tuple(_colours(mosaic)),
-        edge_px=sharpest_edge_px(mosaic),
+        edge_px=None if dark else sharpest_edge_px(mosaic),
         blur_px=blur,
         target=words,
-        problems=check.problems,
+        problems=((f"the photograph {light}",) if light else ()) + check.problems,
         by_hand=check.by_hand,
     )
 
 
+def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
+    """The blur circle's diameter in pixels on the plan's target, where it is found, and what became of looking for it."""
+    if not alone.planned:
+        return None, "not looked for: give a plan that describes it"
+    try:
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        target = open_target(alone.plan.target)
+        return blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
+    except TargetError as error:
+        return None, str(error)
+
+
+def _names(mosaic: Mosaic) -> list[str]:
+    return ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
+
+
 def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
-    names = ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
-    for name in names:
+    for name in _names(mosaic):
         row, col = mosaic.places(name)[0]
         step = 1 if name == "mono" else 2
         plane = np.ascontiguousarray(mosaic.counts[row::step, col::step])

@@ -14,7 +14,7 @@ import typer
 
 from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
 from labkit.console import Console
-from labkit.errors import LabkitError, PlanError
+from labkit.errors import DataError, LabkitError, PlanError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
@@ -89,8 +89,9 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     alone = open_alone(where)
     with alone.camera:
         found = take_test_frame(alone)
+    console.warn(*found.problems)
     console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
-    rows = [["colour", "middle", "brightest", "full", "noise"]]
+    rows = [["colour", "median", "brightest", "full", "noise"]]
     for colour in found.colours:
         full = f"{colour.full_percent:.2g} %"
         rows.append([colour.name, f"{colour.median:.0f}", f"{colour.brightest:.0f}", full, f"{colour.noise:.1f}"])
@@ -99,8 +100,7 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
         blur = "" if found.blur_px is None else f"; a point spreads over {found.blur_px:.1f} pixels"
         console.say(f"focus: the sharpest edges rise over {found.edge_px:.1f} pixels{blur}")
     console.say(f"target: {found.target}")
-    for words in (*found.problems, *(f"check by hand: {words}" for words in found.by_hand)):
-        console.warn(words)
+    console.warn(*(f"check by hand: {words}" for words in found.by_hand))
     console.answer(asdict(found))
 
 
@@ -287,10 +287,6 @@ def _report_capture(console: Console, session: Path, frames: int, remark: str = 
     console.answer({"session": str(session), "frames": frames})
 
 
-def _ask(request: str) -> None:
-    typer.prompt(f"{request}, then press Enter", default="", show_default=False, err=True)
-
-
 @rail_app.command("calibrate")
 def rail_calibrate(
     ctx: typer.Context,
@@ -298,8 +294,9 @@ def rail_calibrate(
     at: Annotated[list[float] | None, typer.Option(metavar="MM", help="A rail position to measure at; again.")] = None,
 ) -> None:
     """Find rail.direction and rail.range_at_zero_mm: the rail moves, you measure."""
+    from labkit.cli.questions import ask, ask_until, at_terminal
     from labkit.devices.context import DeviceContext
-    from labkit.devices.rail_calibration import find_zero, stops
+    from labkit.devices.rail_calibration import find_zero, measure, read_range, stops
     from labkit.devices.registry import open_rail
     from labkit.plan import Plan
 
@@ -309,14 +306,16 @@ def rail_calibrate(
         raise PlanError("the plan has no [rail]")
     with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
         places = stops(rail.travel_mm, at or [])
-        _ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way")
+        ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter")
         rail.home()
-        positions, ranges = [], []
-        for place in places:
-            positions.append(rail.move_to(place))
-            question = f"The rail stands at {positions[-1]:.3f} mm. Range from the target to the lens, in mm"
-            ranges.append(typer.prompt(question, type=float, err=True))
-    zero = find_zero(positions, ranges)
+        read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
+        say = console.warn if at_terminal() else None
+        positions, ranges = measure(rail, places, lambda question: ask_until(question, read), say)
+    try:
+        zero = find_zero(positions, ranges)
+    except DataError as error:
+        listed = ", ".join(f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True))
+        raise DataError(f"measured (mm): {listed}; {error}") from error
     error = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
     console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{error}\ndirection = {zero.direction}")
     for place, misfit in zip(positions, zero.misfit_mm, strict=True):
