@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from labkit.acquisition.sequence import Shot
-from labkit.devices.observer import Observer
+from labkit.devices.observer import Holding, Observer
+from labkit.pace import PAUSED
 from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session
 from labkit.types import Progress
@@ -41,7 +42,12 @@ class CaptureLog:
         self._progress(self.done, self.total, doing)
         self.show("doing", what=doing)
         for observer in self._observers:
+            held = isinstance(observer, Holding) and observer.holds
+            if held:
+                self._progress(self.done, self.total, PAUSED)
             observer.may_go_on()
+            if held:
+                self._progress(self.done, self.total, doing)
 
     def homed(self) -> int:
         """The rail was homed; the how many'th time in this session, from 1, earlier processes counted."""

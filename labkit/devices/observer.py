@@ -31,6 +31,16 @@ class Monitor(Observer, AnswerPage, Protocol):
 
 
 @runtime_checkable
+class Holding(Protocol):
+    """An observer that can say beforehand whether `may_go_on` would hold the capture."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it would."""
+        ...
+
+
+@runtime_checkable
 class Observed(Protocol):
     """A device that brings observers of its own, as a web display brings its server's monitor."""
 
