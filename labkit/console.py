@@ -42,7 +42,7 @@ class Console:
     def say(self, text: str) -> None:
         """A line for people: not with --quiet or --json."""
         if not (self.quiet or self.json):
-            print(text)
+            print(text, flush=True)  # some is said while work goes on
 
     def answer(self, data: dict[str, Any]) -> None:
         """What was asked for, as JSON: only with --json."""

@@ -76,14 +76,14 @@ class FrameReport:
     by_hand: tuple[str, ...]
 
 
-def open_alone(where: str) -> Alone:
+def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
     """The camera of a plan, or at an address such as "gphoto2:". Raises PlanError, or what the driver raises."""
     path = Path(where)
     planned = path.suffix == ".toml" or path.is_file()
     plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
     if plan.camera is None:
         raise CameraError(f"plan {where} has no [camera]: add it, or give an address such as gphoto2:")
-    return Alone(open_camera(plan.camera.address, plan, DeviceContext()), plan, planned)
+    return Alone(open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned)
 
 
 def offered(camera: Camera) -> tuple[Setting, ...]:
@@ -104,10 +104,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    light = exposure_problem(mosaic, "target", _names(mosaic))
-    dark = light is not None and light.startswith("is black")
-    if dark:
-        light = f"{light}: is the cap on the lens, the target dark, the exposure too short?"
+    dark, light = light_problem(mosaic)
     blur, words = (None, "not looked for: there is no light") if dark else _blur_on_target(mosaic, alone)
     return FrameReport(
         exposure_s=frame.exposure_s,
@@ -132,6 +129,14 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
         return blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
     except TargetError as error:
         return None, str(error)
+
+
+def light_problem(mosaic: Mosaic) -> tuple[bool, str | None]:
+    """Whether a photograph has no light, and what is wrong with its light, if anything is."""
+    light = exposure_problem(mosaic, "target", _names(mosaic))
+    if light is None or not light.startswith("is black"):
+        return False, light
+    return True, f"{light}: is the cap on the lens, the target dark, the exposure too short?"
 
 
 def _names(mosaic: Mosaic) -> list[str]:

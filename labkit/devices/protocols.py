@@ -154,6 +154,15 @@ class Candid(Protocol):
 
 
 @runtime_checkable
+class Previewing(Protocol):
+    """A camera with a live view that wears no shutter."""
+
+    def preview(self, path: Path) -> Path | None:
+        """Write what it sees now, a picture that labkit reads, to `path` with a suffix; None where it has no live view."""
+        ...
+
+
+@runtime_checkable
 class Coverable(Protocol):
     """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
 

@@ -18,7 +18,7 @@ import usb.core
 
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings
+from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings, Previewing
 from labkit.devices.registry import open_camera
 from labkit.drivers.gphoto2 import camera as gphoto2_camera
 from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
@@ -385,3 +385,22 @@ def test_the_worker_ends_with_the_pipe() -> None:
     assert channel is not None
     channel.close()
     assert process.wait(10) == 0
+
+
+def test_live_view_is_a_picture_of_its_own(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+    jpeg = tmp_path / "live"
+    jpeg.write_bytes(b"\xff\xd8 as the body sends it")
+    camera = make(preview=str(jpeg))
+    assert isinstance(camera, Previewing)
+    seen = camera.preview(tmp_path / "focus_1")
+    assert seen == tmp_path / "focus_1.jpg"
+    assert seen.read_bytes() == jpeg.read_bytes()
+
+
+def test_a_body_without_live_view_says_so_at_once(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+    waited: list[float] = []
+    assert make(waited=waited).preview(tmp_path / "focus_1") is None
+    assert waited == []
+    troubled = make(fault=fault("capture_preview", -7), preview=__file__)
+    assert troubled.preview(tmp_path / "focus_2") is not None
+    assert len(troubled.overcome()) == 1
