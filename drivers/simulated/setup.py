@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.panels import panel_info
+from labkit.devices.panels import paper_panel, plan_panel
 from labkit.devices.shared import Lease
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.world import FAULTS, BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
@@ -47,12 +47,12 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
 def settings_for(plan: Plan, seed: int) -> BenchSettings:
     """A bench on which the plan makes sense: its target in frame at every range, its exposure right.
 
-    Raises PlanError if the plan lacks [rail], [display] or [camera], or its target needs too large a sensor.
+    Raises PlanError if the plan lacks [rail] or [camera], or its target needs too large a sensor.
     """
-    if plan.camera is None or plan.rail is None or plan.display is None:
-        raise PlanError("a simulated bench needs a plan with [camera], [rail] and [display]")
+    if plan.camera is None or plan.rail is None:
+        raise PlanError("a simulated bench needs a plan with [camera] and [rail]")
     rng = np.random.default_rng([seed, zlib.crc32(b"plan")])
-    glass = panel_info(plan.display)
+    glass = plan_panel(plan) or paper_panel(open_target(plan.target))
     rows, cols = _sensor_size(plan, min(plan.rail.ranges_mm))
     mono = plan.sensor.cfa_pattern == "mono"
     usual = TrueSensor()

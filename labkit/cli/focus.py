@@ -65,9 +65,8 @@ def camera_focus(
 
 def _set_up(alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack) -> Sequence[object]:
     """Show the plan's target, and move its rail, as far as it has them; what was opened for that."""
-    from labkit.devices.panel_image import panel_picture
+    from labkit.acquisition.sequence import shown_picture
     from labkit.devices.registry import open_display, open_rail
-    from labkit.target import open_target
 
     plan, opened = alone.plan, list[object]()
     if range_mm is not None:
@@ -80,7 +79,7 @@ def _set_up(alone: Alone, range_mm: float | None, context: DeviceContext, stack:
     if plan.display is not None:
         display = stack.enter_context(open_display(plan.display.address, plan, context))
         opened.append(display)
-        display.show(panel_picture(open_target(plan.target), display.panel).grey)
+        display.show(shown_picture(plan, display).grey)
     return opened
 
 

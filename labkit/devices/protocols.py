@@ -263,6 +263,22 @@ class Display(AbstractContextManager["Display"], Protocol):
 
 
 @runtime_checkable
+class OnPaper(Protocol):
+    """A display without pixels: what it shows has the size that the plan states."""
+
+    on_paper: bool
+
+
+@runtime_checkable
+class SeesDisplay(Protocol):
+    """A simulated camera, before which another driver's display shows its pictures."""
+
+    def see(self, picture: Picture) -> None:
+        """The display beside it shows this now."""
+        ...
+
+
+@runtime_checkable
 class Attentive(Protocol):
     """A display that can lose its picture while a photograph is taken, and notices."""
 

@@ -17,9 +17,10 @@ from typing import Any
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.observer import Monitor, Observed, Observer
 from labkit.devices.operator import AnswerPage
-from labkit.devices.protocols import Camera, Controller, Display, Rail, Timekeeper
+from labkit.devices.protocols import Camera, Controller, Display, Rail, SeesDisplay, Timekeeper
 from labkit.errors import PlanError
 from labkit.plan import Plan
+from labkit.plan.tables import BY_HAND
 
 GROUPS = {
     "camera": "labkit.cameras",
@@ -84,20 +85,23 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
     """All three devices of a plan, opened together and closed together.
 
     simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
-    to them. Pages that a device serves can answer the operator's questions meanwhile. Raises PlanError if the plan lacks
-    a table that capture needs.
+    to them. Pages that a device serves can answer the operator's questions meanwhile. Without [display] the target is on paper.
+    Raises PlanError if the plan lacks a table that capture needs.
 
     >>> with labkit.open_devices(plan) as bench:
     ...     bench.rail.home()
     """
     context = context or DeviceContext()
-    if plan.camera is None or plan.rail is None or plan.display is None:
-        missing = ", ".join(f"[{name}]" for name in ("camera", "rail", "display") if getattr(plan, name) is None)
-        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera], [rail] and [display]")
+    if plan.camera is None or plan.rail is None:
+        missing = ", ".join(f"[{name}]" for name in ("camera", "rail") if getattr(plan, name) is None)
+        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera] and [rail]")
+    shown_at = BY_HAND if plan.display is None else plan.display.address
     with ExitStack() as stack:
         camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, context))
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, context))
-        display = stack.enter_context(open_display(simulated or plan.display.address, plan, context))
+        display = stack.enter_context(open_display(simulated or shown_at, plan, context))
+        if isinstance(camera, SeesDisplay):
+            context.glass.watched_by(camera.see)
         devices = (camera, rail, display)
         observers = observers_of(context, devices)
         for page in observers:

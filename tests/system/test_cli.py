@@ -210,12 +210,12 @@ def test_a_target_is_rendered(tmp_path: Path, capfd: pytest.CaptureFixture[str])
     assert file.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_plan_for_capture_needs_all_three_devices(
+def test_a_plan_for_capture_needs_camera_and_rail(
     plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     plan.write_text(PLAN.partition("[rail]")[0])
     assert run(["capture", str(plan), str(tmp_path / "session")]) == 2
-    assert "[rail], [display]" in one_line(capfd.readouterr().err)
+    assert "the plan has no [rail]: to capture" in one_line(capfd.readouterr().err)
     assert not (tmp_path / "session").exists()
 
 
