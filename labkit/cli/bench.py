@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from labkit.plan import Plan
     from labkit.session.session import Session
 
+NOT_LOOKED_AT = "not looked at"
+NONE_OF = {
+    "Cameras": "none on USB; those on a network (PTP/IP) are neither looked for nor driven",
+    "Rails": "none answers at a serial port on USB that no program holds",
+}
 SAFE = "every photograph so far is safe, "
 DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
 
@@ -32,18 +37,29 @@ DAMAGED = "photographs are missing or the journal is damaged: labkit verify name
 def devices(
     ctx: typer.Context,
     udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
+    no_probe: Annotated[
+        bool, typer.Option("--no-probe", help="Open no serial port: that restarts some controllers, which then need homing.")
+    ] = False,
 ) -> None:
     """What is connected, which program holds it, what may not be opened, and which drivers are installed."""
     from labkit.devices.inventory import list_connected, udev_rules
 
     console: Console = ctx.obj
-    connected = list_connected()
+    connected = list_connected(probe=not (udev or no_probe))
     if udev:
         console.say(udev_rules(connected))
         console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in (
-        ("Cameras", connected.cameras and [[camera.address, camera.model] for camera in connected.cameras]),
+        (
+            "Cameras",
+            connected.cameras and [[c.address, c.model, f'camera.address = "{c.address}"'] for c in connected.cameras],
+        ),
+        ("Rails", connected.rails and [[r.address, r.model, f'rail.address = "{r.address}"'] for r in connected.rails]),
+        (
+            "Pages",
+            [[p.url, p.text, f'display.address = "{p.address}"' if p.address else ""] for p in connected.pages],
+        ),
         (
             "USB",
             connected.usb and [[d.where, d.vendor_product, d.name, "camera" * d.is_camera] for d in connected.usb],
@@ -55,7 +71,7 @@ def devices(
         ),
     ):
         console.say(title)
-        console.table(rows or [["not looked at" if rows is None else "none"]], indent="  ")
+        console.table(rows or [[NOT_LOOKED_AT if rows is None else NONE_OF.get(title, "none")]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))

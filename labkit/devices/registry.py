@@ -2,7 +2,9 @@
 
 Groups `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and `labkit.controllers`; each entry is a
 callable (address, plan, context) -> device. What they receive is theirs to use and not to change. A callable of group
-`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError.
+`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError. One of
+`labkit.probes` says what answers at a serial port, by its path: a name or None; it moves nothing, and raises DeviceError.
+One of `labkit.pages` lists pages that are served now: [(address for a plan or "", URL, what it says), ...].
 A lab adds its own device by an entry point of a package of its own.
 """
 
@@ -31,7 +33,7 @@ GROUPS = {
 }
 
 
-FINDERS = "labkit.finders"
+FINDERS, PROBES, PAGES = "labkit.finders", "labkit.probes", "labkit.pages"
 
 
 def installed(device: str) -> tuple[str, ...]:
@@ -42,6 +44,16 @@ def installed(device: str) -> tuple[str, ...]:
 def finders() -> dict[str, Callable[[], Sequence[tuple[str, str]]]]:
     """What lists the devices that drivers see, by the driver's name."""
     return {entry.name: entry.load() for entry in entry_points(group=FINDERS)}
+
+
+def probes() -> dict[str, Callable[[str], str | None]]:
+    """What asks at a serial port whether a rail of a driver is there, by the driver's name."""
+    return {entry.name: entry.load() for entry in entry_points(group=PROBES)}
+
+
+def page_finders() -> dict[str, Callable[[], Sequence[tuple[str, str, str]]]]:
+    """What lists the pages that are served now, by the driver's name."""
+    return {entry.name: entry.load() for entry in entry_points(group=PAGES)}
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Camera:

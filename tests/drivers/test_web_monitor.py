@@ -248,6 +248,17 @@ def test_the_page_says_when_labkit_is_gone(table: Table, lab: Lab) -> None:
     table.reads("phase", "No connection")
 
 
+def test_a_simulated_camera_sees_what_the_page_was_sent(lab: Lab, glass: OpenGlass) -> None:
+    seen: list[Picture] = []
+    lab.context.glass.watched_by(seen.append)
+    display = lab.display(400, 400)
+    tab = glass(display.url, 400, 400)
+    display.show(np.random.default_rng(1).integers(0, 256, (300, 200)).astype(np.uint8))
+    (picture,) = seen
+    assert not isinstance(picture, str)
+    assert np.array_equal(picture, tab.seen()[:, :, 0])
+
+
 def test_a_display_that_shows_nothing_is_not_said_to_show(lab: Lab, glass: OpenGlass) -> None:
     display = lab.display(400, 400)
     lab.server.monitor.noted("serving", choices=["target"], picked="target")
