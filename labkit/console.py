@@ -21,7 +21,6 @@ from labkit.errors import printable
 from labkit.pace import PAUSED, Pace, in_words
 from labkit.types import Progress as Report
 
-
 EVERY_S = 10.0
 """How often a line says how far work is, where there is no terminal."""
 

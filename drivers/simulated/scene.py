@@ -48,7 +48,7 @@ class Glass:
 
 @dataclass(frozen=True, slots=True)
 class FineGrid:
-    """(rows, cols) pixels from (top, left) on, each of samples x samples fine samples, with reach more of them on every side."""
+    """(rows, cols) pixels from (top, left), each of samples x samples fine samples, with reach more of them on every side."""
 
     rows: int
     cols: int

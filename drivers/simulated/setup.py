@@ -97,7 +97,9 @@ def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
     rows, cols = settings.sensor.rows, settings.sensor.cols
     if max(rows, cols) > MOST_AT_ONCE:
         wait = in_words(rows * cols / 1e6 * S_PER_MEGAPIXEL)
-        warn(f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}")
+        warn(
+            f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}"
+        )
     return Bench(settings, faults)
 
 

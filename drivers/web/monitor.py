@@ -210,7 +210,9 @@ def in_words(event: str, fields: dict[str, Any]) -> str:
         case "trouble", {"device": device, "attempt": attempt, "error": error}:
             return f"trouble with the {device}, try {attempt}: {error}"
         case "serving", {"picked": picked}:
-            return f"showing {picked}"
+            return f"picked: {picked}"
+        case "focusing", {"what": what}:
+            return f"focusing: {what}"
         case "preflight", {"problems": problems}:
             return f"preflight: {'; '.join(problems) or 'all is right'}"
         case "stopped", {"error": error}:

@@ -39,9 +39,7 @@ def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) 
 def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
     """A photograph's summary, and its picture as JPEG."""
     light = exposure(look.mosaic)
-    summary = FrameSummary(
-        number, look.name, look.range_mm, *light, look.edge_px, histogram(look.mosaic), look.note
-    )
+    summary = FrameSummary(number, look.name, look.range_mm, *light, look.edge_px, histogram(look.mosaic), look.note)
     return summary, jpeg(look.mosaic, look.corners_px)
 
 

@@ -158,9 +158,7 @@ class _Round:
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
         try:
             grey = _grey(look)
-            return replace(
-                look, corners_px=np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
-            )
+            return replace(look, corners_px=np.array(given) if given else find_target(grey, target, mm_per_pixel=scale))
         except TargetError as error:
             self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}, see {seen}"))
             return look
@@ -199,9 +197,7 @@ class _Round:
     def _keep(self, look: Look, kept: _Kept) -> None:
         """Show what was found, and write it beside the photograph."""
         self.log.saw(look)
-        self.findings.succeeds(
-            lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px))
-        )
+        self.findings.succeeds(lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -18,11 +18,12 @@ from labkit.errors import DataError, LabkitError, PlanError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
+    from labkit.devices.inventory import Connected
     from labkit.devices.operator import Operator
     from labkit.plan import Plan
     from labkit.session.session import Session
 
-NOT_LOOKED_AT = "not looked at"
+Found = TypeVar("Found")
 NONE_OF = {
     "Cameras": "none on USB; those on a network (PTP/IP) are neither looked for nor driven",
     "Rails": "none answers at a serial port on USB that no program holds",
@@ -38,7 +39,8 @@ def devices(
     ctx: typer.Context,
     udev: Annotated[bool, typer.Option("--udev", help="Print the udev rules that give access, and no more.")] = False,
     no_probe: Annotated[
-        bool, typer.Option("--no-probe", help="Open no serial port: that restarts some controllers, which then need homing.")
+        bool,
+        typer.Option("--no-probe", help="Open no serial port: that restarts some controllers, which then need homing."),
     ] = False,
 ) -> None:
     """What is connected, which program holds it, what may not be opened, and which drivers are installed."""
@@ -50,31 +52,31 @@ def devices(
         console.say(udev_rules(connected))
         console.answer({"udev": udev_rules(connected)})
         return
-    for title, rows in (
-        (
-            "Cameras",
-            connected.cameras and [[c.address, c.model, f'camera.address = "{c.address}"'] for c in connected.cameras],
-        ),
-        ("Rails", connected.rails and [[r.address, r.model, f'rail.address = "{r.address}"'] for r in connected.rails]),
-        (
-            "Pages",
-            [[p.url, p.text, f'display.address = "{p.address}"' if p.address else ""] for p in connected.pages],
-        ),
-        (
-            "USB",
-            connected.usb and [[d.where, d.vendor_product, d.name, "camera" * d.is_camera] for d in connected.usb],
-        ),
-        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
-        (
-            "Installed drivers",
-            [[device, ", ".join(f"{n}:" for n in names)] for device, names in connected.drivers.items()],
-        ),
-    ):
+    for title, rows in _device_tables(connected):
+        nothing = "not looked at" if rows is None else NONE_OF.get(title, "none")
         console.say(title)
-        console.table(rows or [[NOT_LOOKED_AT if rows is None else NONE_OF.get(title, "none")]], indent="  ")
+        console.table(rows or [[nothing]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))
+
+
+def _device_tables(connected: Connected) -> tuple[tuple[str, Sequence[list[str]] | None], ...]:
+    """Title and rows of each kind of device, with the line for the plan; None for what was not looked at."""
+    cameras, rails, usb = connected.cameras, connected.rails, connected.usb
+    named = [(p, f'display.address = "{p.address}"' if p.address else "") for p in connected.pages]
+    return (
+        ("Cameras", _each(cameras, lambda c: [c.address, c.model, f'camera.address = "{c.address}"'])),
+        ("Rails", _each(rails, lambda r: [r.address, r.model, f'rail.address = "{r.address}"'])),
+        ("Pages", [[page.url, page.text, line] for page, line in named]),
+        ("USB", _each(usb, lambda d: [d.where, d.vendor_product, d.name, "camera" * d.is_camera])),
+        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
+        ("Installed drivers", [[kind, ", ".join(f"{n}:" for n in names)] for kind, names in connected.drivers.items()]),
+    )
+
+
+def _each(found: Sequence[Found] | None, row: Callable[[Found], list[str]]) -> list[list[str]] | None:
+    return None if found is None else [row(one) for one in found]
 
 
 @camera_app.command("settings")
@@ -322,7 +324,9 @@ def rail_calibrate(
         raise PlanError("the plan has no [rail]")
     with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
         places = stops(rail.travel_mm, at or [])
-        ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter")
+        ask(
+            f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter"
+        )
         rail.home()
         read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
         say = console.warn if at_terminal() else None
@@ -332,8 +336,8 @@ def rail_calibrate(
     except DataError as error:
         listed = ", ".join(f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True))
         raise DataError(f"measured (mm): {listed}; {error}") from error
-    error = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
-    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{error}\ndirection = {zero.direction}")
+    std = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
+    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}")
     for place, misfit in zip(positions, zero.misfit_mm, strict=True):
         console.say(f"# at {place:g} mm measured {misfit:+.1f} mm from that")
     console.answer(asdict(zero))

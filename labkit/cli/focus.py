@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from labkit.acquisition.camera_check import Alone
     from labkit.acquisition.focusing import FocusReading
     from labkit.devices.context import DeviceContext
-    from labkit.devices.observer import Observer
 
 HISTORY = 24
 BARS = "▁▂▃▄▅▆▇█"
@@ -32,9 +31,12 @@ def camera_focus(
     ctx: typer.Context,
     where: CameraPlace = "gphoto2:",
     range_mm: Annotated[
-        float | None, typer.Option("--range", metavar="MM", help="Home the plan's rail and move it to this range first.")
+        float | None,
+        typer.Option("--range", metavar="MM", help="Home the plan's rail and move it to this range first."),
     ] = None,
-    monitor: Annotated[bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")] = False,
+    monitor: Annotated[
+        bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")
+    ] = False,
     listen: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642.")
     ] = None,

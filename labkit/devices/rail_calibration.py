@@ -88,7 +88,9 @@ def measure(
         take(k)
     while say is not None and (wrong := misfitting(positions, ranges)):
         listed = ", ".join(f"{ranges[k]:g} mm at {positions[k]:g} mm" for k in wrong)
-        say(f"{listed}: {'this does not fit the others' if len(wrong) == 1 else 'these do not fit each other'}; once more")
+        say(
+            f"{listed}: {'this does not fit the others' if len(wrong) == 1 else 'these do not fit each other'}; once more"
+        )
         before = {k: take(k) for k in wrong}
         if all(abs(was - ranges[k]) < TAPE_MM for k, was in before.items()):
             break

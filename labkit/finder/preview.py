@@ -51,7 +51,8 @@ def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
     """Draw round corners (x, y)."""
     shift = 4  # OpenCV's fixed point
     points = np.rint(corners * 2**shift).astype(np.int32).reshape(1, -1, 2)
-    for colour, thickness in ((BLACK, 4), (CYAN, 2)):
+    line = 2 if max(picture.shape) > PREVIEW_PX // 2 else 1  # a smaller picture is shown enlarged
+    for colour, thickness in ((BLACK, line + 2), (CYAN, line)):
         cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)
 
 

@@ -19,7 +19,9 @@ def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: flo
     for w in wavefronts:
         defocus = "not fitted" if w.defocus is None else _signed(w.defocus)
         range_mm = "" if w.range_mm is None else f"{w.range_mm:g}"
-        rows.append([range_mm, w.channel, defocus, str(w.rms()).removesuffix(" waves"), f"{w.chi2_per_pixel:.3f}", _verdict(w)])
+        rows.append(
+            [range_mm, w.channel, defocus, str(w.rms()).removesuffix(" waves"), f"{w.chi2_per_pixel:.3f}", _verdict(w)]
+        )
     return rows
 
 

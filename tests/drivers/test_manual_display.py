@@ -22,7 +22,6 @@ from labkit.target import open_target
 from tests.plans import SMALL, plan_text, simulated
 
 
-
 def test_each_sheet_is_asked_for_once_and_black_for_none() -> None:
     asked: list[str] = []
     seen: list[Picture] = []
@@ -30,9 +29,16 @@ def test_each_sheet_is_asked_for_once_and_black_for_none() -> None:
     glass.watched_by(seen.append)
     display = ManualDisplay(asked.append, PanelInfo((8, 8), 0.1), glass)
     for picture in ("black", "white", "white", target, target, "white"):
-        display.show(picture)  # type: ignore[arg-type]
+        display.show(picture)
     assert asked == [SHEET, TARGET, SHEET]
-    assert [p if isinstance(p, str) else "target" for p in seen] == ["black", "white", "white", "target", "target", "white"]
+    assert [p if isinstance(p, str) else "target" for p in seen] == [
+        "black",
+        "white",
+        "white",
+        "target",
+        "target",
+        "white",
+    ]
 
 
 def test_a_request_that_nobody_answers_is_put_again() -> None:
@@ -81,7 +87,9 @@ class Hand(Operator):
 
 
 @pytest.mark.parametrize("display", [None, {"address": "manual:", "pixel_pitch_mm": None, "pixels": None}])
-def test_a_paper_target_is_captured_before_a_simulated_camera(display: dict[str, object] | None, tmp_path: Path) -> None:
+def test_a_paper_target_is_captured_before_a_simulated_camera(
+    display: dict[str, object] | None, tmp_path: Path
+) -> None:
     tables = dict(simulated([2000], 1950.0, "simulated:seed=7"))
     few = {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 0}}
     text = plan_text(SMALL, tables, few, *([] if display is None else [{"display": display}]))

@@ -336,6 +336,7 @@ def test_a_photograph_of_the_preflight_is_shown_with_what_is_wrong() -> None:
         [{"name": "preflight_2000_target", "edge_px": 4.2}],
     )
     seen = cv2.imdecode(np.frombuffer(monitor.preview, np.uint8), cv2.IMREAD_COLOR)
+    assert seen is not None
     assert seen.shape == (40, 60, 3)
     assert np.ptp(seen[10, 30].astype(int)) > 60  # on the upper edge of the outline, which has a colour
     assert np.ptp(seen[20, 30].astype(int)) < 20

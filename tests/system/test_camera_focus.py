@@ -76,6 +76,7 @@ def test_the_target_is_found_and_outlined_on_the_simulated_bench(plan_file: Path
     assert lit.corners_px[0] == pytest.approx((upper_left[1] / upper_left[2], upper_left[0] / upper_left[2]), abs=0.5)
     look = watcher.looks[1]
     assert (look.name, look.edge_px) == ("frame 1", lit.edge_px)
+    assert look.corners_px is not None
     assert np.array_equal(np.array(lit.corners_px), look.corners_px)
     assert set(watcher.events) == {"focusing"}
 

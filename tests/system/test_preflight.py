@@ -257,6 +257,7 @@ def test_the_photographs_are_kept_beside_the_frames_and_shown_with_the_targets_o
     corners = viewer.looks[3].corners_px
     assert corners is not None
     seen = cv2.imread(str(tmp_path / "s" / "preflight" / "preflight_2000_target_seen.jpg"))
+    assert seen is not None
     # two frame pixels are one of the picture; the outline is the only thing in it that has a colour
     coloured = np.argwhere(np.ptp(seen.astype(int), axis=2) > 60)
     assert coloured.min(axis=0) == pytest.approx(corners.min(axis=0) / 2, abs=2.5)

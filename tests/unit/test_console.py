@@ -20,7 +20,9 @@ def test_without_a_terminal_a_line_says_how_far_it_is(
         report(0, 15, "searching from nothing: G at 3000 mm\x1b")
         threading.Event().wait(0.5)
     first, *_ = capsys.readouterr().err.splitlines()
-    assert first == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
+    assert (
+        first == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
+    )
 
 
 def test_a_quiet_console_and_a_short_work_say_nothing(
@@ -37,7 +39,7 @@ def test_a_quiet_console_and_a_short_work_say_nothing(
 
 def test_time_left_cannot_be_taken_for_the_time_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr(console_module.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
     work = console_module._Work("capturing")
     work.report(0, 13, "homing the rail")
     clock[0] = 15.0
@@ -72,7 +74,7 @@ def test_a_pause_on_the_page_is_seen_in_the_terminal() -> None:
 
 def test_a_pause_does_not_count_as_work(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr(console_module.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
     work = console_module._Work("capturing")
     work.report(0, 3, "a")
     clock[0] = 10.0

@@ -50,7 +50,9 @@ def test_answers_are_read_as_people_write_them(tmp_path: Path, monkeypatch: pyte
 
 
 def test_what_a_target_needs_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert asked(["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", "4, 11", ""], tmp_path, monkeypatch) == 0
+    assert (
+        asked(["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", "4, 11", ""], tmp_path, monkeypatch) == 0
+    )
     plan = Plan.load(tmp_path / "plan.toml")
     assert (plan.target.grid, plan.target.diameter_mm) == ((3, 4), 1.5)
     assert [channel.name for channel in plan.channel] == ["M"]
@@ -65,7 +67,10 @@ def test_what_a_target_needs_is_asked_for(tmp_path: Path, monkeypatch: pytest.Mo
         ([*BEFORE_TARGET, "image", "no.pgm"], "no.pgm"),
         ([*BEFORE_TARGET, "", "9"], "target.order = 9: allowed is a whole number, 1 to 8"),
         ([*BEFORE_TARGET, "", "", "", "", "", "yes", "usb:1"], "camera.address = 'usb:1': allowed is one of gphoto2:"),
-        ([*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 7, "40"], "rail.ranges_mm has 40 mm: allowed is more than the focal"),
+        (
+            [*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 7, "40"],
+            "rail.ranges_mm has 40 mm: allowed is more than the focal",
+        ),
         ([*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 11, "iphone"], 'display.panel = "iphone": known are'),
         (["yes", "70"], "the input ended at the question: f-number"),
     ],
@@ -110,7 +115,12 @@ def test_at_a_terminal_a_wrong_answer_is_asked_for_again_and_ctrl_c_writes_nothi
         try:
             assert running.stderr is not None
             seen = b""
-            for question, typed in ((b"yes or no [yes]: ", b"y\n"), (b"[50]: ", b"0\n"), (b"[50]: ", b"85\n"), (b"[2.8]: ", b"")):
+            for question, typed in (
+                (b"yes or no [yes]: ", b"y\n"),
+                (b"[50]: ", b"0\n"),
+                (b"[50]: ", b"85\n"),
+                (b"[2.8]: ", b""),
+            ):
                 while question not in seen:
                     more = os.read(running.stderr.fileno(), 4096)
                     assert more, seen
