@@ -59,8 +59,11 @@ class Pace:
 
 
 def in_words(seconds: float) -> str:
-    """A time left as people say it."""
-    if seconds < 90:
-        return f"{max(1, math.ceil(seconds))} s"
-    minutes = round(seconds / 60)
+    """A time as people say it; below ten minutes to a second, so that a line every ten seconds never says the same twice."""
+    whole = max(1, math.ceil(seconds))
+    if whole < 90:
+        return f"{whole} s"
+    if whole < 600:
+        return f"{whole // 60} min" + (f" {whole % 60} s" if whole % 60 else "")
+    minutes = round(whole / 60)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

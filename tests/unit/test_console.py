@@ -47,7 +47,7 @@ def test_time_left_cannot_be_taken_for_the_time_so_far(monkeypatch: pytest.Monke
     work.report(1, 13, "a")
     assert work.times() == "15 s so far, about 3 min left"
     clock[0] = 600.0
-    assert work.times() == "10 min so far, about 3 min left"  # eleven steps more after this one
+    assert work.times() == "10 min so far, about 2 min 45 s left"  # eleven steps more after this one
     work.report(13, 13, "z")
     assert work.times() == "10 min so far"
 

@@ -64,6 +64,9 @@ def test_another_count_begins_anew() -> None:
     assert pace.left_s(90.0) is None
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(0.2, "1 s"), (89.0, "89 s"), (90.0, "2 min"), (5399, "1 h 30 min")])
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (89.0, "89 s"), (90.0, "1 min 30 s"), (180, "3 min"), (1000, "17 min"), (5399, "1 h 30 min")],
+)
 def test_times_are_said_as_people_say_them(seconds: float, words: str) -> None:
     assert in_words(seconds) == words
