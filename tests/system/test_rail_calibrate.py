@@ -65,6 +65,7 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_what_is_typed_during_a_move_is_no_answer(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     rail = {"address": "grbl:simulated", "ranges_mm": [2000, 2050], "range_at_zero_mm": 1950.0}
