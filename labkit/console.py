@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from typing import Any
 
 import segno
 from rich.console import Console as Terminal
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.text import Text
 
 from labkit.errors import printable
+from labkit.pace import PAUSED, Pace, in_words
 from labkit.types import Progress as Report
+
+EVERY_S = 10.0
+"""How often a line says how far work is, where there is no terminal."""
 
 
 @dataclass(slots=True)
 class Console:
     """How to speak to whoever ran the command. hint: what to say where a command is cut short; interrupted_by: a signal's name;
-    bar: the one that moves."""
+    bar: the one that moves; answered: whether JSON was printed, which is one object a command."""
 
     quiet: bool = False
     json: bool = False
@@ -29,16 +36,24 @@ class Console:
     hint: str = ""
     interrupted_by: str = ""
     bar: Progress | None = None
+    answered: bool = False
 
     def say(self, text: str) -> None:
         """A line for people: not with --quiet or --json."""
         if not (self.quiet or self.json):
-            print(text)
+            print(text, flush=True)  # some is said while work goes on
 
     def answer(self, data: dict[str, Any]) -> None:
         """What was asked for, as JSON: only with --json."""
         if self.json:
+            self.answered = True
             print(json.dumps(data, indent=1, ensure_ascii=False))
+
+    def failed(self, kind: str, message: str) -> None:
+        """What went wrong, as JSON in place of the answer, unless that was printed: it holds what is wrong."""
+        if self.json and not self.answered:
+            with suppress(OSError):
+                self.answer({"error": {"kind": kind, "message": printable(message)}})
 
     def warn(self, *texts: str) -> None:
         """Lines on stderr that do not stop anything: not with --quiet."""
@@ -64,25 +79,32 @@ class Console:
 
     @contextmanager
     def progress(self, doing: str) -> Iterator[Report]:
-        """A bar with the time left, on a terminal; nothing elsewhere."""
-        terminal = Terminal(stderr=True)
-        if self.quiet or not terminal.is_terminal:
+        """A bar with the time left, on a terminal; elsewhere a line every ten seconds. Neither with --quiet."""
+        terminal, work = Terminal(stderr=True), _Work(doing)
+        if self.quiet:
             yield lambda done, total, step: None
+            return
+        if not terminal.is_terminal:
+            with _lines(work):
+                yield work.report
             return
         columns = (
             TextColumn("{task.description}"),
-            BarColumn(),
+            BarColumn(bar_width=20),
             MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            _Times(work),
             TextColumn("{task.fields[step]}", markup=False),  # it repeats the names of files
         )
         with Progress(*columns, console=terminal, transient=True) as bar:
             task = bar.add_task(doing, total=None, step="")
             self.bar = bar
+
+            def report(done: int, total: int, step: str) -> None:
+                work.report(done, total, step)
+                bar.update(task, completed=done, total=total, step=printable(step))
+
             try:
-                yield lambda done, total, step: bar.update(task, completed=done, total=total, step=printable(step))
+                yield report
             finally:
                 self.bar = None
 
@@ -97,6 +119,71 @@ class Console:
         finally:
             if bar is not None:
                 bar.start()
+
+
+@dataclass(slots=True)
+class _Work:
+    """How far some work is."""
+
+    doing: str
+    step: str = ""
+    pace: Pace = field(default_factory=Pace)
+    began_s: float = field(default_factory=lambda: time.monotonic())
+
+    def report(self, done: int, total: int, step: str) -> None:
+        now_s = time.monotonic()
+        if step == PAUSED:
+            self.pace.hold(now_s)
+        else:
+            self.pace.go_on(now_s)
+        self.pace.at(done, total, now_s)
+        self.step = step
+
+    def times(self) -> str:
+        """How long it has taken, and how much longer it takes, in words that cannot be taken for each other."""
+        now_s = time.monotonic()
+        so_far, left_s = f"{in_words(now_s - self.began_s)} so far", self.pace.left_s(now_s)
+        if left_s is not None:
+            return f"{so_far}, about {in_words(left_s)} left"
+        if self.pace.on_hold or self.pace.done >= self.pace.total > 0:
+            return so_far
+        return f"{so_far}, time left not known yet"
+
+    def line(self) -> str:
+        done = f" {self.pace.done}/{self.pace.total}" if self.pace.total else ""
+        return f"labkit: {self.doing}{done}, {self.times()}" + (f": {printable(self.step)}" if self.step else "")
+
+
+class _Times(ProgressColumn):
+    """Time so far, and time left."""
+
+    max_refresh = 0.5
+
+    def __init__(self, work: _Work) -> None:
+        super().__init__()
+        self._work = work
+
+    def render(self, task: Task) -> Text:
+        return Text(self._work.times())
+
+
+@contextmanager
+def _lines(work: _Work) -> Iterator[None]:
+    """Every so often a line on stderr that says how far work is."""
+    ended = threading.Event()
+
+    def speak() -> None:
+        while not ended.wait(EVERY_S):
+            with suppress(OSError, ValueError):  # nobody reads any more
+                print(work.line(), file=sys.stderr, flush=True)
+
+    speaker = threading.Thread(target=speak, name="labkit-progress", daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        speaker.join()
 
 
 def error_line(text: object) -> None:

@@ -20,6 +20,7 @@ from labkit.report.html import write_report
 from labkit.results import Results
 from labkit.session.making import refuse_existing
 from labkit.session.session import Session
+from labkit.uncertain import decimals
 
 PLAN = """\
 # A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.
@@ -124,9 +125,7 @@ class Comparison:
         return [
             [
                 f"{c.quantity} / {c.unit}" if c.unit else c.quantity,
-                f"{c.truth:.4f}",
-                f"{c.estimate:.4f}",
-                f"{c.std:.4f}",
+                *(f"{number:.{decimals(c.std)}f}" for number in (c.truth, c.estimate, c.std)),
                 f"{(c.estimate - c.truth) / c.std:+.1f}",
             ]
             for c in self.compared

@@ -58,6 +58,12 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"cannot write {path}: {error.strerror}") from error
 
 
+def refuse_taken(path: Path) -> None:
+    """Raise InputError where there is a file of that name already."""
+    if path.exists() or path.is_symlink():
+        raise InputError(f"{path} is there already: give another name with --out")
+
+
 def write_new(path: Path, text: str) -> None:
     """Write a file that was not there. Raises InputError where there is one already, or where it cannot be written."""
     with writing(path):
@@ -65,7 +71,8 @@ def write_new(path: Path, text: str) -> None:
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
         except FileExistsError:
-            raise InputError(f"{path} is there already: give another name with --out") from None
+            refuse_taken(path)
+            raise
 
 
 def copy_durably(source: Path, target: Path) -> str:

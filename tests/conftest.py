@@ -19,6 +19,12 @@ def pytest_configure() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
+@pytest.fixture(autouse=True)
+def no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a loaded machine a command may take longer than ten seconds: what it says on stderr is the same all the same."""
+    monkeypatch.setattr("labkit.console.EVERY_S", 3600.0)
+
+
 @pytest.fixture
 def write_dng() -> WriteDng:
     """Writes counts (rows, cols) as a DNG with any filter phase, levels and orientation flag."""

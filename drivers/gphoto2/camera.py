@@ -93,7 +93,7 @@ def find_cameras() -> list[tuple[str, str]]:
 
 
 class Gphoto2Camera(ClosesItself):
-    """A Camera, Adjustable, Checkable and Candid.
+    """A Camera, Adjustable, Checkable, Candid and Previewing.
 
     port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
     the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from the end of
@@ -147,6 +147,17 @@ class Gphoto2Camera(ClosesItself):
     def expose(self, path: Path) -> RawFrame:
         """Expose once into `path` with the raw format's suffix after it; as the body is set, if not configured."""
         return self._doing(f"photographing {path.name}", lambda: self._expose(path), path.parent)
+
+    def preview(self, path: Path) -> Path | None:
+        """A picture of its live view, written to `path` with ".jpg" after it; None from a body that has none."""
+        made = path.with_name(f"{path.name}.jpg")
+        try:
+            self._doing("live view", lambda: self._link.ask("preview", ASK_S, path=str(made)))
+        except (CameraError, DeviceTimeoutError) as error:
+            if isinstance(error.__cause__, Trouble) and error.__cause__.code == UNSUPPORTED:
+                return None
+            raise
+        return made
 
     def settings(self) -> tuple[Setting, ...]:
         """Everything the body offers."""

@@ -56,7 +56,7 @@ class Worker:
         self._added: deque[tuple[str, str]] = deque()
         self.requests: dict[str, Callable[..., Any]] = {
             name: getattr(self, name)
-            for name in ("find", "open", "settings", "read", "set", "expose", "storage", "reset", "close")
+            for name in ("find", "open", "settings", "read", "set", "expose", "preview", "storage", "reset", "close")
         }
 
     def find(self) -> list[list[str]]:
@@ -117,6 +117,11 @@ class Worker:
             place = self._patiently(camera.capture, gp.GP_CAPTURE_IMAGE)
             self._added.append((place.folder, place.name))
         return {"files": self._collect(Path(folder), files, wait_s, keep), "strays": strays}
+
+    def preview(self, path: str) -> None:
+        """Write a picture of the live view, a JPEG, to `path`."""
+        file = self._patiently(self._camera.capture_preview)
+        Path(path).write_bytes(file.get_data_and_size())
 
     def storage(self) -> list[dict[str, Any]]:
         """Free space of each store, in images and kilobytes, where the body reports it."""

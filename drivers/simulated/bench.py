@@ -34,8 +34,15 @@ from labkit.drivers.simulated.scene import (
     transform,
 )
 from labkit.drivers.simulated.spread import psf_and_halo, veiled
+from labkit.drivers.simulated.tiles import mosaic_in_tiles
 from labkit.drivers.simulated.world import REFERENCE_NM, BenchSettings, Fault, Truth, Visit
 from labkit.types import Floats, Floats32
+
+MOST_AT_ONCE = 640
+"""Side of a sensor that is rendered all at once, in 2 GB; a larger one is rendered in tiles: 2288 × 2288 pixels in 1.0 GB."""
+
+STRIP_ROWS = 640
+"""Of a larger one, noise and even light are drawn in strips."""
 
 KEPT_PICTURES = 4
 """White, black and the target at one stop are shown in turn; more than these need not be kept."""
@@ -135,12 +142,17 @@ class Bench:
         self.wait(exposure_s)
         sensor = self.settings.sensor
         rng = self._generator("frame", name)
-        per_s = self._hot_electrons_per_s.copy()
-        if not self.covered:
-            per_s += self._white_electrons_per_s * self._picture()
-        electrons = rng.poisson(per_s * exposure_s) + rng.normal(0, sensor.read_noise_electrons, per_s.shape)
-        counts = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
-        return np.clip(np.rint(counts), 0, sensor.white_level).astype(np.uint16)
+        picture = None if self.covered else self._picture()
+        counts = np.empty((sensor.rows, sensor.cols), dtype=np.uint16)
+        for top in range(0, sensor.rows, STRIP_ROWS):
+            rows = slice(top, top + STRIP_ROWS)
+            per_s = self._hot_electrons_per_s[rows].astype(np.float64)
+            if picture is not None:
+                per_s += self._white_electrons_per_s[rows] * picture[rows]
+            electrons = rng.poisson(per_s * exposure_s) + rng.normal(0, sensor.read_noise_electrons, per_s.shape)
+            exact = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
+            counts[rows] = np.clip(np.rint(exact), 0, sensor.white_level)
+        return counts
 
     @property
     def truth(self) -> Truth:
@@ -190,6 +202,9 @@ class Bench:
         self._hot_electrons_per_s = np.zeros(shape)
         self._hot_electrons_per_s.flat[hot] = 10 ** rng.uniform(4.3, 5.6, hot.size)
         self._white_electrons_per_s = sensor.white_electrons_per_s * response * self._colour_map() * self._vignette()
+        if max(shape) > MOST_AT_ONCE:
+            self._white_electrons_per_s = self._white_electrons_per_s.astype(np.float32)
+            self._hot_electrons_per_s = self._hot_electrons_per_s.astype(np.float32)
 
     def _generator(self, *purpose: str) -> np.random.Generator:
         return np.random.default_rng([self.settings.seed, zlib.crc32("/".join(purpose).encode())])
@@ -266,16 +281,20 @@ class Bench:
         self, lateral: float, lit: Lit | None, samples: int | None = None, halo_um: float | None = None
     ) -> SceneTransform:
         grid = self._grid(samples, halo_um)
-        glass = Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm, lit)
-        return transform(render(glass, self._to_pixels(lateral), grid), grid)
+        return transform(render(self._glass(lit), self._to_pixels(lateral), grid), grid)
+
+    def _glass(self, lit: Lit | None) -> Glass:
+        return Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm, lit)
 
     def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
         """A scene through the lens in one colour, all of its light counted."""
-        waves = {4: self._defocus(colour), **self._modes[colour]}
-        psf, halo = psf_and_halo(self.settings, colour, waves, scene.grid)
+        psf, halo = psf_and_halo(self.settings, colour, self._waves_in(colour), scene.grid)
         total = psf.sum(dtype=float) + halo.sum(dtype=float)  # what lands farther than the frame is wide is no loss
         seen = photograph(scene, psf, self.settings.sensor.fill_factor, halo) / np.float32(total)
         return veiled(seen, scene, self.settings.lens.veil)
+
+    def _waves_in(self, colour: str) -> dict[int, float]:
+        return {4: self._defocus(colour), **self._modes[colour]}
 
     def _defocus(self, colour: str) -> float:
         lens = self.settings.lens
@@ -304,12 +323,39 @@ class Bench:
 
     def _mosaic(self) -> Floats32:
         """Each pixel through its own colour."""
+        sensor = self.settings.sensor
+        if max(sensor.rows, sensor.cols) > MOST_AT_ONCE:
+            return self._mosaic_in_tiles()
         colours, scenes = self._colours(), dict[tuple[float, Lit | None], SceneTransform]()
         seen = np.zeros(colours.shape, dtype=np.float32)
         for colour in np.unique(colours):
             here, look = colours == colour, self._look(str(colour))
             scene = scenes[look] = scenes.get(look) or self._scene(*look)
             seen[here] = self._photograph(str(colour), scene)[here]
+        return seen
+
+    def _mosaic_in_tiles(self) -> Floats32:
+        colours, grid = self._colours(), self._grid(None, None)
+        spreads = {}
+        for colour in np.unique(colours):
+            psf, halo = psf_and_halo(self.settings, str(colour), self._waves_in(str(colour)), grid)
+            total = np.float32(psf.sum(dtype=float) + halo.sum(dtype=float))
+            spreads[str(colour)] = psf / total, halo / total
+        glass = {colour: self._glass(self._look(colour)[1]) for colour in spreads}
+        latest: dict[tuple[object, ...], SceneTransform] = {}  # colours of one look share a tile's scene
+
+        def draw(colour: str, here: FineGrid) -> SceneTransform:
+            key = (self._look(colour), here)
+            if key not in latest:
+                latest.clear()
+                latest[key] = transform(render(glass[colour], self._to_pixels(self._lateral(colour)), here), here)
+            return latest[key]
+
+        seen, whole = mosaic_in_tiles(colours, grid, draw, spreads, self.settings.sensor.fill_factor)
+        if self.settings.lens.veil.fraction:
+            for colour, scene in whole.items():
+                mine = colours == colour
+                seen[mine] = veiled(seen, scene, self.settings.lens.veil)[mine]
         return seen
 
     def _note_visit(self) -> None:
@@ -335,9 +381,13 @@ class Bench:
     def _uniform(self) -> Floats32:
         """A panel in one grey: only its unevenness is left to see, so slow that the blur changes nothing of it."""
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
-        x_mm, y_mm = carry(self._from_pixels(), np.arange(float(cols))[None, :], np.arange(float(rows))[:, None])
         level = self._radiance(self._codes[:1, :1])[0, 0]
-        return np.asarray(level * self._shine(x_mm, y_mm), dtype=np.float32)
+        seen = np.empty((rows, cols), dtype=np.float32)
+        for top in range(0, rows, STRIP_ROWS):
+            down = np.arange(float(top), float(min(top + STRIP_ROWS, rows)))[:, None]
+            x_mm, y_mm = carry(self._from_pixels(), np.arange(float(cols))[None, :], down)
+            seen[top : top + STRIP_ROWS] = level * self._shine(x_mm, y_mm)
+        return seen
 
 
 def demo_bench(seed: int = 1) -> Bench:

@@ -7,7 +7,8 @@ from datetime import datetime
 from pathlib import Path
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import CameraInfo, ExposureSettings, RawFrame
+from labkit.devices.protocols import CameraInfo, ExposureSettings, PanelInfo, Picture, RawFrame
+from labkit.devices.test_patterns import pattern
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.device import SimulatedDevice
 from labkit.drivers.simulated.dng import RawTags, write_raw
@@ -56,6 +57,15 @@ class SimulatedCamera(SimulatedDevice):
             case "card_full":
                 raise CameraError("the simulated camera's card is full; empty it")
         return self._write(path, self._settings)
+
+    def see(self, picture: Picture) -> None:
+        """Another driver's display shows this now: it is on the bench's glass."""
+        self._bench.light(pattern(picture, self._panel) if isinstance(picture, str) else picture)
+
+    @property
+    def _panel(self) -> PanelInfo:
+        panel = self._bench.settings.panel
+        return PanelInfo(panel.pixels, panel.pitch_mm)
 
     def cover(self, closed: bool) -> None:
         """Cap the lens, or take the cap off."""

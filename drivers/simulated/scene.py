@@ -48,12 +48,14 @@ class Glass:
 
 @dataclass(frozen=True, slots=True)
 class FineGrid:
-    """(rows, cols) pixels, each of samples x samples fine samples, with reach more of them on every side."""
+    """(rows, cols) pixels from (top, left), each of samples x samples fine samples, with reach more of them on every side."""
 
     rows: int
     cols: int
     samples: int
     reach: int
+    top: int = 0
+    left: int = 0
 
     def centres(self, pixels: int) -> Floats:
         """Sample centres along an axis of that many pixels, in pixels; pixel centres stand at integers."""
@@ -94,7 +96,7 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     codes = np.pad(glass.codes, 1, constant_values=OUTSIDE)
     radiance = np.pad(glass.radiance, 1)
     half = 0.5 / grid.samples
-    y, x = grid.centres(grid.rows), grid.centres(grid.cols)
+    y, x = grid.top + grid.centres(grid.rows), grid.left + grid.centres(grid.cols)
     scene = np.empty((y.size, x.size), dtype=np.float32)
     x_corner = np.append(x - half, x[-1] + half)[None, :]
     for start in range(0, y.size, ROWS_AT_ONCE):
@@ -104,7 +106,7 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
         edge |= corner[:-1, :-1] != corner[:-1, 1:]
         block = _look_up(radiance, to_panel, x[None, :], y_here[:, None])
         i, j = np.nonzero(edge)
-        dx, dy = _lattice(i + start, j)
+        dx, dy = _lattice(i + start + grid.top * grid.samples, j + grid.left * grid.samples)
         points = _look_up(radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
         if glass.lit is not None:
             block *= _brightness(glass.lit, to_panel, x[None, :], y_here[:, None], 2 * half)

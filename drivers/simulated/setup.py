@@ -5,21 +5,26 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.panels import panel_info
+from labkit.devices.panels import paper_panel, plan_panel
 from labkit.devices.shared import Lease
-from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.bench import MOST_AT_ONCE, Bench
 from labkit.drivers.simulated.world import FAULTS, BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import PlanError, shown
+from labkit.pace import in_words
 from labkit.plan import Plan, RailSettings
 from labkit.target import open_target
 
-MOST_PIXELS = 640
-"""Largest side of the simulated sensor: beyond it the brute force wants more than 2 GB."""
+FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
+"""To a pixel, and how far light is followed ring by ring, on a sensor that is rendered in tiles: less of each is less work."""
+
+S_PER_MEGAPIXEL = 25.0
+"""About what a picture of a colour mosaic takes on one core, where it is rendered in tiles."""
 
 SEED = re.compile(r"seed=([0-9]{1,9})")
 FAULT = re.compile(r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?")
@@ -37,7 +42,7 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
     others = [key for key, part in context.shared.items() if isinstance(part, Bench) and key != address]
     if others:
         raise PlanError(f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address')
-    lease = context.shared.lease(address, lambda: _bench(address, plan))
+    lease = context.shared.lease(address, lambda: _bench(address, plan, context.warn))
     if not isinstance(lease.part, Bench):
         lease.close()
         raise PlanError(f'"{address}" is no bench but {type(lease.part).__name__}')
@@ -47,12 +52,12 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
 def settings_for(plan: Plan, seed: int) -> BenchSettings:
     """A bench on which the plan makes sense: its target in frame at every range, its exposure right.
 
-    Raises PlanError if the plan lacks [rail], [display] or [camera], or its target needs too large a sensor.
+    Raises PlanError if the plan lacks [rail] or [camera], or its target needs too large a sensor.
     """
-    if plan.camera is None or plan.rail is None or plan.display is None:
-        raise PlanError("a simulated bench needs a plan with [camera], [rail] and [display]")
+    if plan.camera is None or plan.rail is None:
+        raise PlanError("a simulated bench needs a plan with [camera] and [rail]")
     rng = np.random.default_rng([seed, zlib.crc32(b"plan")])
-    glass = panel_info(plan.display)
+    glass = plan_panel(plan) or paper_panel(open_target(plan.target))
     rows, cols = _sensor_size(plan, min(plan.rail.ranges_mm))
     mono = plan.sensor.cfa_pattern == "mono"
     usual = TrueSensor()
@@ -80,12 +85,22 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
         best_focus_mm=_best_focus_mm(wavelength_nm, plan.rail.ranges_mm, rng),
     )
     panel = TruePanel(pixels=glass.pixels, pitch_mm=glass.pitch_mm, gamma=glass.gamma)
-    return BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
+    settings = BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
+    if max(rows, cols) > MOST_AT_ONCE:
+        settings = replace(settings, samples_per_pixel=FEWEST_SAMPLES, halo_um=min(NEAR_HALO_UM, settings.halo_um))
+    return settings
 
 
-def _bench(address: str, plan: Plan) -> Bench:
+def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
     seed, faults = ordered(address)
-    return Bench(settings_for(plan, seed), faults)
+    settings = settings_for(plan, seed)
+    rows, cols = settings.sensor.rows, settings.sensor.cols
+    if max(rows, cols) > MOST_AT_ONCE:
+        wait = in_words(rows * cols / 1e6 * S_PER_MEGAPIXEL)
+        warn(
+            f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}"
+        )
+    return Bench(settings, faults)
 
 
 def ordered(address: str) -> tuple[int, tuple[Fault, ...]]:
@@ -115,11 +130,6 @@ def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
     per_mm = focal_mm / (nearest_mm - focal_mm) / (plan.sensor.pixel_pitch_um * 1e-3)
     high, wide = (side * per_mm for side in open_target(plan.target).size_mm)
     rows, cols = (8 * math.ceil((a + 0.021 * b + 24) / 8) for a, b in ((high, wide), (wide, high)))
-    if max(rows, cols) > MOST_PIXELS:
-        raise PlanError(
-            f"target.size_mm = {plan.target.size_mm:g}: it fills {max(high, wide):.0f} pixels at {nearest_mm:g} mm, "
-            f"and the simulated camera has up to {MOST_PIXELS}; take a smaller target or a longer range"
-        )
     return rows, cols
 
 

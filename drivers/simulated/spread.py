@@ -27,6 +27,9 @@ SINC_REACH, SINC_BETA = 32, 9.0
 """Half the width of the windowed sinc, samples, and Kaiser's beta: within 4e-5 of one up to nine tenths of Nyquist's
 frequency, where a PSF has a hundredth of its contrast left and a pixel a twentieth of that."""
 
+FARTHEST_PX = 640
+"""Light is not followed farther than this: of an f/2.8 lens on pixels of 5 um less than 1e-4 goes beyond."""
+
 GAUSSIAN_REACH = 6.0
 """In sigmas: 2e-9 of a Gaussian is beyond."""
 
@@ -48,7 +51,8 @@ def psf_and_halo(
         psf += np.float32(share) * point_spread(here, nm, cone, spacing_um, grid.reach, REFERENCE_NM)
     # the halo grows as the wavelength does: a mean of halos is that of the mean wavelength
     mean_nm = sum(nm * share for nm, share in lines)
-    halo = halo_beyond(mean_nm, cone, spacing_um, grid.reach, grid.samples, max(sensor.rows, sensor.cols))
+    pixels = min(max(sensor.rows, sensor.cols), FARTHEST_PX)
+    halo = halo_beyond(mean_nm, cone, spacing_um, grid.reach, grid.samples, pixels)
     kernel = aside(sensor.low_pass, sensor.diffusion_px, settings.rail.smear, grid.samples)
     if kernel.size > 1:
         psf = scipy.signal.fftconvolve(psf, kernel, mode="same").astype(np.float32)

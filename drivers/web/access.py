@@ -58,6 +58,11 @@ def kept_token(folder: Path) -> str:
     return token
 
 
+def state_folder() -> Path:
+    """Where labkit keeps what it needs from run to run, for this user."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "labkit"
+
+
 class Guard:
     """Lets a request through to `app`, its path without the token, or answers that there is nothing."""
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 
-from labkit.devices.context import DeviceContext
+from labkit.devices.context import DeviceContext, Glass
 from labkit.devices.panels import panel_info
 from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
@@ -39,13 +39,14 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay
         stack.callback(server.remove_screen, name)
         close = stack.pop_all().close
     context.show_link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
-    return WebDisplay(screen, server.monitor, close, context.warn)
+    return WebDisplay(screen, server.monitor, close, context.warn, glass=context.glass)
 
 
 class WebDisplay(ClosesItself):
     """A Display on a web page: a picture counts as shown when its page has read it back.
 
-    hold_s: how long to wait for a page that is not right. It brings the operator's page of its server as an observer.
+    hold_s: how long to wait for a page that is not right; glass: is given what the page was sent and has confirmed. It brings
+    the operator's page of its server as an observer.
     """
 
     def __init__(
@@ -55,11 +56,13 @@ class WebDisplay(ClosesItself):
         close: Callable[[], None],
         warn: Callable[[str], None],
         hold_s: float = HOLD_S,
+        glass: Glass | None = None,
     ) -> None:
         self._screen, self._monitor = screen, monitor
         self._close: Callable[[], None] | None = close
         self._warn = warn
         self.hold_s = hold_s
+        self._glass = glass or Glass()
         self._shown: tuple[Order, Report] | None = None
 
     @property
@@ -84,6 +87,7 @@ class WebDisplay(ClosesItself):
         order = self._screen.want(picture)
         report = self._hold(lambda: self._screen.confirms(order))
         self._shown = order, report
+        self._glass.shows(order.picture())
         return Shown((picture.shape[0], picture.shape[1]))
 
     def undisturbed(self) -> bool:

@@ -12,7 +12,9 @@ from queue import SimpleQueue
 from typing import Any
 
 from labkit.devices.operator import Operator
-from labkit.drivers.web.preview import FrameSummary, summarise
+from labkit.drivers.web.preview import FrameSummary, look_at, summarise
+from labkit.finder.preview import Look
+from labkit.pace import Pace
 from labkit.raw.mosaic import Mosaic
 from labkit.types import FrameKind
 
@@ -30,10 +32,8 @@ class Monitor:
         self._listeners: dict[object, Callable[[], None]] = {}
         self._phase, self._doing = "idle", ""
         self._done = self._total = 0
-        self._first: tuple[float, int] | None = None
-        self._latest_s = 0.0
+        self._pace = Pace()
         self._paused = self._stopping = False
-        self._paused_s = 0.0
         self._choices: list[str] = []
         self._picked: str | None = None
         self._questions = 0
@@ -55,29 +55,34 @@ class Monitor:
 
     def took(self, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
         """A photograph is in the session."""
-        number = self._frame.number + 1 if self._frame else 1
-        frame, preview = summarise(number, name, kind, range_mm, mosaic)
+        self._show(look_at(name, kind, range_mm, mosaic))
         with self._lock:
-            self._frame, self.preview = frame, preview
-            if frame.edge_px is not None:
-                self._sharpness.append({"name": name, "edge_px": frame.edge_px})
-            self._latest_s = self._now()
-            if self._first is None:
-                self._first, self._paused_s = (self._latest_s, done), 0.0
+            self._pace.at(done, total, self._now())
             self._done, self._total = done, total
             # a photograph in the session means that whatever was in trouble has got over it
             self._devices = {device: {**state, "state": "good"} for device, state in self._devices.items()}
             self._devices["camera"] = {"state": "good", "text": f"took {name}"}
         self.wake()
 
+    def saw(self, look: Look) -> None:
+        """A photograph that is no frame."""
+        self._show(look)
+        self.wake()
+
+    @property
+    def holds(self) -> bool:
+        """Whether the operator has pressed pause."""
+        with self._lock:
+            return self._paused and not self._stopping
+
     def may_go_on(self) -> None:
         """Hold while paused. Raises KeyboardInterrupt once the operator has pressed abort."""
-        since = self._now()
         with self._lock:
+            if self._paused:
+                self._pace.hold(self._now())
             while self._paused and not self._stopping:
                 self._lock.wait(0.5)
-            if self._first is not None:
-                self._paused_s += self._now() - since
+            self._pace.go_on(self._now())
         self.refuse_abort()
 
     def refuse_abort(self) -> None:
@@ -149,8 +154,15 @@ class Monitor:
         for notify in listeners:
             notify()
 
+    def _show(self, look: Look) -> None:
+        frame, preview = summarise(self._frame.number + 1 if self._frame else 1, look)
+        with self._lock:
+            self._frame, self.preview = frame, preview
+            if frame.edge_px is not None:
+                self._sharpness.append({"name": look.name, "edge_px": frame.edge_px})
+
     def _write(self, text: str) -> None:
-        self._log.append({"time": datetime.now().strftime("%H:%M:%S"), "text": text})
+        self._log.append({"time": datetime.now().astimezone().isoformat(timespec="seconds"), "text": text})
 
     def _shown_phase(self, asking: bool) -> str:
         if self._phase != "capturing":
@@ -158,25 +170,24 @@ class Monitor:
         return "stopping" if self._stopping else "asking" if asking else "paused" if self._paused else "capturing"
 
     def _left_s(self) -> int | None:
-        """Seconds left at the pace so far, pauses not counted; None before two photographs show a pace."""
-        if self._phase != "capturing" or self._first is None or self._paused or self._done <= self._first[1]:
-            return None
-        since, already = self._first
-        pace_s = (self._latest_s - since - self._paused_s) / (self._done - already)
-        return max(0, round(pace_s * (self._total - self._done) - (self._now() - self._latest_s)))
+        """Seconds left at the pace so far, 1 at least, pauses not counted; None before two photographs show a pace."""
+        left_s = None if self._paused or self._phase != "capturing" else self._pace.left_s(self._now())
+        return None if left_s is None else max(1, round(left_s))
 
     def _take_note(self, event: str, fields: dict[str, Any]) -> None:
         match event:
             case "doing":
                 self._phase, self._doing = "capturing", str(fields["what"])
             case "began":
-                self._phase, self._first = "capturing", None
+                self._phase, self._pace = "capturing", Pace()
                 self._total = int(fields["total"])
                 self._done = self._total - int(fields["missing"])
             case "complete" | "stopped" | "interrupted":
                 self._phase = event
                 self._doing = str(fields.get("error", ""))
                 self._paused = self._stopping = False
+            case "focusing":
+                self._phase, self._doing = "focusing", str(fields["what"])
             case "serving":
                 self._phase, self._choices, self._picked = "serving", list(fields["choices"]), fields["picked"]
             case "camera":
@@ -199,7 +210,9 @@ def in_words(event: str, fields: dict[str, Any]) -> str:
         case "trouble", {"device": device, "attempt": attempt, "error": error}:
             return f"trouble with the {device}, try {attempt}: {error}"
         case "serving", {"picked": picked}:
-            return f"showing {picked}"
+            return f"picked: {picked}"
+        case "focusing", {"what": what}:
+            return f"focusing: {what}"
         case "preflight", {"problems": problems}:
             return f"preflight: {'; '.join(problems) or 'all is right'}"
         case "stopped", {"error": error}:

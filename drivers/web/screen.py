@@ -59,6 +59,10 @@ class Order:
     png: bytes
     crc: int
 
+    def picture(self) -> NDArray[np.uint8]:
+        """Its grey values, (height, width), as the page decodes them."""
+        return np.asarray(cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
 
 class Screen:
     """A named screen. `name` is the last part of its page's address."""

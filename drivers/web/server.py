@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import socket
 import threading
 import time
@@ -24,8 +23,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from labkit.devices.protocols import PanelInfo
-from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token
+from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token, state_folder
 from labkit.drivers.web.monitor import Monitor
+from labkit.drivers.web.open_pages import note
 from labkit.drivers.web.screen import Report, Screen
 from labkit.errors import DisplayError, PlanError
 
@@ -83,10 +83,11 @@ class WebServer:
         """Raises DisplayError if the address cannot be listened on."""
         self._socket = _listen(host, port)
         self._host, self.port = host, self._socket.getsockname()[1]
-        self.token = kept_token(_state_folder())
+        self.token = kept_token(state_folder())
         self.screens: dict[str, Screen] = {}
         self.monitor = monitor
         self._monitors = 0
+        self._noted: Path | None = None
         self._server = uvicorn.Server(
             uvicorn.Config(
                 Guard(self._app(), self.token),
@@ -119,11 +120,15 @@ class WebServer:
                 self.close()
                 raise DisplayError(f"the web server on port {self.port} did not start within {START_S:g} s")
             time.sleep(0.01)
+        self._noted = note(self.url("monitor"), f"web://{self._host}:{self.port}")
 
     def close(self) -> None:
         """Stop serving; pages go black and wait for the next time."""
         if self._monitors:
             time.sleep(2 * AT_MOST_EVERY_S)  # for the last news to get out
+        if self._noted is not None:
+            with contextlib.suppress(OSError):
+                self._noted.unlink()
         self._server.should_exit = True
         if self._thread.is_alive():
             self._thread.join(STOP_S)
@@ -337,7 +342,3 @@ def reachable(host: str) -> str:
             return f"[{address}]" if six else address
         except OSError:
             return socket.gethostname()
-
-
-def _state_folder() -> Path:
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "labkit"

@@ -17,7 +17,7 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import pixel_noise
+from labkit.raw.frame_quality import exposure_problem, pixel_noise
 from labkit.raw.mosaic import MONO, Mosaic
 from labkit.target import open_target
 from labkit.types import Counts
@@ -76,14 +76,14 @@ class FrameReport:
     by_hand: tuple[str, ...]
 
 
-def open_alone(where: str) -> Alone:
+def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
     """The camera of a plan, or at an address such as "gphoto2:". Raises PlanError, or what the driver raises."""
     path = Path(where)
     planned = path.suffix == ".toml" or path.is_file()
     plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
     if plan.camera is None:
         raise CameraError(f"plan {where} has no [camera]: add it, or give an address such as gphoto2:")
-    return Alone(open_camera(plan.camera.address, plan, DeviceContext()), plan, planned)
+    return Alone(open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned)
 
 
 def offered(camera: Camera) -> tuple[Setting, ...]:
@@ -104,30 +104,47 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    blur, words = None, "not looked for: give a plan that describes it"
-    try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
-        if alone.planned:
-            target = open_target(alone.plan.target)
-            blur, words = blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
-    except TargetError as error:
-        words = str(error)
+    dark, light = light_problem(mosaic)
+    blur, words = (None, "not looked for: there is no light") if dark else _blur_on_target(mosaic, alone)
     return FrameReport(
         exposure_s=frame.exposure_s,
         iso=frame.iso or mosaic.iso or 0,
         pixels=(mosaic.counts.shape[0], mosaic.counts.shape[1]),
         colours=tuple(_colours(mosaic)),
-        edge_px=sharpest_edge_px(mosaic),
+        edge_px=None if dark else sharpest_edge_px(mosaic),
         blur_px=blur,
         target=words,
-        problems=check.problems,
+        problems=((f"the photograph {light}",) if light else ()) + check.problems,
         by_hand=check.by_hand,
     )
 
 
+def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
+    """The blur circle's diameter in pixels on the plan's target, where it is found, and what became of looking for it."""
+    if not alone.planned:
+        return None, "not looked for: give a plan that describes it"
+    try:
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        target = open_target(alone.plan.target)
+        return blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
+    except TargetError as error:
+        return None, str(error)
+
+
+def light_problem(mosaic: Mosaic) -> tuple[bool, str | None]:
+    """Whether a photograph has no light, and what is wrong with its light, if anything is."""
+    light = exposure_problem(mosaic, "target", _names(mosaic))
+    if light is None or not light.startswith("is black"):
+        return False, light
+    return True, f"{light}: is the cap on the lens, the target dark, the exposure too short?"
+
+
+def _names(mosaic: Mosaic) -> list[str]:
+    return ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
+
+
 def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
-    names = ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
-    for name in names:
+    for name in _names(mosaic):
         row, col = mosaic.places(name)[0]
         step = 1 if name == "mono" else 2
         plane = np.ascontiguousarray(mosaic.counts[row::step, col::step])

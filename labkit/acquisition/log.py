@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from labkit.acquisition.sequence import Shot
-from labkit.devices.observer import Observer
+from labkit.devices.observer import Holding, Observer, Viewer
+from labkit.finder.preview import Look
+from labkit.pace import PAUSED
 from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session
 from labkit.types import Progress
@@ -41,7 +43,18 @@ class CaptureLog:
         self._progress(self.done, self.total, doing)
         self.show("doing", what=doing)
         for observer in self._observers:
+            held = isinstance(observer, Holding) and observer.holds
+            if held:
+                self._progress(self.done, self.total, PAUSED)
             observer.may_go_on()
+            if held:
+                self._progress(self.done, self.total, doing)
+
+    def saw(self, look: Look) -> None:
+        """A photograph that is not kept as a frame, to those who show it."""
+        for observer in self._observers:
+            if isinstance(observer, Viewer):
+                observer.saw(look)
 
     def homed(self) -> int:
         """The rail was homed; the how many'th time in this session, from 1, earlier processes counted."""

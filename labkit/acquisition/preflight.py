@@ -1,14 +1,15 @@
 """Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is named at once.
 
 Devices, room on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
-light right, is the target wholly in the frame, is it sharp enough to be fitted? Test photographs are not kept.
+light right, is the target wholly in the frame, is it sharp enough to be fitted? The test photographs of the latest preflight
+are kept in SESSION/preflight, each with a picture to look at that has the target's outline; they are no frames.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,20 +21,25 @@ from labkit.acquisition.patient import PatientDevices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
+from labkit.files import write_atomically, writing
 from labkit.finder.find_target import find_target, grey_image, margin_px
-from labkit.finder.sharpness import blur_px
+from labkit.finder.preview import Look, jpeg
+from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.inference.sketch import FARTHEST_WAVES
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
-from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
+from labkit.types import Floats
 
 Result = TypeVar("Result")
 
 SPARE_SHARE = 0.05
 """Of the room that photographs will take: kept free for journal and results."""
+
+KEPT = "preflight"
+"""The folder of test photographs in a session's."""
 
 PV_PER_RMS = float(np.sqrt(12))
 
@@ -86,7 +92,8 @@ def preflight(
 ) -> Findings:
     """Look at everything once. ends_mm: the nearest and the farthest stop; frames: photographs to come, into `folder`."""
     findings = Findings()
-    look = _Look(plan, patient, log, findings)
+    look = _Round(plan, patient, log, findings, folder / KEPT)
+    shutil.rmtree(look.folder, ignore_errors=True)  # of an earlier preflight
     ready = findings.succeeds(patient.ready)
     for device in (patient.devices.camera, patient.devices.rail, patient.devices.display):
         _check(device, frames, findings)
@@ -111,63 +118,104 @@ def _check(device: object, frames: int, findings: Findings) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """Test photographs, and what is in them."""
+class _Round:
+    """Test photographs, and what is in them. folder: they are kept there."""
 
     plan: Plan
     patient: PatientDevices
     log: CaptureLog
     findings: Findings
+    folder: Path
 
     def round(self, picture: PanelPicture, range_mm: float) -> float | None:
         """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
-        white = self._photograph(f"preflight_{range_mm:.10g}_white", "white")
-        if white is not None and "exposure" not in self.findings.measured:
-            self._check_white(white, range_mm)
-        shown = self._photograph(f"preflight_{range_mm:.10g}_target", picture.grey)
-        return None if shown is None else self._blur_px(shown, range_mm)
+        if (white := self._photograph(range_mm, "white")) is not None:
+            problem = self._check_white(white, range_mm) if "exposure" not in self.findings.measured else ""
+            self._keep(replace(white.look, note=problem), white)
+        if (shown := self._photograph(range_mm, picture.grey)) is None:
+            return None
+        before = len(self.findings.problems)
+        look = self._located(shown.look, range_mm, shown.seen)
+        blur = None if look.corners_px is None else self._blur_px(look, range_mm, shown.seen)
+        note = "; ".join(map(str, self.findings.problems[before:])).partition(", see ")[0]
+        self._keep(replace(look, note=note, edge_px=sharpest_edge_px(look.mosaic)), shown)
+        return blur
 
-    def _check_white(self, white: Mosaic, range_mm: float) -> None:
-        problem = exposure_problem(white, "flat", (channel.name for channel in self.plan.channel))
+    def _check_white(self, white: _Kept, range_mm: float) -> str:
+        problem = exposure_problem(white.look.mosaic, "flat", (channel.name for channel in self.plan.channel))
         self.findings.measured["exposure"] = problem or "right"
         if problem:
             hint = "; is the cap on the lens, the display dark?" if "black" in problem else ""
-            error = DataError(f"a test photograph of white at {range_mm:g} mm {problem}{hint}")
-            self.findings.problems.append(error)
+            words = f"a test photograph of white at {range_mm:g} mm {problem}{hint}"
+            self.findings.problems.append(DataError(f"{words}, see {white.seen}"))
+        return problem or ""
 
-    def _blur_px(self, shown: Mosaic, range_mm: float) -> float | None:
+    def _located(self, look: Look, range_mm: float, seen: Path) -> Look:
+        """With the target's corners, where they are found."""
         plan, target = self.plan, open_target(self.plan.target)
         given = plan.target.corners_px
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
         try:
-            grey = grey_image(shown.counts - shown.black_map(), shown.pattern)
-            corners = np.array(given) if given else find_target(grey, target, mm_per_pixel=scale)
+            grey = _grey(look)
+            return replace(look, corners_px=np.array(given) if given else find_target(grey, target, mm_per_pixel=scale))
         except TargetError as error:
-            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}"))
-            return None
-        blur = blur_px(grey, target, corners)
+            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}, see {seen}"))
+            return look
+
+    def _blur_px(self, look: Look, range_mm: float, seen: Path) -> float:
+        corners, grey = look.corners_px, _grey(look)
+        assert corners is not None
+        blur = blur_px(grey, open_target(self.plan.target), corners)
         margin = margin_px(corners, grey.shape)
         if margin < 0:
             away = f"the target reaches {-margin:.0f} pixels out of the frame: move it, or the camera, back in"
-            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {away}"))
+            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {away}, see {seen}"))
         self.findings.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
         return blur
 
-    def _photograph(self, name: str, picture: Picture) -> Mosaic | None:
-        def take() -> Mosaic:
+    def _photograph(self, range_mm: float, picture: Picture) -> _Kept | None:
+        name = f"preflight_{range_mm:.10g}_{picture if isinstance(picture, str) else 'target'}"
+
+        def take() -> _Kept:
             self.patient.show(picture)
             self.log.step(f"taking {name}")
             path = self.patient.photograph(picture, name).path
-            mosaic = read_raw(path, self.plan.sensor)
-            self.findings.measured["frame_bytes"] = path.stat().st_size
-            return mosaic
+            file = self.folder / path.name
+            with writing(file):
+                self.folder.mkdir(exist_ok=True)
+                path.replace(file)
+            self.findings.measured["frame_bytes"] = file.stat().st_size
+            return _Kept(Look(name, range_mm, read_raw(file, self.plan.sensor)), file)
 
         if self.findings.dark:
             return None
-        mosaic = self.findings.tried(take)
-        self.findings.dark = mosaic is None and isinstance(self.findings.problems[-1], DeviceError)
-        return mosaic
+        kept = self.findings.tried(take)
+        self.findings.dark = kept is None and isinstance(self.findings.problems[-1], DeviceError)
+        return kept
+
+    def _keep(self, look: Look, kept: _Kept) -> None:
+        """Show what was found, and write it beside the photograph."""
+        self.log.saw(look)
+        self.findings.succeeds(lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """A test photograph and the file that it is kept as."""
+
+    look: Look
+    file: Path
+
+    @property
+    def seen(self) -> Path:
+        """A picture of it, to look at."""
+        return self.file.with_name(f"{self.file.stem}_seen.jpg")
+
+
+def _grey(look: Look) -> Floats:
+    mosaic = look.mosaic
+    return grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labkit.devices.context import Devices
 from labkit.devices.panel_image import PanelPicture, panel_picture
+from labkit.devices.protocols import Display, OnPaper
 from labkit.errors import PlanError
 from labkit.plan import CameraSettings, Plan, RailSettings
 from labkit.session.session import Session
@@ -54,11 +55,19 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
             f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
             f"ranges {rail.range_mm(travel.low_mm):g} to {rail.range_mm(travel.high_mm):g} mm"
         )
-    return panel_picture(open_target(plan.target), devices.display.panel)
+    return shown_picture(plan, devices.display)
+
+
+def shown_picture(plan: Plan, display: Display) -> PanelPicture:
+    """The target as a display shows it: on the panel's pixels, or on paper as large as the plan has it. Raises TargetError."""
+    target = open_target(plan.target)
+    if isinstance(display, OnPaper):
+        return replace(panel_picture(target, display.panel), size_mm=target.size_mm)
+    return panel_picture(target, display.panel)
 
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
     """Camera and rail of a plan. Raises PlanError for one that lacks them."""
     if plan.camera is None or plan.rail is None:
-        raise PlanError("to capture, the plan needs [camera], [rail] and [display]")
+        raise PlanError("to capture, the plan needs [camera] and [rail]")
     return plan.camera, plan.rail

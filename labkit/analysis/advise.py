@@ -20,7 +20,7 @@ from labkit.analysis.outlook import (
     propose_ranges,
 )
 from labkit.analysis.panel import panel_pixels
-from labkit.devices.panels import panel_info
+from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.plan import Channel, Plan
@@ -275,7 +275,8 @@ def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
 
 def _nearest_mm(plan: Plan) -> float | None:
     """Range at which a pixel of the plan's display is an Airy radius, (3.49) corrected; nearer it is seen as a pixel."""
-    return None if plan.display is None else panel_info(plan.display).pitch_mm / _airy_on_target_mm(plan, 1.0)
+    panel = plan_panel(plan)
+    return None if panel is None else panel.pitch_mm / _airy_on_target_mm(plan, 1.0)
 
 
 def _shortest(plan: Plan) -> Channel:
@@ -330,9 +331,10 @@ def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
 
 
 def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None) -> list[str]:
-    if plan.display is None or nearest_mm is None:
+    panel = plan_panel(plan)
+    if panel is None or nearest_mm is None:
         return []
-    notes, pitch_mm = [], panel_info(plan.display).pitch_mm
+    notes, pitch_mm = [], panel.pitch_mm
     if plan.target.kind == "sierpinski" and plan.target.order:
         cell_mm = plan.target.size_mm / 3**plan.target.order
         if cell_mm < pitch_mm:

@@ -102,10 +102,11 @@ def observe(
     channels = _channels(plan, channel)
     for name in channels:
         as_shown(plan, target, name)  # a panel that is impossible is refused before photographs are looked at
+    groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
+    progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
     observations: list[Observation] = []
     warnings = [*again, *calibration.warnings]
-    groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     for done, group in enumerate(groups):
         progress(done, len(groups), "finding the target")
         shots = [_locate(frame, plan, target) for frame in group]

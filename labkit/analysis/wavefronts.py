@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -33,6 +34,7 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
+NAMED = 3  # of the fits that are under way
 SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 Input = TypeVar("Input", Task, Question)
@@ -104,6 +106,7 @@ class _Chain:
     tried: list[PartTried] = field(default_factory=list)
     missing: str | None = None
     lost: dict[str, str] = field(default_factory=dict)
+    made: int = 0
 
     def anchors(self) -> list[int]:
         """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
@@ -122,10 +125,9 @@ class _Chain:
         known = self._joined()
         tasks = [self._task(k, known) for k in places]
         tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
-        self.progress(len(self.fits), len(self.observations), "fitting")
-        for index, fit in self._done(fit_task, tasks):
+        doing = "fitting" if self.fits else "searching from nothing"
+        for index, fit in self._done(fit_task, tasks, doing, new=len(tasks)):
             self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
-            self.progress(len(self.fits), len(self.observations), tasks[index].label)
 
     def taken_back(self) -> list[int]:
         """Fits whose search was cut short, which are forgotten."""
@@ -154,7 +156,7 @@ class _Chain:
             cone = replace(fit.optics, f_number=self.fits[others[0]].fit.f_number)
             alike = (self.fits[others[0]].fit.waves,)
             tasks.append(replace(self.fits[k].task, optics=cone, starts=(), alike=alike, patience_s=RECONCILE_S))
-        for index, fit in self._done(fit_task, tasks):
+        for index, fit in self._done(fit_task, tasks, "trying each with the modes of another"):
             if fit.objective > self.fits[places[index]].fit.objective + SAME_OPTIMUM:
                 self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
@@ -179,8 +181,8 @@ class _Chain:
             found = worth([self.fits[k].fit.measured for k in places])
             self.tried += [PartTried(name, gain, True) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
-            self.progress(len(self.fits), len(self.observations), "what the model lacks")
-            answers = [of for _, of in self._done(answer, [Question(self.fits[k], tuple(names)) for k in places])]
+            questions = [Question(self.fits[k], tuple(names)) for k in places]
+            answers = [of for _, of in self._done(answer, questions, "looking for what the model lacks")]
             summed = together(answers) if answers else {}
             name = called_for(summed)
             gained = name is not None and self.diagnose and self._taken_in(name, places)
@@ -220,7 +222,7 @@ class _Chain:
             for k in places
         ]
         before = [self.fits[k].fit for k in places]
-        for index, fit in self._done(fit_task, tasks):
+        for index, fit in self._done(fit_task, tasks, "fitting with other parts of the camera"):
             old = before[index]
             without = old.left if old.left_without is None else old.left_without
             self.fits[places[index]] = LocalFit(tasks[index], replace(canonical(fit), left_without=without))
@@ -231,9 +233,8 @@ class _Chain:
             raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
         before, order = self._joined(), sorted(self.fits)
         again = {} if before.lens is None else self._tasks_again(before, before.lens)
-        for index, fit in self._done(fit_task, list(again.values())):
+        for index, fit in self._done(fit_task, list(again.values()), "fitting again what the session doubts"):
             place = list(again)[index]
-            self.progress(len(self.fits), len(self.observations), f"{again[place].label} again")
             made, old = LocalFit(again[place], canonical(fit)), self.fits[order[place]].fit
             if fit.objective > old.objective - SAME_OPTIMUM:
                 self.fits[order[place]] = made
@@ -242,10 +243,23 @@ class _Chain:
         lost = tuple(self._left_out())
         return replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost)
 
-    def _done(self, function: Callable[[Input], Result], tasks: Sequence[Input]) -> Iterator[tuple[int, Result]]:
-        """What comes of tasks; those that memory was too short for are noted, and what was there before them stays."""
+    def _done(
+        self, function: Callable[[Input], Result], tasks: Sequence[Input], doing: str, new: int = 0
+    ) -> Iterator[tuple[int, Result]]:
+        """What comes of tasks; those that memory was too short for are noted, and what was there before them stays.
+
+        new: how many are observations without a fit; others are more work than was to do before.
+        """
+        under_way = {index: task.label for index, task in enumerate(tasks)}
+        total = self.made + len(tasks) + len(self.observations) - len(self.fits) - new
         try:
-            yield from self.run(function, tasks)
+            if tasks:
+                self.progress(self.made, total, f"{doing}: {_some(under_way.values())}")
+            for index, result in self.run(function, tasks):
+                self.made += 1
+                del under_way[index]
+                self.progress(self.made, total, f"{doing}: {_some(under_way.values())}" if under_way else doing)
+                yield index, result
         except LostTasksError as error:
             self.lost |= {task.label: why for task, why in error.lost}
 
@@ -326,6 +340,12 @@ class _Chain:
             if k not in known.members and local.ranged and local.channel in lens.model.channels:
                 again[k] = _starting_at(local.task, predict(lens, local.member))
         return again
+
+
+def _some(labels: Collection[str]) -> str:
+    """The first few."""
+    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
+    return ", ".join(islice(labels, NAMED)) + more
 
 
 def _starting_at(task: Task, predicted: Floats) -> Task:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
 from labkit.cli.complete import panels, targets
 from labkit.console import Console
-from labkit.errors import LabkitError, PlanError
+from labkit.errors import DataError, LabkitError, PlanError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
+    from labkit.devices.inventory import Connected
     from labkit.devices.operator import Operator
     from labkit.plan import Plan
     from labkit.session.session import Session
@@ -30,6 +31,11 @@ TargetText = Annotated[
     ),
 ]
 
+Found = TypeVar("Found")
+NONE_OF = {
+    "Cameras": "none on USB; those on a network (PTP/IP) are neither looked for nor driven",
+    "Rails": "none answers at a serial port on USB that no program holds",
+}
 SAFE = "every photograph so far is safe, "
 DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
 
@@ -40,33 +46,45 @@ DAMAGED = "photographs are missing or the journal is damaged: labkit verify name
 def devices(
     ctx: typer.Context,
     udev: Annotated[bool, typer.Option("--udev", help="Print only the udev rules that give access.")] = False,
+    no_probe: Annotated[
+        bool,
+        typer.Option("--no-probe", help="Open no serial port: that restarts some controllers, which then need homing."),
+    ] = False,
 ) -> None:
     """List devices, ports and drivers. Also which program holds each device, and what may not be opened."""
     from labkit.devices.inventory import list_connected, udev_rules
 
     console: Console = ctx.obj
-    connected = list_connected()
+    connected = list_connected(probe=not (udev or no_probe))
     if udev:
         console.say(udev_rules(connected))
         console.answer({"udev": udev_rules(connected)})
         return
-    for title, rows in (
-        ("Cameras", connected.cameras and [[camera.address, camera.model] for camera in connected.cameras]),
-        (
-            "USB",
-            connected.usb and [[d.where, d.vendor_product, d.name, "camera" * d.is_camera] for d in connected.usb],
-        ),
-        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
-        (
-            "Installed drivers",
-            [[device, ", ".join(f"{n}:" for n in names)] for device, names in connected.drivers.items()],
-        ),
-    ):
+    for title, rows in _device_tables(connected):
+        nothing = "not looked at" if rows is None else NONE_OF.get(title, "none")
         console.say(title)
-        console.table(rows or [["not looked at" if rows is None else "none"]], indent="  ")
+        console.table(rows or [[nothing]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))
+
+
+def _device_tables(connected: Connected) -> tuple[tuple[str, Sequence[list[str]] | None], ...]:
+    """Title and rows of each kind of device, with the line for the plan; None for what was not looked at."""
+    cameras, rails, usb = connected.cameras, connected.rails, connected.usb
+    named = [(p, f'display.address = "{p.address}"' if p.address else "") for p in connected.pages]
+    return (
+        ("Cameras", _each(cameras, lambda c: [c.address, c.model, f'camera.address = "{c.address}"'])),
+        ("Rails", _each(rails, lambda r: [r.address, r.model, f'rail.address = "{r.address}"'])),
+        ("Pages", [[page.url, page.text, line] for page, line in named]),
+        ("USB", _each(usb, lambda d: [d.where, d.vendor_product, d.name, "camera" * d.is_camera])),
+        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
+        ("Installed drivers", [[kind, ", ".join(f"{n}:" for n in names)] for kind, names in connected.drivers.items()]),
+    )
+
+
+def _each(found: Sequence[Found] | None, row: Callable[[Found], list[str]]) -> list[list[str]] | None:
+    return None if found is None else [row(one) for one in found]
 
 
 @camera_app.command("settings")
@@ -97,6 +115,7 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     alone = open_alone(where)
     with alone.camera:
         found = take_test_frame(alone)
+    console.warn(*found.problems)
     console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
     rows = [["colour", "median", "brightest", "saturated", "noise"]]
     for colour in found.colours:
@@ -107,8 +126,7 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
         blur = "" if found.blur_px is None else f"; a point spreads over {found.blur_px:.1f} pixels"
         console.say(f"focus: the sharpest edges rise over {found.edge_px:.1f} pixels{blur}")
     console.say(f"target: {found.target}")
-    for words in (*found.problems, *(f"check by hand: {words}" for words in found.by_hand)):
-        console.warn(words)
+    console.warn(*(f"check by hand: {words}" for words in found.by_hand))
     console.answer(asdict(found))
 
 
@@ -233,7 +251,7 @@ def capture(
     console: Console = ctx.obj
     wanted = Plan.load(plan)
     if not resume:
-        refuse_existing(session)
+        refuse_existing(session, "--resume")
     with ExitStack() as stack:
         begun = resume and (session / JOURNAL).exists()
         if begun and not missing(opened := stack.enter_context(begin(plan, session, resume))):
@@ -310,10 +328,6 @@ def _report_capture(console: Console, session: Path, frames: int, remark: str = 
     console.answer({"session": str(session), "frames": frames})
 
 
-def _ask(request: str) -> None:
-    typer.prompt(f"{request}, then press Enter", default="", show_default=False, err=True)
-
-
 @rail_app.command("calibrate")
 def rail_calibrate(
     ctx: typer.Context,
@@ -326,8 +340,9 @@ def rail_calibrate(
     ] = None,
 ) -> None:
     """Determine the rail's direction and zero. The rail moves, you measure; prints two lines for the plan."""
+    from labkit.cli.questions import ask, ask_until, at_terminal
     from labkit.devices.context import DeviceContext
-    from labkit.devices.rail_calibration import find_zero, stops
+    from labkit.devices.rail_calibration import find_zero, measure, read_range, stops
     from labkit.devices.registry import open_rail
     from labkit.plan import Plan
 
@@ -337,16 +352,20 @@ def rail_calibrate(
         raise PlanError("the plan has no [rail]")
     with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
         places = stops(rail.travel_mm, at or [])
-        _ask(f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way")
+        ask(
+            f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter"
+        )
         rail.home()
-        positions, ranges = [], []
-        for place in places:
-            positions.append(rail.move_to(place))
-            question = f"The rail stands at {positions[-1]:.3f} mm. Range from the target to the lens, in mm"
-            ranges.append(typer.prompt(question, type=float, err=True))
-    zero = find_zero(positions, ranges)
-    error = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
-    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{error}\ndirection = {zero.direction}")
+        read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
+        say = console.warn if at_terminal() else None
+        positions, ranges = measure(rail, places, lambda question: ask_until(question, read), say)
+    try:
+        zero = find_zero(positions, ranges)
+    except DataError as error:
+        listed = ", ".join(f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True))
+        raise DataError(f"measured (mm): {listed}; {error}") from error
+    std = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
+    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}")
     for place, misfit in zip(positions, zero.misfit_mm, strict=True):
         console.say(f"# at {place:g} mm measured {misfit:+.1f} mm from that")
     console.answer(asdict(zero))

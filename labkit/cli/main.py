@@ -40,7 +40,7 @@ def run(args: Sequence[str]) -> int:
     end = args.index("--") if "--" in args else len(args)
     flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
     rest = [arg for arg in args[:end] if arg not in GLOBAL_FLAGS] + list(args[end:])
-    console = Console()
+    console = Console(json="--json" in flags)  # what is wrong with the options themselves is JSON too
     logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it logs what it raises as well
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
@@ -98,9 +98,11 @@ def _failed(error: BaseException, console: Console) -> int:
             print(usage, file=sys.stderr)
         else:
             error_line(f"{usage} See labkit --help.")
+        console.failed("UsageError", usage)
         return error.exit_code
     words, status = _words(error, console)
     error_line(words)
+    console.failed(type(error).__name__, words)
     return status
 
 
@@ -118,4 +120,5 @@ def _words(error: BaseException, console: Console) -> tuple[str, int]:
 def _interrupted(console: Console) -> int:
     by = f" by {console.interrupted_by}" if console.interrupted_by else ""
     error_line(f"interrupted{by}{console.hint}")
+    console.failed("Interrupted", f"interrupted{by}{console.hint}")
     return 130

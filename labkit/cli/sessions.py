@@ -70,19 +70,45 @@ def import_(
 @app.command("plan")
 def plan_(
     ctx: typer.Context,
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="A photograph: raw, JPEG, TIFF, PNG or PGM.")],
+    image: Annotated[
+        Path | None, typer.Argument(metavar="[IMAGE]", help="A photograph: raw, JPEG, TIFF, PNG or PGM.")
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="PLAN.toml", help="File to write; nothing is overwritten.")] = Path(
         "plan.toml"
     ),
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Ask for each value; a photograph gives the defaults.")
+    ] = False,
 ) -> None:
-    """Draft a plan from a photograph. What its file does not state is left to fill in, with an example."""
+    """Draft a plan from a photograph, or by questions. What its file does not state is left to fill in."""
     from labkit.session.draft_plan import draft_plan, write_draft
 
     console: Console = ctx.obj
+    if interactive:
+        _ask_for_plan(console, image, out)
+        return
+    if image is None:
+        raise DataError("give a photograph to make the plan from, or --interactive to be asked")
     draft = draft_plan(image)
     write_draft(draft, out)
     console.say(f"{out}: fill in {', '.join(draft.fill_in)}")
     console.answer({"plan": str(out), "fill_in": list(draft.fill_in)})
+
+
+def _ask_for_plan(console: Console, image: Path | None, out: Path) -> None:
+    """Write a plan by questions, all of it at the end. Raises InputError where there is one already."""
+    from labkit.cli.plan_questions import plan_by_questions
+    from labkit.cli.questions import ask_until
+    from labkit.files import refuse_taken, write_new
+
+    refuse_taken(out)
+    console.hint = "; nothing was written"
+    text, notes = plan_by_questions(ask_until, out.parent, image)
+    console.hint = ""
+    write_new(out, text)
+    console.warn(*notes)
+    console.say(f"{out}: labkit advise {out} says what it will determine")
+    console.answer({"plan": str(out), "fill_in": []})
 
 
 @app.command()

@@ -9,8 +9,23 @@ from queue import SimpleQueue
 
 from labkit.devices.observer import Observer
 from labkit.devices.operator import Operator
-from labkit.devices.protocols import Camera, Display, Rail
+from labkit.devices.protocols import Camera, Display, Picture, Rail
 from labkit.devices.shared import SharedParts
+
+
+class Glass:
+    """What is on a display now: whoever shows it says so, and whoever looks is called with it."""
+
+    def __init__(self) -> None:
+        self._see: Callable[[Picture], None] = lambda picture: None
+
+    def watched_by(self, see: Callable[[Picture], None]) -> None:
+        """Call this with every picture from now on."""
+        self._see = see
+
+    def shows(self, picture: Picture) -> None:
+        """It is on the glass, as the display has confirmed."""
+        self._see(picture)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +34,8 @@ class DeviceContext:
 
     shared: where devices that depend on each other find their common part; operator: answers questions; requests: what
     a person picked on a page, such as a picture by name; observers: the caller's own, notified of a capture;
-    show_link: shows a person a page to open (what it is, its URL); warn: shows a person one line about a delay.
+    show_link: shows a person a page to open (what it is, its URL); warn: shows a person one line about a delay; glass: what a
+    display shows, for a simulated camera before it.
     """
 
     shared: SharedParts = field(default_factory=SharedParts)
@@ -28,6 +44,7 @@ class DeviceContext:
     observers: tuple[Observer, ...] = ()
     show_link: Callable[[str, str], None] = lambda what, url: None
     warn: Callable[[str], None] = lambda text: None
+    glass: Glass = field(default_factory=Glass)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 import usb.core
 from serial.tools import list_ports
 
-from labkit.devices.registry import GROUPS, finders, installed
+from labkit.devices.registry import GROUPS, finders, installed, page_finders, probes
 from labkit.errors import DeviceError
 
 IMAGE_CLASS = 6
@@ -61,19 +61,42 @@ class FoundCamera:
 
 
 @dataclass(frozen=True, slots=True)
+class FoundRail:
+    """A rail's controller that answered at a serial port, and the address that opens it."""
+
+    address: str
+    model: str
+
+
+@dataclass(frozen=True, slots=True)
+class OpenPage:
+    """A page that is served now. address: that a plan takes for a display, empty for the operator's page; text: its state."""
+
+    address: str
+    url: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Connected:
-    """What is connected; usb, cameras: None where it was not looked at, and `notes` say why; drivers: names of those
-    installed for each of `GROUPS`."""
+    """What is connected; usb, cameras, rails: None where it was not looked at, and `notes` say why; drivers: names of those
+    installed for each of `GROUPS`; pages: those that are served now."""
 
     cameras: tuple[FoundCamera, ...] | None
     usb: tuple[UsbDevice, ...] | None
     serial: tuple[SerialPort, ...]
     drivers: dict[str, tuple[str, ...]]
     notes: tuple[str, ...]
+    rails: tuple[FoundRail, ...] | None = ()
+    pages: tuple[OpenPage, ...] = ()
 
 
-def list_connected() -> Connected:
-    """List cameras, USB devices, serial ports and entry points. `notes` says what could not be looked at."""
+def list_connected(probe: bool = False) -> Connected:
+    """List cameras, USB devices, serial ports, pages and entry points. `notes` says what could not be looked at.
+
+    probe: ask at each serial port on USB that no program holds whether a rail is there. Nothing moves, but to open its port
+    restarts the controller of some, which then has to be homed.
+    """
     cameras, notes = _cameras()
     devices: tuple[UsbDevice, ...] | None = None
     try:
@@ -90,7 +113,9 @@ def list_connected() -> Connected:
             notes += _hindrances(f"usb:{device.where}", device.permitted, device.holders)
     for port in ports:
         notes += _hindrances(port.path, port.permitted, port.holders)
-    return Connected(cameras, devices, ports, {device: installed(device) for device in GROUPS}, notes)
+    rails, silent = _rails(ports) if probe else (None, ())
+    drivers = {device: installed(device) for device in GROUPS}
+    return Connected(cameras, devices, ports, drivers, (*notes, *silent), rails, tuple(_open_pages()))
 
 
 def udev_rules(connected: Connected) -> str:
@@ -168,6 +193,29 @@ def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
         except DeviceError as error:
             notes += (f"cameras of {name}: were not looked at: {error}",)
     return found, notes
+
+
+def _rails(ports: Iterable[SerialPort]) -> tuple[tuple[FoundRail, ...], tuple[str, ...]]:
+    """Those that answer at a port on USB that is free; and notes of ports that could not be asked."""
+    found, notes = list[FoundRail](), list[str]()
+    for port in ports:
+        if not port.vendor_product or port.holders or not port.permitted:
+            continue
+        for name, answers in probes().items():
+            try:
+                model = answers(port.path)
+            except DeviceError as error:
+                notes.append(f"{port.path}: was not asked for a rail: {error}")
+                break
+            if model is not None:
+                found.append(FoundRail(f"{name}:{port.stable_path or port.path}", printable(model)))
+                break
+    return tuple(found), tuple(notes)
+
+
+def _open_pages() -> Iterator[OpenPage]:
+    for find in page_finders().values():
+        yield from (OpenPage(address, url, printable(text)) for address, url, text in find())
 
 
 def _usb_devices() -> Iterator[UsbDevice]:

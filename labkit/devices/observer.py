@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from labkit.devices.operator import AnswerPage
+from labkit.finder.preview import Look
 from labkit.raw.mosaic import Mosaic
 from labkit.types import FrameKind
 
@@ -28,6 +29,25 @@ class Observer(Protocol):
 
 class Monitor(Observer, AnswerPage, Protocol):
     """An operator's page: it shows a capture, and the operator's questions may be answered on it."""
+
+
+@runtime_checkable
+class Viewer(Protocol):
+    """An observer that also shows photographs that do not become frames: a preflight's, and those to focus by."""
+
+    def saw(self, look: Look) -> None:
+        """A photograph was taken and looked at."""
+        ...
+
+
+@runtime_checkable
+class Holding(Protocol):
+    """An observer that can say beforehand whether `may_go_on` would hold the capture."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it would."""
+        ...
 
 
 @runtime_checkable

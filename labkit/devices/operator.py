@@ -114,7 +114,7 @@ class Operator:
         deadline = time.monotonic() + ANSWER_S
         terminal = _terminal()
         if terminal is not None:
-            _forget_typed(terminal)
+            forget_typed(terminal)
             print(f"{prompt}:", file=sys.stderr, flush=True)
         while time.monotonic() < deadline:
             typed = _line(terminal) if terminal is not None else None
@@ -143,7 +143,7 @@ def _terminal() -> TextIO | None:
         return None
 
 
-def _forget_typed(terminal: TextIO) -> None:
+def forget_typed(terminal: TextIO) -> None:
     """What was typed before a question is no answer to it."""
     import termios
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 from labkit.devices.protocols import PanelInfo
 from labkit.errors import PlanError
 from labkit.plan import DisplaySettings, Plan
+from labkit.target import CellTarget, Target
+
+PAPER_PIXELS = 500
+"""At least, along a target's height on simulated paper."""
 
 PANELS = {
     "ipad-9.7-retina": PanelInfo((1536, 2048), 25.4 / 264),
@@ -28,6 +34,20 @@ def panel_info(settings: DisplaySettings) -> PanelInfo:
     return PANELS[settings.panel]
 
 
+def plan_panel(plan: Plan) -> PanelInfo | None:
+    """The panel that a plan's target is shown on; None without one, or on paper. Raises PlanError."""
+    return None if plan.display is None or plan.display.by_hand else panel_info(plan.display)
+
+
+def paper_panel(target: Target) -> PanelInfo:
+    """A sheet of paper, three times as large as the target in its middle, as pixels that are fine beside its cells."""
+    cells = target.cells.shape[0] if isinstance(target, CellTarget) else 1
+    rows = cells * math.ceil(PAPER_PIXELS / cells)
+    pitch_mm = target.size_mm[0] / rows
+    side = 3 * math.ceil(max(target.size_mm) / pitch_mm)
+    return PanelInfo((side, side), pitch_mm, subpixels="none")
+
+
 SAME_PITCH = 0.005
 """Relative: pitches that differ by more are those of two panels."""
 
@@ -37,7 +57,8 @@ def panel_pitch_mm(plan: Plan) -> float | None:
 
     Raises PlanError where neither states it, or they contradict each other.
     """
-    pixels, shown = plan.target.pixels, None if plan.display is None else panel_info(plan.display).pitch_mm
+    pixels, panel = plan.target.pixels, plan_panel(plan)
+    shown = None if panel is None else panel.pitch_mm
     if pixels is None:
         return None
     if pixels.pitch_mm is None:

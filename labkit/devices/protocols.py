@@ -154,6 +154,15 @@ class Candid(Protocol):
 
 
 @runtime_checkable
+class Previewing(Protocol):
+    """A camera with a live view that wears no shutter."""
+
+    def preview(self, path: Path) -> Path | None:
+        """Write what it sees now, a picture that labkit reads, to `path` with a suffix; None where it has no live view."""
+        ...
+
+
+@runtime_checkable
 class Coverable(Protocol):
     """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
 
@@ -250,6 +259,22 @@ class Display(AbstractContextManager["Display"], Protocol):
 
     def close(self) -> None:
         """Let the display go; again does nothing."""
+        ...
+
+
+@runtime_checkable
+class OnPaper(Protocol):
+    """A display without pixels: what it shows has the size that the plan states."""
+
+    on_paper: bool
+
+
+@runtime_checkable
+class SeesDisplay(Protocol):
+    """A simulated camera, before which another driver's display shows its pictures."""
+
+    def see(self, picture: Picture) -> None:
+        """The display beside it shows this now."""
         ...
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from labkit.devices.protocols import Travel
-from labkit.errors import DataError, PlanError
+from labkit.devices.protocols import Rail, Travel
+from labkit.errors import DataError, PlanError, shown
 
 TAPE_MM = 3.0
 """Measured by hand, a range may err by so much."""
 
 ENDLESS_MM = 1e5
+LONGEST_MM = 3e4
+"""A longer range is not meant by a number that could be metres."""
 SHARES = (0.1, 0.5, 0.9)
 """Where along its travel a rail is measured, unless positions are given."""
 
@@ -49,10 +52,76 @@ def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
     return tuple(round(travel.low_mm + share * (travel.high_mm - travel.low_mm), 1) for share in SHARES)
 
 
+def read_range(text: str, focal_length_mm: float) -> float:
+    """A range in mm as a person types it. Raises DataError for what is none, or is not beyond the focal length."""
+    try:
+        range_mm = float(text.strip().removesuffix("mm").strip().replace(",", "."))
+    except ValueError:
+        range_mm = math.nan
+    if not math.isfinite(range_mm):
+        raise DataError(f"{shown(text)} is no range: type a number of mm, such as 1750")
+    if range_mm <= focal_length_mm:
+        metres = 1000 * range_mm
+        meant = f"; if metres were meant, type {metres:g}" if focal_length_mm < metres < LONGEST_MM else ""
+        raise DataError(f"{range_mm:g} mm is not beyond the focal length, {focal_length_mm:g} mm{meant}")
+    return range_mm
+
+
+def measure(
+    rail: Rail, places: Sequence[float], ask: Callable[[str], float], say: Callable[[str], None] | None
+) -> tuple[list[float], list[float]]:
+    """(positions, ranges) in mm, measured at places by whoever answers `ask`.
+
+    say: called with what misfits before that is asked for again, until all agree or the answer stays; None to ask once.
+    Raises what the rail raises, and what `ask` raises.
+    """
+    positions = [math.nan] * len(places)
+    ranges = list(positions)
+
+    def take(k: int) -> float:
+        before = ranges[k]
+        positions[k] = rail.move_to(places[k])
+        ranges[k] = ask(f"The rail stands at {positions[k]:.3f} mm. Range from the target to the lens, in mm")
+        return before
+
+    for k in range(len(places)):
+        take(k)
+    while say is not None and (wrong := misfitting(positions, ranges)):
+        listed = ", ".join(f"{ranges[k]:g} mm at {positions[k]:g} mm" for k in wrong)
+        say(
+            f"{listed}: {'this does not fit the others' if len(wrong) == 1 else 'these do not fit each other'}; once more"
+        )
+        before = {k: take(k) for k in wrong}
+        if all(abs(was - ranges[k]) < TAPE_MM for k, was in before.items()):
+            break
+    return positions, ranges
+
+
+def misfitting(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> tuple[int, ...]:
+    """Which readings to take again: the one without which the others agree, or all where there is not just one such."""
+    every = range(len(positions_mm))
+    if _agree(positions_mm, ranges_mm):
+        return ()
+    others = {k: [i for i in every if i != k] for k in every}
+    suspects = [
+        k for k, kept in others.items() if _agree([positions_mm[i] for i in kept], [ranges_mm[i] for i in kept])
+    ]
+    return tuple(suspects) if len(suspects) == 1 else tuple(every)
+
+
+def _agree(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> bool:
+    try:
+        find_zero(positions_mm, ranges_mm)
+    except DataError:
+        return False
+    return True
+
+
 def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> RailZero:
     """Direction and zero from (n,) rail positions and (n,) ranges measured there, in mm.
 
-    Raises DataError for fewer than two places, or for a rail that moves otherwise than it reports by more than a tape errs.
+    Raises DataError for fewer than two places, for a rail that moves otherwise than it reports by more than a tape errs, and
+    for a reading that misfits by as much.
     """
     at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0
@@ -68,4 +137,10 @@ def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> Rail
     zeros = ranges - direction * at
     std_mm = float(np.std(zeros, ddof=1) / np.sqrt(zeros.size)) if zeros.size > 2 else None
     misfit = tuple(float(value) for value in zeros - zeros.mean())
+    worst = max(range(zeros.size), key=lambda k: abs(misfit[k]))
+    if abs(misfit[worst]) > 2 * TAPE_MM:
+        raise DataError(
+            f"the {ranges[worst]:g} mm measured at {at[worst]:g} mm are {misfit[worst]:+.1f} mm from where the others have "
+            f"them: allowed is {2 * TAPE_MM:g}; measure again"
+        )
     return RailZero(direction, float(zeros.mean()), std_mm, abs(slope), misfit)

@@ -2,7 +2,9 @@
 
 Groups `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and `labkit.controllers`; each entry is a
 callable (address, plan, context) -> device. What they receive is theirs to use and not to change. A callable of group
-`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError.
+`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError. One of
+`labkit.probes` says what answers at a serial port, by its path: a name or None; it moves nothing, and raises DeviceError.
+One of `labkit.pages` lists pages that are served now: [(address for a plan or "", URL, what it says), ...].
 A lab adds its own device by an entry point of a package of its own.
 """
 
@@ -17,9 +19,10 @@ from typing import Any
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.observer import Monitor, Observed, Observer
 from labkit.devices.operator import AnswerPage
-from labkit.devices.protocols import Camera, Controller, Display, Rail, Timekeeper
+from labkit.devices.protocols import Camera, Controller, Display, Rail, SeesDisplay, Timekeeper
 from labkit.errors import PlanError
 from labkit.plan import Plan
+from labkit.plan.tables import BY_HAND
 
 GROUPS = {
     "camera": "labkit.cameras",
@@ -30,7 +33,7 @@ GROUPS = {
 }
 
 
-FINDERS = "labkit.finders"
+FINDERS, PROBES, PAGES = "labkit.finders", "labkit.probes", "labkit.pages"
 
 
 def installed(device: str) -> tuple[str, ...]:
@@ -41,6 +44,16 @@ def installed(device: str) -> tuple[str, ...]:
 def finders() -> dict[str, Callable[[], Sequence[tuple[str, str]]]]:
     """What lists the devices that drivers see, by the driver's name."""
     return {entry.name: entry.load() for entry in entry_points(group=FINDERS)}
+
+
+def probes() -> dict[str, Callable[[str], str | None]]:
+    """What asks at a serial port whether a rail of a driver is there, by the driver's name."""
+    return {entry.name: entry.load() for entry in entry_points(group=PROBES)}
+
+
+def page_finders() -> dict[str, Callable[[], Sequence[tuple[str, str, str]]]]:
+    """What lists the pages that are served now, by the driver's name."""
+    return {entry.name: entry.load() for entry in entry_points(group=PAGES)}
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Camera:
@@ -84,20 +97,23 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
     """All three devices of a plan, opened together and closed together.
 
     simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
-    to them. Pages that a device serves can answer the operator's questions meanwhile. Raises PlanError if the plan lacks
-    a table that capture needs.
+    to them. Pages that a device serves can answer the operator's questions meanwhile. Without [display] the target is on paper.
+    Raises PlanError if the plan lacks a table that capture needs.
 
     >>> with labkit.open_devices(plan) as bench:
     ...     bench.rail.home()
     """
     context = context or DeviceContext()
-    if plan.camera is None or plan.rail is None or plan.display is None:
-        missing = ", ".join(f"[{name}]" for name in ("camera", "rail", "display") if getattr(plan, name) is None)
-        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera], [rail] and [display]")
+    if plan.camera is None or plan.rail is None:
+        missing = ", ".join(f"[{name}]" for name in ("camera", "rail") if getattr(plan, name) is None)
+        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera] and [rail]")
+    shown_at = BY_HAND if plan.display is None else plan.display.address
     with ExitStack() as stack:
         camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, context))
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, context))
-        display = stack.enter_context(open_display(simulated or plan.display.address, plan, context))
+        display = stack.enter_context(open_display(simulated or shown_at, plan, context))
+        if isinstance(camera, SeesDisplay):
+            context.glass.watched_by(camera.see)
         devices = (camera, rail, display)
         observers = observers_of(context, devices)
         for page in observers:

@@ -300,7 +300,7 @@ class RailSettings(Table):
 
 
 class DisplaySettings(Table):
-    """The display that shows the target. Give `panel`, or `pixel_pitch_mm` and `pixels`."""
+    """The display that shows the target. Give `panel`, or `pixel_pitch_mm` and `pixels`; or `address = "manual:"`, paper."""
 
     address: Address
     """Driver and place: `"web://127.0.0.1:8642"` for a browser on this machine, `"web://0.0.0.0:8642"` for one on the network
@@ -312,15 +312,28 @@ class DisplaySettings(Table):
     pixels: Annotated[tuple[Count, Count] | None, Takes("[height, width] in pixels")] = None
     """Size of any other panel. Default: that of `panel`."""
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether a person puts the target before the camera."""
+        return self.address == BY_HAND
+
     @model_validator(mode="after")
     def _one_way(self) -> DisplaySettings:
         if (self.pixel_pitch_mm is None) != (self.pixels is None):
             raise problem("pixel_pitch_mm and pixels belong together: give both or neither")
+        if self.by_hand:
+            if self.panel is not None or self.pixels is not None:
+                raise problem(f'address = "{BY_HAND}" is a target on paper: leave out panel, pixel_pitch_mm and pixels')
+            return self
         if (self.panel is None) == (self.pixels is None):
             raise problem("give either panel, or pixel_pitch_mm and pixels")
         if self.pixels is not None and min(self.pixels) < 1:
             raise problem(f"pixels = {list(self.pixels)}: allowed is [height, width], each at least 1")
         return self
+
+
+BY_HAND = "manual:"
+"""The address of a display that is a sheet of paper."""
 
 
 def _stated(value: float, std: float | None, relative: float, unit: str = "") -> Uncertain:

@@ -24,6 +24,12 @@ USUAL_NM = {"R": 605.0, "G": 535.0, "B": 465.0}
 
 USUAL_STD_NM = 10.0
 FILL_IN = "# fill in: "
+HOW_TO_FILL_IN = (
+    '# Lines marked "fill in" hold what no photograph says, with an example: put the true value, take the first # away.'
+)
+
+Row = tuple[str, str, str]
+"""Key, value as TOML, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,24 +54,44 @@ class _Photograph:
 
 def draft_plan(image: Path) -> Draft:
     """A plan for photographs like this one. Raises RawError for a file that is no photograph that labkit reads."""
+    photograph, exif = _looked_at(image)
+    blocks, fill_in = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]], []
+    for name, rows in _tables(exif, photograph):
+        blocks.append([name, *(_line(*row) for row in rows)])
+        fill_in += [f"{name.strip('[]')}.{key}" for key, _, why in rows if why.startswith(FILL_IN)]
+    return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n", tuple(dict.fromkeys(fill_in)))
+
+
+def draft_tables(image: Path | None, mono: bool = False) -> tuple[list[str], list[tuple[str, list[Row]]]]:
+    """Lines of a heading, and the tables of a draft: (name with its brackets, rows), for photographs like this one.
+
+    image: None for photographs of a raw camera that nothing is known of, mono or with a colour filter array. A row is
+    (key, value as TOML, why), which begins with FILL_IN where the value is an example. Raises RawError as `draft_plan`.
+    """
+    if image is None:
+        photograph = _Photograph("raw", (0, 0), ("M",) if mono else ("R", "G", "B"))
+        return [], _tables(Exif(), photograph)
+    photograph, exif = _looked_at(image)
+    return [*_heading(image, exif, photograph)], _tables(exif, photograph)
+
+
+def _tables(exif: Exif, photograph: _Photograph) -> list[tuple[str, list[Row]]]:
+    return [
+        ("[lens]", [*_lens(exif)]),
+        ("[sensor]", [*_sensor(exif, photograph)]),
+        *(("[[channel]]", [*_channel(name)]) for name in photograph.colours or ("",)),
+        ("[target]", [*_target()]),
+        ("[fit]", [("zernike_noll", "[4, 15]", "first and last mode")]),
+    ]
+
+
+def _looked_at(image: Path) -> tuple[_Photograph, Exif]:
     try:
-        photograph, exif = _look(image), read_exif(image)
+        return _look(image), read_exif(image)
     except OSError as error:
         raise RawError(f"{image}: {error.strerror}") from error
     except RawError as error:
         raise error if str(image) in str(error) else RawError(f"{image}: {error}") from error
-    tables = {
-        "[lens]": [*_lens(exif)],
-        "[sensor]": [*_sensor(exif, photograph)],
-        **{f"[[channel]]{' ' * place}": [*_channel(name)] for place, name in enumerate(photograph.colours or ("",))},
-        "[target]": [*_target()],
-        "[fit]": [("zernike_noll", "[4, 15]", "first and last mode")],
-    }
-    blocks, fill_in = [[*_heading(image, exif, photograph)]], []
-    for name, rows in tables.items():
-        blocks.append([name.strip(), *(_line(*row) for row in rows)])
-        fill_in += [f"{name.strip(' []')}.{key}" for key, _, why in rows if why.startswith(FILL_IN)]
-    return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n", tuple(dict.fromkeys(fill_in)))
 
 
 def write_draft(draft: Draft, path: Path) -> None:
@@ -101,17 +127,16 @@ def _heading(image: Path, exif: Exif, photograph: _Photograph) -> Iterator[str]:
     rows, cols = photograph.shape
     yield f"# Made from {printable(image.name)}, {rows} × {cols} pixels"
     yield f"# {', '.join(filter(None, facts)) or 'whose file says nothing of camera and lens'}."
-    yield '# Lines marked "fill in" hold what no photograph says, with an example: put the true value, take the first # away.'
 
 
-def _lens(exif: Exif) -> Iterator[tuple[str, str, str]]:
+def _lens(exif: Exif) -> Iterator[Row]:
     """(key, value, why) of each line; so below."""
     focal, stop = exif.focal_length_mm, exif.f_number
     yield ("focal_length_mm", f"{focal:g}", "by EXIF") if focal else ("focal_length_mm", "50", f"{FILL_IN}as engraved")
     yield ("f_number", f"{stop:g}", "by EXIF") if stop else ("f_number", "2.8", f"{FILL_IN}as set on the lens")
 
 
-def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[tuple[str, str, str]]:
+def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[Row]:
     pitch_um, why = _pitch(exif, photograph)
     yield "pixel_pitch_um", f"{pitch_um:.4g}", why
     yield "fill_factor", "1.0", "active area over pitch squared; 1 with microlenses"
@@ -145,20 +170,20 @@ def _pitch(exif: Exif, photograph: _Photograph) -> tuple[float, str]:
     return 4.0, f"{FILL_IN}from the camera's data sheet, sensor's width over pixels"
 
 
-def _channel(name: str) -> Iterator[tuple[str, str, str]]:
+def _channel(name: str) -> Iterator[Row]:
     if name in USUAL_NM:
-        yield "name", f'"{name}"', ""
+        yield "name", f'"{name}"', "as the camera's filters are named"
         yield "wavelength_nm", f"{USUAL_NM[name]:g}", "usual for such a filter; better is that of your light through it"
-        yield "wavelength_std_nm", f"{USUAL_STD_NM:g}", ""
+        yield "wavelength_std_nm", f"{USUAL_STD_NM:g}", "its standard error"
     else:
         yield "name", f'"{name or "M"}"', "" if name else 'of "mono" any name; else one table each for R, G, B'
         yield "wavelength_nm", "550", f"{FILL_IN}of the light, or the filter"
 
 
-def _target() -> Iterator[tuple[str, str, str]]:
+def _target() -> Iterator[Row]:
     yield "kind", '"sierpinski"', "or tribar, checkerboard, slanted_edge, noise, image"
     yield "order", "5", f"{FILL_IN}of the carpet"
-    yield "size_mm", "46.8", f"{FILL_IN}side of the whole carpet"
+    yield "size_mm", "46.8", f"{FILL_IN}side of the whole target"
     yield "surround", '"black"', "what lies around it: black, white, unknown"
 
 

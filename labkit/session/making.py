@@ -17,10 +17,10 @@ HALF_MADE = re.compile(r"\..+\.(\d+)\.(?:new|import)")
 """What is being made is called so: by whom, a process id, and how."""
 
 
-def refuse_existing(folder: Path) -> None:
-    """Raise SessionError unless a session can be made at `folder`."""
+def refuse_existing(folder: Path, go_on: str = "") -> None:
+    """Raise SessionError unless a session can be made at `folder`. go_on: how to go on with a session that is there."""
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        hint = "; to go on with it, use --resume" if (folder / JOURNAL).exists() else ""
+        hint = f"; to go on with it, use {go_on}" if go_on and (folder / JOURNAL).exists() else ""
         raise SessionError(f"{folder} is there already: give a new folder{hint}")
     if folder.is_symlink() and not folder.exists():
         raise SessionError(f"{folder} is a link to {os.readlink(folder)}, which is not there: give a new folder")

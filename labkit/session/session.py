@@ -21,7 +21,7 @@ from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
 from labkit.session.frame import FRAMES, NEEDED, Frame, doubled, event_problem, frame_of, pending
 from labkit.session.journal import JOURNAL, Event, JournalWriter, read_journal
-from labkit.session.making import made_beside
+from labkit.session.making import made_beside, refuse_existing
 from labkit.session.stored_plan import PLAN, changed_tables, plan_as_run, plan_damage, plan_source, store_plan
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
@@ -238,6 +238,8 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
     were taken by another plan.
     """
     folder, source = Path(folder), plan_source(plan)
+    if not resume:
+        refuse_existing(folder, "--resume")
     if not resume or not (folder / JOURNAL).exists():
         return Session.create(folder, source.text, source.folder)
     with ExitStack() as on_failure:

@@ -7,7 +7,7 @@ const here = location.pathname;
 const DEAF_MS = 6000; // the server says something every two seconds
 const PHASES = {
   idle: "Ready", capturing: "Capturing", asking: "Your turn", paused: "Paused", stopping: "Stopping", complete: "Complete",
-  stopped: "Stopped", interrupted: "Interrupted", serving: "Showing",
+  stopped: "Stopped", interrupted: "Interrupted", serving: "Showing", unshown: "Not shown yet", focusing: "Focusing",
 };
 const ENDED = ["complete", "stopped", "interrupted"];
 const SAFE = "Every photograph so far is safe: go on with --resume.";
@@ -33,14 +33,22 @@ const press = (what) => send({ do: what });
 function duration(seconds) {
   const minutes = Math.round(seconds / 60);
   if (seconds < 90) return `${Math.round(seconds)} s left`;
+  if (seconds < 600) return `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s left`;
   return minutes < 90 ? `${minutes} min left` : `${Math.floor(minutes / 60)} h ${minutes % 60} min left`;
 }
 
+// A target counts as shown where its display says so; without photographs there is nothing to say of any.
+function phaseOf(state) {
+  return state.phase === "serving" && state.displays.some((display) => display.problem !== null) ? "unshown" : state.phase;
+}
+
 function render(state) {
+  const phase = phaseOf(state);
   const running = ["capturing", "asking", "paused", "stopping"].includes(state.phase);
-  $("phase").textContent = PHASES[state.phase] || state.phase;
-  $("phase").dataset.phase = state.phase;
-  document.title = state.total ? `${state.done}/${state.total} ${PHASES[state.phase]} – labkit` : "labkit";
+  $("phase").textContent = PHASES[phase] || phase;
+  $("phase").dataset.phase = phase;
+  $("frame").hidden = $("numbers").hidden = state.phase === "serving" && state.frame === null;
+  document.title = state.total ? `${state.done}/${state.total} ${PHASES[phase]} – labkit` : "labkit";
   if (state.phase === "asking") document.title = `● ${document.title}`;
   $("doing").textContent = state.doing;
   $("doing").classList.toggle("wrong", state.phase === "stopped");
@@ -118,10 +126,11 @@ function renderFrame(frame) {
   if (frame === null || (last !== null && last.frame !== null && last.frame.number === frame.number)) return;
   const where = frame.range_mm === null ? "" : ` · ${frame.range_mm} mm`;
   $("frame-name").textContent = `${frame.name}${where}`;
+  $("note").textContent = frame.note;
   $("preview").src = `${here}/frame?${frame.number}-${Date.now()}`;
   $("preview").hidden = false;
   $("clipped").textContent = `${frame.clipped_percent.toFixed(frame.clipped_percent < 10 ? 2 : 0)} %`;
-  $("median").textContent = `middle value ${frame.median_percent.toFixed(0)} %`;
+  $("median").textContent = `median ${frame.median_percent.toFixed(0)} %`;
   const most = Math.max(...frame.histogram.map(Math.sqrt)) || 1;
   const width = 256 / frame.histogram.length;
   $("histogram").replaceChildren(...frame.histogram.map((share, i) => {
@@ -143,8 +152,8 @@ function renderSharpness(points) {
   $("best").textContent = `edges rise over this, smaller is sharper; best ${least.toFixed(1)}, ${points[values.indexOf(least)].name}`;
   $("trend").replaceChildren();
   if (values.length < 2) return;
-  // sharper is up
-  const at = (v, i) => `${((200 * i) / (values.length - 1)).toFixed(1)},${(4 + (32 * (v - least)) / span).toFixed(1)}`;
+  // the line falls as the number does
+  const at = (v, i) => `${((200 * i) / (values.length - 1)).toFixed(1)},${(36 - (32 * (v - least)) / span).toFixed(1)}`;
   const line = document.createElementNS(SVG, "path");
   line.setAttribute("d", `M${values.map(at).join(" L")}`);
   $("trend").append(line);
@@ -166,7 +175,9 @@ function renderLog(lines) {
   list.dataset.now = now;
   list.replaceChildren(...lines.slice().reverse().map((line) => {
     const bad = /^(trouble|stopped|put aside)/.test(line.text);
-    return make("li", bad ? "trouble" : "", make("span", "soft", line.time), make("span", "", line.text));
+    const time = make("time", "soft", line.time.slice(11)); // of an ISO 8601 time with its zone, without the day
+    time.dateTime = time.title = line.time;
+    return make("li", bad ? "trouble" : "", time, make("span", "", line.text));
   }));
 }
 

@@ -2,6 +2,7 @@
 
 Its first argument is JSON: `fault`, a library call's name, the number of the call, how often and what then happens (an
 error code, "hang" or "crash"); `extra`, settings that the virtual camera lacks; `files`, what each exposure delivers;
+`preview`, the JPEG that its live view shows;
 `folder`, where calls are counted, for a fault does not come again because the process was started again.
 """
 
@@ -161,6 +162,13 @@ class FaultyCamera:
         self._real.trigger_capture()
         for one in self._extra.values():
             one["value"] = one.get("drifts", one["value"])
+
+    def _capture_preview(self) -> Any:
+        """The virtual camera says that it has a live view, and has none."""
+        if "preview" not in SPEC:
+            return self._real.capture_preview()
+        content = Path(SPEC["preview"]).read_bytes()
+        return SimpleNamespace(get_data_and_size=lambda: content)
 
     def _wait_for_event(self, milliseconds: int) -> Any:
         if self._files:

@@ -18,7 +18,7 @@ import usb.core
 
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings
+from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings, Previewing
 from labkit.devices.registry import open_camera
 from labkit.drivers.gphoto2 import camera as gphoto2_camera
 from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
@@ -385,3 +385,15 @@ def test_the_worker_ends_with_the_pipe() -> None:
     assert channel is not None
     channel.close()
     assert process.wait(10) == 0
+
+
+def test_live_view_is_a_picture_and_a_body_without_it_says_so_at_once(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
+    (tmp_path / "live").write_bytes(b"\xff\xd8 as the body sends it")
+    assert make().preview(tmp_path / "focus_1") is None
+    camera: Camera = make(preview=str(tmp_path / "live"), fault=fault("capture_preview", -7))
+    assert isinstance(camera, Previewing)
+    seen = camera.preview(tmp_path / "focus_2")
+    assert seen is not None
+    assert seen.read_bytes() == (tmp_path / "live").read_bytes()

@@ -13,11 +13,14 @@ import rawpy
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, Coverable, Display, ExposureSettings, Rail
 from labkit.devices.registry import installed, open_camera, open_devices
+from labkit.drivers.simulated import bench as bench_module
+from labkit.drivers.simulated import tiles as tiles_module
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.drivers.simulated.display import SimulatedDisplay
 from labkit.drivers.simulated.rail import SimulatedRail
-from labkit.drivers.simulated.setup import ordered, settings_for
+from labkit.drivers.simulated.setup import ordered, settings_for, shared_bench
+from labkit.drivers.simulated.tiles import tiles
 from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
 from labkit.plan import Plan
@@ -219,7 +222,7 @@ def test_an_unknown_driver_is_told_with_those_installed() -> None:
 
 def test_a_plan_without_devices_cannot_be_opened() -> None:
     bare = Plan.parse(TEXT[: TEXT.index("[rail]")], Path())
-    with pytest.raises(PlanError, match=r"has no \[rail\], \[display\]"), open_devices(bare):
+    with pytest.raises(PlanError, match=r"has no \[rail\]: to capture"), open_devices(bare):
         pass
 
 
@@ -232,9 +235,34 @@ def test_a_bench_for_a_plan_has_its_target_in_frame_and_its_ranges_on_the_rail()
     assert settings.lens.wavelength_nm["G"] == 550.0
 
 
-def test_a_target_too_large_for_the_simulated_sensor_is_refused() -> None:
-    with pytest.raises(PlanError, match=r"target\.size_mm = 900: .* up to 640; take a smaller target"):
-        settings_for(plan(**{"size_mm = 9.0": "size_mm = 900.0"}), 1)
+def test_a_large_target_gets_a_large_sensor_and_it_is_said_how_long_that_takes() -> None:
+    large = plan(**{"size_mm = 9.0": "size_mm = 243.0"})
+    settings = settings_for(large, 1)
+    assert settings.sensor.rows > 243 * 50 / (2000 - 50) / 6e-3
+    said: list[str] = []
+    shared_bench(DeviceContext(warn=said.append), "simulated:", large).close()
+    (words,) = said
+    assert words.startswith(f"the simulated camera has {settings.sensor.rows} × {settings.sensor.cols} pixels")
+    assert "each new picture takes about" in words
+
+
+def test_a_picture_in_tiles_is_that_of_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(replace(settings_for(plan(), 5), halo_um=60.0))
+    bench.light(np.random.default_rng(1).integers(0, 255, (90, 90)).astype(np.uint8))
+    whole = bench._mosaic()
+    monkeypatch.setattr(bench_module, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(tiles_module, "TILE_PX", 32)
+    parts = bench._mosaic()
+    # single precision, and a transform whose size is another
+    assert np.abs(parts - whole).max() < 2e-5 * whole.max()
+    assert parts.shape == whole.shape
+
+
+def test_tiles_cover_a_sensor_once() -> None:
+    covered = np.zeros((70, 45), dtype=int)
+    for cut in tiles(70, 45, 32):
+        covered[cut] += 1
+    assert np.all(covered == 1)
 
 
 def test_a_sensor_without_colours_writes_tiff(tmp_path: Path) -> None:

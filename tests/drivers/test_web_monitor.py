@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -22,6 +25,7 @@ from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.preview import BINS, exposure, histogram
+from labkit.finder.preview import Look
 from labkit.finder.sharpness import sharpest_edge_px
 from labkit.plan import Plan, TargetSpec
 from labkit.raw.decode import read_raw
@@ -244,6 +248,40 @@ def test_the_page_says_when_labkit_is_gone(table: Table, lab: Lab) -> None:
     table.reads("phase", "No connection")
 
 
+def test_a_simulated_camera_sees_what_the_page_was_sent(lab: Lab, glass: OpenGlass) -> None:
+    seen: list[Picture] = []
+    lab.context.glass.watched_by(seen.append)
+    display = lab.display(400, 400)
+    tab = glass(display.url, 400, 400)
+    display.show(np.random.default_rng(1).integers(0, 256, (300, 200)).astype(np.uint8))
+    (picture,) = seen
+    assert not isinstance(picture, str)
+    assert np.array_equal(picture, tab.seen()[:, :, 0])
+
+
+def test_a_display_that_shows_nothing_is_not_said_to_show(lab: Lab, glass: OpenGlass) -> None:
+    display = lab.display(400, 400)
+    lab.server.monitor.noted("serving", choices=["target"], picked="target")
+    page = glass(lab.server.url("monitor"), 800, 400).page
+    reads(page, "phase", "Not shown yet")
+    assert not page.is_visible("#frame")
+    assert not page.is_visible("#numbers")
+    glass(display.url, 400, 400)
+    reads(page, "phase", "Showing")
+
+
+def test_the_sharpness_line_falls_as_the_number_does(lab: Lab, glass: OpenGlass) -> None:
+    lab.display(400, 400)
+    page = glass(lab.server.url("monitor"), 800, 1280).page
+    for edge_px in (9.0, 6.0, 3.0):
+        lab.server.monitor.saw(Look("a", 2000.0, mosaic(np.full((80, 80), 100)), None, edge_px))
+    reads(page, "sharpness", "3.0 px")
+    page.wait_for_selector("#trend path", state="attached")
+    heights = [float(y) for y in re.findall(r",([0-9.]+)", page.get_attribute("#trend path", "d") or "")]
+    assert heights == sorted(heights)  # in a picture, down is more
+    assert len(heights) == 3
+
+
 def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> None:
     display = lab.display(400, 400)
     tab = glass(display.url, 400, 400)
@@ -287,6 +325,31 @@ def test_the_histogram_counts_every_pixel_once() -> None:
     assert middle == 0
 
 
+def test_a_photograph_of_the_preflight_is_shown_with_what_is_wrong() -> None:
+    monitor = Monitor(DeviceContext().requests, Operator())
+    counts = np.full((80, 120), 100)
+    corners = np.array([[20.0, 30.0], [20.0, 90.0], [60.0, 90.0], [60.0, 30.0]])
+    monitor.saw(Look("preflight_2000_target", 2000.0, mosaic(counts), corners, 4.2, "out of focus"))
+    shown = monitor.snapshot()
+    assert (shown["frame"]["note"], shown["sharpness"]) == (
+        "out of focus",
+        [{"name": "preflight_2000_target", "edge_px": 4.2}],
+    )
+    seen = cv2.imdecode(np.frombuffer(monitor.preview, np.uint8), cv2.IMREAD_COLOR)
+    assert seen is not None
+    assert seen.shape == (40, 60, 3)
+    assert np.ptp(seen[10, 30].astype(int)) > 60  # on the upper edge of the outline, which has a colour
+    assert np.ptp(seen[20, 30].astype(int)) < 20
+
+
+def test_times_in_the_log_have_their_zone() -> None:
+    monitor = Monitor(DeviceContext().requests, Operator())
+    monitor.noted("moved", measured_range_mm=2000.0, position_mm=50.0)
+    logged = datetime.fromisoformat(monitor.snapshot()["log"][0]["time"])
+    assert logged.utcoffset() is not None
+    assert abs(logged - datetime.now(UTC)) < timedelta(minutes=10)
+
+
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
     monitor = Monitor(DeviceContext().requests, Operator())
     monitor.noted("trouble", device="rail", attempt=1, error="stalled")
@@ -317,6 +380,9 @@ def test_time_left_is_the_pace_so_far_without_the_pauses() -> None:
     assert left_s() == 12
     clock[0] += 1.0
     assert left_s() == 11
+    clock[0] += 60.0
+    assert left_s() == 10  # one photograph takes long: the five after it are left at least
+    clock[0] -= 60.0
     monitor.act("pause")
     assert left_s() is None
 

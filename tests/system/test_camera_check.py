@@ -58,6 +58,18 @@ def test_a_test_frame_tells_light_clipping_noise_and_sharpness(
     assert found["blur_px"] is None
 
 
+def test_a_dark_frame_is_said_to_have_no_light_and_no_sharpness(
+    photograph: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lay(photograph, np.random.default_rng(1).normal(600, 3, (400, 600)))
+    assert run(["camera", "test"]) == 0
+    told = capsys.readouterr()
+    assert told.err.startswith("labkit: warning: the photograph is black: ")
+    assert "is the cap on the lens" in told.err
+    assert "focus" not in told.out
+    assert "target: not looked for: there is no light" in told.out
+
+
 def test_with_a_plan_the_camera_is_set_first_and_told_what_it_cannot(
     photograph: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,7 +105,8 @@ def test_a_session_may_lie_under_names_of_any_bytes(locale: dict[str, str], plan
     command = [sys.executable, "-c", "from labkit.cli import main; main()"]
     for args in ([b"capture", os.fsencode(plan), folder + b"/s", b"--no-preflight"], [b"verify", folder + b"/s"]):
         done = subprocess.run([*command, *args], env={**os.environ, **locale}, capture_output=True, timeout=100)
-        assert (done.returncode, done.stderr) == (0, b"")
+        said = [line for line in done.stderr.splitlines() if b" so far" not in line]  # of progress, where it takes long
+        assert (done.returncode, said) == (0, [])
     assert len(Session.open(Path(os.fsdecode(folder)) / "s").frames) == 10
 
 

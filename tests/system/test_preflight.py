@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,11 +21,13 @@ from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.world import Fault
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
+from labkit.session.verify import remarks, verify
 from labkit.target import open_target
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
@@ -213,6 +218,62 @@ def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: P
             edges.append((true_px, edge_px(grey)))
     (_, few), (_, many) = sorted(edges)
     assert few < many
+
+
+class Viewer:
+    """An observer that keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.looks: list[Look] = []
+
+    def noted(self, event: str, **fields: object) -> None:
+        """Nothing to do."""
+
+    def may_go_on(self) -> None:
+        """Lets it."""
+
+    def took(self, *_: object) -> None:
+        """Nothing to do."""
+
+    def saw(self, look: Look) -> None:
+        self.looks.append(look)
+
+
+def test_the_photographs_are_kept_beside_the_frames_and_shown_with_the_targets_outline(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    viewer = Viewer()
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
+    ):
+        run_plan(session, replace(devices, observers=[viewer]))
+    names = [f"preflight_{r}_{what}" for r in ("2050.5", "2000") for what in ("white", "target")]
+    assert [look.name for look in viewer.looks] == names
+    kept = {path.name for path in (tmp_path / "s" / "preflight").iterdir()}
+    assert kept == {f"{name}.dng" for name in names} | {f"{name}_seen.jpg" for name in names}
+    assert verify(Session.open(tmp_path / "s")) == []
+    assert remarks(Session.open(tmp_path / "s")) == []
+    corners = viewer.looks[3].corners_px
+    assert corners is not None
+    seen = cv2.imread(str(tmp_path / "s" / "preflight" / "preflight_2000_target_seen.jpg"))
+    assert seen is not None
+    # two frame pixels are one of the picture; the outline is the only thing in it that has a colour
+    coloured = np.argwhere(np.ptp(seen.astype(int), axis=2) > 60)
+    assert coloured.min(axis=0) == pytest.approx(corners.min(axis=0) / 2, abs=2.5)
+    assert coloured.max(axis=0) == pytest.approx(corners.max(axis=0) / 2, abs=2.5)
+
+
+def test_a_photograph_in_which_no_target_was_found_is_kept_shown_and_named(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000]"))
+    error = problems_of(plan_file, tmp_path / "s", make_context, turned=45)
+    (named,) = re.findall(r"see (\S+)$", str(error))
+    assert Path(named) == tmp_path / "s" / "preflight" / "preflight_2000_target_seen.jpg"
+    assert cv2.imread(named) is not None
+    # the next preflight takes the place of this one
+    assert len(list((tmp_path / "s" / "preflight").iterdir())) == 4
 
 
 def test_no_target_at_all_is_an_error_of_the_target(

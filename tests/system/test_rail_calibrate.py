@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,6 +49,8 @@ def test_json_tells_the_same(
     [
         (["3000", "3200"], ["--at", "30", "--at", "50"], "10.000 mm for each mm of the rail"),
         ([], ["--at", "-5000", "--at", "50"], "--at -5000: the rail goes from"),
+        (["1.75", "3000"], ["--at", "30", "--at", "50"], "if metres were meant, type 1750"),
+        (["3000"], ["--at", "30", "--at", "50"], "the input ended at the question: The rail stands at 50"),
     ],
 )
 def test_what_cannot_be_used_is_one_line_and_status_2(
@@ -58,3 +63,39 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
 ) -> None:
     assert calibrate("grbl:simulated", answers, tmp_path, monkeypatch, *options) == 2
     assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_what_is_typed_during_a_move_is_no_answer(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    rail = {"address": "grbl:simulated", "ranges_mm": [2000, 2050], "range_at_zero_mm": 1950.0}
+    plan.write_text(plan_text(SMALL, {"rail": rail}))
+    near, far = os.openpty()
+    options = ["--at", "20", "--at", "40", "--at", "60"]
+    command = [sys.executable, "-c", "from labkit.cli import main; main()", "rail", "calibrate", str(plan), *options]
+    with subprocess.Popen(command, stdin=far, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+        try:
+            assert running.stderr is not None
+            seen = b""
+            for asked, typed in (
+                (b"press Enter: ", b"\n2019\n"),  # the second line while it homes
+                (b"at 20.000 mm. Range from the target to the lens, in mm: ", b"2020\n"),
+                (b"at 40.000 mm. Range from the target to the lens, in mm: ", b"1.94\n"),
+                (b"if metres were meant, type 1940\n", b"2940\n"),
+                (b"at 60.000 mm. Range from the target to the lens, in mm: ", b"2060\n"),
+                (b"2940 mm at 40 mm: this does not fit the others; once more", b""),
+                (b"at 40.000 mm. Range from the target to the lens, in mm: ", b"2040\n"),
+            ):
+                while asked not in seen:
+                    more = os.read(running.stderr.fileno(), 4096)
+                    assert more, seen
+                    seen += more
+                seen = seen.partition(asked)[2]
+                os.write(near, typed)
+            assert running.stdout is not None
+            assert b"range_at_zero_mm = 2000.0" in running.stdout.read()
+            assert running.wait(timeout=100) == 0
+        finally:
+            running.kill()
+            os.close(near)
+            os.close(far)

@@ -31,5 +31,5 @@ def test_a_target_is_served_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.Mon
             assert running.wait(timeout=100) == 0
         finally:
             running.kill()
-    (kept,) = (tmp_path / "labkit").iterdir()
-    assert kept.read_text() in display
+    assert (tmp_path / "labkit" / "web-token").read_text() in display
+    assert list((tmp_path / "labkit" / "pages").iterdir()) == []

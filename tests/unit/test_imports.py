@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["types", "errors", "uncertain", "version"],
+    ["types", "errors", "pace", "uncertain", "version"],
     ["files", "arrays", "images"],
     ["plan"],
     ["target"],

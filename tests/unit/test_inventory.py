@@ -12,14 +12,24 @@ import usb.core
 from serial.tools import list_ports
 
 from labkit.devices import inventory
-from labkit.devices.inventory import Connected, FoundCamera, SerialPort, UsbDevice, holders, list_connected, udev_rules
-from labkit.errors import CameraError
+from labkit.devices.inventory import (
+    Connected,
+    FoundCamera,
+    FoundRail,
+    SerialPort,
+    UsbDevice,
+    holders,
+    list_connected,
+    udev_rules,
+)
+from labkit.errors import CameraError, RailError
 
 
 @pytest.fixture(autouse=True)
 def no_finders(monkeypatch: pytest.MonkeyPatch) -> None:
-    """libgphoto2 is not asked here."""
+    """libgphoto2 is not asked here, nor are pages."""
     monkeypatch.setattr(inventory, "finders", dict)
+    monkeypatch.setattr(inventory, "page_finders", dict)
 
 
 class FakeUsbDevice(list[list[SimpleNamespace]]):
@@ -63,6 +73,36 @@ def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.
 def test_cameras_are_listed_as_their_drivers_see_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inventory, "finders", lambda: {"a": lambda: [("a:1", "One\n")], "b": lambda: []})
     assert list_connected().cameras == (FoundCamera("a:1", "One?"),)
+
+
+def probed(monkeypatch: pytest.MonkeyPatch, ports: list[SimpleNamespace], answers: Any) -> Connected:
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    monkeypatch.setattr(inventory, "probes", lambda: {"acme": lambda path: None, "rig": answers})
+    return list_connected(probe=True)
+
+
+def test_a_rail_that_answers_is_listed_with_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    builtin = SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None)
+    asked: list[str] = []
+
+    def answers(path: str) -> str:
+        asked.append(path)
+        return "Rig 3"
+
+    found = probed(monkeypatch, [builtin, fake_port("/dev/ttyUSB90")], answers)
+    assert found.rails == (FoundRail("rig:/dev/ttyUSB90", "Rig 3"),)
+    assert asked == ["/dev/ttyUSB90"]  # what is no USB device may be anything: it is not written to
+
+
+def test_a_port_that_does_not_open_is_noted_and_without_probing_none_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def held(path: str) -> str:
+        raise RailError("held by another program")
+
+    found = probed(monkeypatch, [fake_port("/dev/ttyUSB90")], held)
+    assert found.rails == ()
+    assert "/dev/ttyUSB90: was not asked for a rail: held by another program" in found.notes
+    assert list_connected().rails is None
 
 
 def test_a_driver_that_cannot_look_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:

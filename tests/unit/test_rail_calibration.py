@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labkit.devices.protocols import Travel
-from labkit.devices.rail_calibration import find_zero, stops
+from labkit.devices.rail_calibration import find_zero, measure, misfitting, read_range, stops
 from labkit.errors import DataError, PlanError
 
 
@@ -63,3 +63,59 @@ def test_measured_places_lie_along_the_travel_or_where_asked() -> None:
 def test_places_that_cannot_be_measured_at_are_refused(travel: Travel, asked: list[float], words: str) -> None:
     with pytest.raises(PlanError, match=words):
         stops(travel, asked)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1.75", "1.75 mm is not beyond the focal length, 50 mm; if metres were meant, type 1750"),
+        ("50", "not beyond the focal length, 50 mm$"),
+        ("a lot", "'a lot' is no range: type a number of mm"),
+        ("nan", "is no range"),
+    ],
+)
+def test_what_cannot_be_a_range_is_refused_at_once(text: str, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        read_range(text, 50.0)
+
+
+def test_a_range_may_have_its_unit_and_a_decimal_comma() -> None:
+    assert read_range(" 1750,5 mm", 50.0) == 1750.5
+
+
+def test_the_reading_that_misfits_is_known_by_the_others() -> None:
+    at = [30.0, 150.0, 270.0]
+    assert misfitting(at, [3030.0, 3150.0, 3270.0]) == ()
+    assert misfitting(at, [3030.0, 1150.0, 3270.0]) == (1,)
+    assert misfitting(at, [3030.0, 3150.0, 3370.0]) == (2,)
+    assert misfitting([0.0, 100.0], [3000.0, 3200.0]) == (0, 1)
+
+
+def test_with_several_readings_of_one_kind_the_direction_does_not_matter() -> None:
+    assert misfitting([30.0, 150.0, 270.0], [3270.0, 3450.0, 3030.0]) == (1,)
+
+
+class Carriage:
+    """A rail that goes wherever it is sent."""
+
+    def __init__(self) -> None:
+        self.went: list[float] = []
+
+    def move_to(self, position_mm: float) -> float:
+        self.went.append(position_mm)
+        return position_mm
+
+
+def test_only_the_reading_that_misfits_is_asked_for_again() -> None:
+    rail, answers, said = Carriage(), iter([3030.0, 1150.0, 3270.0, 3150.0]), list[str]()
+    at, ranges = measure(rail, [30.0, 150.0, 270.0], lambda _: next(answers), said.append)  # type: ignore[arg-type]
+    assert (at, ranges) == ([30, 150, 270], [3030, 3150, 3270])
+    assert rail.went == [30, 150, 270, 150]
+    assert said == ["1150 mm at 150 mm: this does not fit the others; once more"]
+
+
+def test_who_measures_the_same_again_is_not_asked_for_ever() -> None:
+    answers, said = iter([3000.0, 3200.0, 3000.5, 3200.5]), list[str]()
+    _, ranges = measure(Carriage(), [0.0, 100.0], lambda _: next(answers), said.append)  # type: ignore[arg-type]
+    assert ranges == [3000.5, 3200.5]
+    assert len(said) == 1

@@ -230,6 +230,13 @@ def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
     assert second[:2] == ["", "R"]
 
 
+def test_a_row_has_as_many_digits_as_its_error() -> None:
+    small = a_wavefront(covariance=np.diag([1.21e-10, 1e-10, 1e-10]))  # standard errors of 1.1e-5 and 1e-5
+    (_, row) = some_results(wavefronts=(small,)).wavefront_rows()
+    assert row[2].endswith("± 0.000011")
+    assert "± 0.0000 " not in " ".join([*row, ""])
+
+
 def test_a_magnification_that_is_not_determined_is_marked() -> None:
     _, focus, _, magnification, *lens = some_results().focus_rows()
     assert focus == ["best focus R", "2986.84 ± 0.42 mm"]

@@ -96,6 +96,25 @@ def test_both_ends_come_first_and_predict_the_rest() -> None:
         assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
 
 
+def test_progress_counts_what_is_fitted_again_and_says_what_is_done() -> None:
+    said = list[tuple[int, int, str]]()
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        if function is answer:
+            yield from enumerate({} for _ in tasks)
+        else:
+            yield from enumerate(as_found(task, settled=task.patience_s > ANCHOR_S) for task in tasks)
+
+    fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: said.append((done, of, what)))
+    first = said[0]
+    assert first == (0, 4, "searching from nothing: G at 2900 mm, G at 3200 mm")
+    # nothing is under way where all is done, and what begins says so: the ends are fitted twice, so that all is more than four
+    assert all(done < of for done, of, what in said if ":" in what)
+    assert [done for done, _, _ in said] == sorted(done for done, _, _ in said)
+    assert said[-1][1] > 4
+    assert any(what.startswith("looking for what the model lacks: G at") for _, _, what in said)
+
+
 def test_an_end_that_does_not_show_soon_begins_from_the_other() -> None:
     anchors, again, rest = made(lambda task: task.observation.range_mm != 3200.0 or bool(task.alike))
     assert [task.patience_s for task in anchors] == [ANCHOR_S, ANCHOR_S]

@@ -1,0 +1,60 @@
+"""Which pages labkit serves on this machine now: each server of this user notes its address, and is asked there."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from labkit.drivers.web.access import state_folder
+from labkit.files import write_atomically
+
+ANSWER_S = 2.0
+
+
+def note(url: str, address: str) -> Path:
+    """Note that an operator's page is served, for this user alone; the file to remove when it is not any more."""
+    file = state_folder() / "pages" / f"{os.getpid()}-{urlsplit(url).port}.json"
+    with contextlib.suppress(Exception):  # a page that is not listed is served all the same
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_atomically(file, json.dumps({"url": url, "address": address}).encode())
+        file.chmod(0o600)
+    return file
+
+
+def find_pages() -> list[tuple[str, str, str]]:
+    """(address for a plan, URL, what it says) of each page that is served now: the operator's, and each display's."""
+    return [page for file in sorted((state_folder() / "pages").glob("*.json")) for page in _pages(file)]
+
+
+def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
+    try:
+        noted = json.loads(file.read_text(encoding="utf-8"))
+        url, address = str(noted["url"]), str(noted["address"])
+        state = _state(url)
+    except (OSError, ValueError, KeyError, TypeError, WebSocketException):
+        with contextlib.suppress(OSError):
+            file.unlink()  # of a server that was killed
+        return
+    yield "", url, f"the operator's page: {state['phase']}"
+    for display in state["displays"]:
+        name = "" if display["name"] == "screen" else f"/{display['name']}"
+        height, width = display["pixels"]
+        problem = display["problem"] or "ready"
+        yield f"{address}{name}", str(display["url"]), f"display of {width} × {height} pixels: {problem}"
+
+
+def _state(url: str) -> dict[str, Any]:
+    """What the operator's page is sent first."""
+    origin = Origin(f"http://{urlsplit(url).netloc}")
+    with connect(f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=ANSWER_S) as wire:
+        state: dict[str, Any] = json.loads(wire.recv(timeout=ANSWER_S))
+    return state

@@ -1,0 +1,28 @@
+"""Whether a Zaber stage answers at a serial port: it is asked for its state, and nothing moves."""
+
+from __future__ import annotations
+
+import time
+
+from labkit.drivers.serial.wire import SerialWire
+from labkit.drivers.zaber.protocol import command_line, read_reply
+from labkit.drivers.zaber.rail import AXIS, DEVICE
+
+ANSWER_S = 0.5
+NUMBER = 17
+"""Of the question: that of its answer."""
+
+
+def answers(path: str) -> str | None:
+    """What it is, "Zaber"; None for whatever else is there. Raises RailError for a port that does not open."""
+    wire = SerialWire(path, 115_200)
+    try:
+        end_s = time.monotonic() + ANSWER_S
+        wire.send(b"\n" + command_line(DEVICE, AXIS, NUMBER, ""))  # after whatever half a line is there
+        while (line := wire.line(end_s)) is not None:
+            reply = read_reply(line)
+            if reply is not None and reply.number == NUMBER:
+                return "Zaber"
+        return None
+    finally:
+        wire.close()

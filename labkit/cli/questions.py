@@ -1,0 +1,48 @@
+"""Questions to whoever runs a command: one by one at a terminal, or answered by the lines of an input that is piped in."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TypeVar
+
+from labkit.devices.operator import forget_typed
+from labkit.errors import InputError, printable
+
+Value = TypeVar("Value")
+
+
+def at_terminal() -> bool:
+    """Whether somebody can be asked again."""
+    return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
+
+
+def ask(question: str, default: str = "") -> str:
+    """The answer, trimmed, or the default where it is empty; what was typed before the question is dropped.
+
+    Raises InputError where the input ends.
+    """
+    terminal = at_terminal()
+    if terminal:
+        forget_typed(sys.stdin)
+    print(f"{question}{f' [{default}]' if default else ''}: ", end="", file=sys.stderr, flush=True)
+    line = sys.stdin.readline() if sys.stdin is not None and not sys.stdin.closed else ""
+    if not (terminal and line.endswith("\n")):
+        print(file=sys.stderr)
+    if not line:
+        raise InputError(f"the input ended at the question: {question}")
+    return line.strip() or default
+
+
+def ask_until(question: str, read: Callable[[str], Value], default: str = "") -> Value:
+    """What `read` makes of the answer; at a terminal the question is put again where that raises InputError.
+
+    Raises that error where the answers are piped in: the next line is the answer to the next question.
+    """
+    while True:
+        try:
+            return read(ask(question, default))
+        except InputError as error:
+            if not at_terminal() or str(error).startswith("the input ended"):
+                raise
+            print(f"  {printable(str(error))}", file=sys.stderr)

@@ -1,0 +1,71 @@
+"""A photograph as a small picture to look at: brightened as a screen needs, what is full in red, the target's outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.raw.mosaic import IN_COLOURS, Mosaic
+from labkit.types import Floats
+
+PREVIEW_PX = 900
+RED, CYAN, BLACK = (40, 40, 230), (255, 220, 40), (0, 0, 0)
+"""Blue, green, red: of a clipped pixel, of the outline, and of what sets that off from white."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A photograph that is shown and is no frame of a session: one of a preflight, or to focus by.
+
+    corners_px: (4, 2) of the target found in it (row, col), None where none was; edge_px: pixels over which its sharpest edges
+    rise, None for one that is to be even; note: what to say of it.
+    """
+
+    name: str
+    range_mm: float | None
+    mosaic: Mosaic
+    corners_px: Floats | None = None
+    edge_px: float | None = None
+    note: str = ""
+
+
+def jpeg(mosaic: Mosaic, corners_px: Floats | None = None) -> bytes:
+    """A JPEG at most 900 pixels wide; every patch with a clipped pixel is red; with the outline of a target."""
+    level, full = _cells(mosaic)
+    scale = min(1.0, PREVIEW_PX / level.shape[1])
+    size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
+    small = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
+    grey = np.rint(255 * np.clip(small, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    colour[cv2.resize(full, size, interpolation=cv2.INTER_AREA) > 0] = RED
+    if corners_px is not None:
+        _outline(colour, (corners_px[:, ::-1] + 0.5) * (np.array(size) / mosaic.shape[::-1]) - 0.5)
+    done, written = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    return written.tobytes() if done else b""
+
+
+def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
+    """Draw round corners (x, y)."""
+    shift = 4  # OpenCV's fixed point
+    points = np.rint(corners * 2**shift).astype(np.int32).reshape(1, -1, 2)
+    line = 2 if max(picture.shape) > PREVIEW_PX // 2 else 1  # a smaller picture is shown enlarged
+    for colour, thickness in ((BLACK, line + 2), (CYAN, line)):
+        cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)
+
+
+def _cells(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(rows/2, cols/2) light, 0 black to 1 white, and shares that are full, each 2×2 pixels in one."""
+    light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(mosaic.white - mosaic.black.mean())
+    full = (mosaic.counts >= mosaic.white).astype(np.float32)
+    return _halved(light.astype(np.float32), mosaic), _halved(full, mosaic)
+
+
+def _halved(values: NDArray[np.float32], mosaic: Mosaic) -> NDArray[np.float32]:
+    if mosaic.pattern == IN_COLOURS:
+        values = values.reshape(values.shape[0], -1, len(IN_COLOURS[0])).mean(axis=2)
+    rows, cols = (size // 2 * 2 for size in values.shape)
+    halved: NDArray[np.float32] = values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
+    return halved

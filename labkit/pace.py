@@ -1,0 +1,69 @@
+"""How much longer work takes, by the steps that are done: counted down, never to nothing while there is more to do."""
+
+from __future__ import annotations
+
+import math
+
+PAUSED = "paused on the operator's page"
+"""The name of a step in which nothing is done until somebody lets it."""
+
+
+class Pace:
+    """Steps done of those to do, and when; times in seconds of any clock. Time on hold counts for nothing."""
+
+    def __init__(self) -> None:
+        self.done = self.total = 0
+        self._first: tuple[float, int] | None = None
+        self._latest_s = 0.0
+        self._held_since_s: float | None = None
+        self._held_s = 0.0
+
+    def at(self, done: int, total: int, now_s: float) -> None:
+        """So many steps are done of so many, now. Fewer than before, or none yet, begin anew."""
+        if self._first is None or done < self.done:
+            self._first, self._latest_s = (now_s - self._held_s, done), now_s - self._held_s
+        elif done > self.done:
+            self._latest_s = now_s - self._held_s
+        self.done, self.total = done, total
+
+    def hold(self, now_s: float) -> None:
+        """Nothing is done from now on."""
+        if self._held_since_s is None:
+            self._held_since_s = now_s
+
+    def go_on(self, now_s: float) -> None:
+        """Work goes on."""
+        if self._held_since_s is not None:
+            self._held_s += now_s - self._held_since_s
+            self._held_since_s = None
+
+    @property
+    def on_hold(self) -> bool:
+        """Whether nothing is done."""
+        return self._held_since_s is not None
+
+    def left_s(self, now_s: float) -> float | None:
+        """Seconds left at the mean pace of the steps that are done; None before one is, on hold, and at the end.
+
+        A step is expected to take as long as the mean of those before it. One that takes longer is about to end for as long as
+        that takes: what is left of it falls by exp(-t), so that the sum falls all the time and reaches 0 with the last step.
+        """
+        if self._first is None or self.on_hold or self.done <= self._first[1] or self.done >= self.total:
+            return None
+        since_s, already = self._first
+        mean_s = (self._latest_s - since_s) / (self.done - already)
+        if mean_s <= 0:
+            return 0.0
+        current_s = mean_s * math.exp(-max(0.0, now_s - self._held_s - self._latest_s) / mean_s)
+        return mean_s * (self.total - self.done - 1) + current_s
+
+
+def in_words(seconds: float) -> str:
+    """A time as people say it; below ten minutes to a second, so that a line every ten seconds never says the same twice."""
+    whole = max(1, math.ceil(seconds))
+    if whole < 90:
+        return f"{whole} s"
+    if whole < 600:
+        return f"{whole // 60} min" + (f" {whole % 60} s" if whole % 60 else "")
+    minutes = round(whole / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

@@ -1,0 +1,86 @@
+"""What the terminal shows while work goes on, and what is said where there is none."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from labkit import console as console_module
+from labkit.acquisition.log import CaptureLog
+from labkit.console import Console
+from labkit.pace import PAUSED
+
+
+def test_without_a_terminal_a_line_says_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console_module, "EVERY_S", 0.05)
+    with Console().progress("fitting") as report:
+        report(0, 15, "searching from nothing: G at 3000 mm\x1b")
+        threading.Event().wait(0.5)
+    first, *_ = capsys.readouterr().err.splitlines()
+    assert (
+        first == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
+    )
+
+
+def test_a_quiet_console_and_a_short_work_say_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Console().progress("fitting") as report:
+        report(0, 15, "a")
+    monkeypatch.setattr(console_module, "EVERY_S", 0.01)
+    with Console(quiet=True).progress("fitting") as report:
+        report(0, 15, "a")
+        threading.Event().wait(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_time_left_cannot_be_taken_for_the_time_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
+    work = console_module._Work("capturing")
+    work.report(0, 13, "homing the rail")
+    clock[0] = 15.0
+    assert work.times() == "15 s so far, time left not known yet"
+    work.report(1, 13, "a")
+    assert work.times() == "15 s so far, about 3 min left"
+    clock[0] = 600.0
+    assert work.times() == "10 min so far, about 2 min 45 s left"  # eleven steps more after this one
+    work.report(13, 13, "z")
+    assert work.times() == "10 min so far"
+
+
+class Page:
+    """An observer that holds, as the operator's page does after a press of its button."""
+
+    holds = True
+
+    def noted(self, event: str, **fields: object) -> None:
+        """Nothing to do."""
+
+    def may_go_on(self) -> None:
+        self.holds = False
+
+
+def test_a_pause_on_the_page_is_seen_in_the_terminal() -> None:
+    said: list[str] = []
+    log = CaptureLog(None, [Page()], lambda done, of, what: said.append(what), 3, 13)  # type: ignore[arg-type,list-item]
+    log.step("taking flat_0")
+    log.step("taking flat_1")
+    assert said == ["taking flat_0", PAUSED, "taking flat_0", "taking flat_1"]
+
+
+def test_a_pause_does_not_count_as_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
+    work = console_module._Work("capturing")
+    work.report(0, 3, "a")
+    clock[0] = 10.0
+    work.report(1, 3, "b")
+    work.report(1, 3, PAUSED)
+    clock[0] = 1000.0
+    assert work.times() == "17 min so far"
+    work.report(1, 3, "b")
+    assert work.times() == "17 min so far, about 20 s left"
