@@ -20,13 +20,26 @@ if TYPE_CHECKING:
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
-Images = Annotated[list[Path], typer.Argument(metavar="IMAGE... PLAN.toml", help="frames of one scene, and their plan")]
-Boxes = Annotated[
-    list[str] | None, typer.Option("--box", metavar="R0,C0,R1,C1", help="Around an edge, in raw pixels; again.")
+Images = Annotated[
+    list[Path], typer.Argument(metavar="IMAGE... PLAN.toml", help="Frames of one scene, and their plan.")
 ]
-Psf = Annotated[Path | None, typer.Option(metavar="SESSION", help="Whose wavefront and best focus are taken.")]
+Boxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--box",
+        metavar="R0,C0,R1,C1",
+        help="Around an edge, in raw pixels; may be repeated.",
+        show_default="edges are looked for",
+    ),
+]
+Psf = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="SESSION", help="Whose wavefront and best focus are taken.", show_default="none: fitted along"
+    ),
+]
 Focus = Annotated[
-    str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at, instead of the session's.")
+    str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at.", show_default="as in the session")
 ]
 OneRange = Annotated[bool, typer.Option("--one-range", help="All edges stand at one range.")]
 Force = Annotated[bool, typer.Option("--force", help="Take the PSF of another camera, channel or aperture.")]
@@ -40,14 +53,26 @@ def edges(
     psf_name: Annotated[str, typer.Option("--psf-name", metavar="NAME", help="Of the session's results.")] = "latest",
     box: Boxes = None,
     focus: Focus = None,
-    channel: Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this; again.")] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option("--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"),
+    ] = None,
     one_range: OneRange = False,
-    most: Annotated[int, typer.Option(min=1, metavar="N", help="Edges that are looked for without --box.")] = 60,
-    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write edges.json and the depth map here.")] = None,
+    most: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Edges that are looked for where no box is given.")
+    ] = 60,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Write edges.json and the depth map here.", show_default="nothing is written"
+        ),
+    ] = None,
     force: Force = False,
-    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; by default one a core.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
+    ] = None,
 ) -> None:
-    """Ranges of a scene's straight edges, and the camera's response across them by the fit and by ISO 12233."""
+    """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
     from labkit.fiducials.measure import Scene, measure_edges
     from labkit.plan import Plan
     from labkit.results import Results

@@ -32,16 +32,24 @@ def camera_focus(
     where: CameraPlace = "gphoto2:",
     range_mm: Annotated[
         float | None,
-        typer.Option("--range", metavar="MM", help="Home the plan's rail and move it to this range first."),
+        typer.Option(
+            "--range",
+            metavar="MM",
+            help="Home the plan's rail and move it to this range first.",
+            show_default="it stays",
+        ),
     ] = None,
     monitor: Annotated[
         bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")
     ] = False,
     listen: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Where --monitor listens, such as 0.0.0.0:8642.")
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Where that page listens, such as 0.0.0.0:8642.", show_default="this machine only"
+        ),
     ] = None,
 ) -> None:
-    """Photographs, or live view, one after another until Ctrl-C: sharpness, clipping, the target's outline. Nothing is kept."""
+    """Photograph on and on, to focus by. Sharpness, clipping, the target's outline, until Ctrl-C; nothing is kept."""
     from labkit.acquisition.camera_check import open_alone
     from labkit.acquisition.focusing import focus
     from labkit.devices.context import DeviceContext

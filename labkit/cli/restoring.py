@@ -24,18 +24,32 @@ if TYPE_CHECKING:
 METHODS = ("model", "richardson-lucy", "richardson-lucy-blind", "wiener", "total-variation")
 
 Photographs = Annotated[
-    list[Path], typer.Argument(metavar="IMAGE... | SESSION", help="raw files of one scene, or a session's folder")
+    list[Path], typer.Argument(metavar="IMAGE... | SESSION", help="Raw files of one scene, or a session's folder.")
 ]
-Psf = Annotated[Path | None, typer.Option(metavar="SESSION", help="Whose lens took them.")]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where to; by default beside the photograph.")]
+Psf = Annotated[
+    Path | None, typer.Option(metavar="SESSION", help="Whose lens took them.", show_default="the session given")
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to make.", show_default="beside the photograph")]
 ResultsName = Annotated[str, typer.Option("--name", metavar="NAME", help="Of the session's results.")]
-Range = Annotated[float | None, typer.Option("--range", metavar="MM", help="From which they were taken.")]
-Channels = Annotated[list[str] | None, typer.Option("--channel", metavar="NAME", help="Only this colour; again.")]
+Range = Annotated[
+    float | None,
+    typer.Option("--range", metavar="MM", help="From which they were taken.", show_default="the session's only one"),
+]
+Channels = Annotated[
+    list[str] | None,
+    typer.Option("--channel", metavar="NAME", help="Only this colour; may be repeated.", show_default="all"),
+]
 Strength = Annotated[str, typer.Option("--lambda", metavar="L", help="A number, discrepancy, or l-curve.")]
-Samples = Annotated[int | None, typer.Option(min=1, max=32, metavar="N", help="To a pixel; by default Nyquist's.")]
-Crop = Annotated[str | None, typer.Option(metavar="R0,C0,R1,C1", help="Only these rows and columns.")]
-Tile = Annotated[int | None, typer.Option(min=32, metavar="PX", help="Side of a tile.")]
-Memory = Annotated[float | None, typer.Option(min=0.01, metavar="GB", help="To use at most; by default what is free.")]
+Samples = Annotated[int | None, typer.Option(min=1, max=32, metavar="N", help="To a pixel.", show_default="Nyquist's")]
+Crop = Annotated[
+    str | None, typer.Option(metavar="R0,C0,R1,C1", help="Only these rows and columns.", show_default="all")
+]
+Tile = Annotated[
+    int | None, typer.Option(min=32, metavar="PX", help="Side of a tile.", show_default="what memory allows")
+]
+Memory = Annotated[
+    float | None, typer.Option(min=0.01, metavar="GB", help="To use at most.", show_default="what is free")
+]
 FitDefocus = Annotated[bool, typer.Option("--fit-defocus", help="Estimate the photograph's own defocus.")]
 Force = Annotated[bool, typer.Option("--force", help="Take the PSF though camera, aperture or colour is another.")]
 SixteenBit = Annotated[bool, typer.Option("--sixteen-bit", help="Write a linear 16-bit TIFF too.")]
@@ -62,7 +76,7 @@ def restore(
     method: Method = "model",
     workers: Workers = None,
 ) -> None:
-    """The scene behind photographs, with standard errors: by a session's lens."""
+    """Restore the scene behind photographs. By a session's lens, with standard errors."""
     from labkit.restoring.restore import Wanted
 
     if method not in METHODS:

@@ -80,7 +80,7 @@ def plan_(
         bool, typer.Option("--interactive", help="Ask for each value; a photograph gives the defaults.")
     ] = False,
 ) -> None:
-    """Draft a plan from a photograph, or by questions. What its file does not state is left to fill in."""
+    """Draft a plan from a photograph, or ask. What its file does not state is left to fill in, with an example."""
     from labkit.session.draft_plan import draft_plan, write_draft
 
     console: Console = ctx.obj
