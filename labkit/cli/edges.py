@@ -45,6 +45,20 @@ OneRange = Annotated[bool, typer.Option("--one-range", help="All edges stand at 
 Force = Annotated[bool, typer.Option("--force", help="Take the PSF of another camera, channel or aperture.")]
 
 
+Channels = Annotated[
+    list[str] | None,
+    typer.Option("--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"),
+]
+Most = Annotated[int, typer.Option(min=1, metavar="N", help="Edges that are looked for where no box is given.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Write edges.json and the depth map here.", show_default="nothing is written"),
+]
+AtOnce = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
+]
+
+
 @app.command()
 def edges(
     ctx: typer.Context,
@@ -53,24 +67,12 @@ def edges(
     psf_name: Annotated[str, typer.Option("--psf-name", metavar="NAME", help="Of the session's results.")] = "latest",
     box: Boxes = None,
     focus: Focus = None,
-    channel: Annotated[
-        list[str] | None,
-        typer.Option("--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"),
-    ] = None,
+    channel: Channels = None,
     one_range: OneRange = False,
-    most: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Edges that are looked for where no box is given.")
-    ] = 60,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER", help="Write edges.json and the depth map here.", show_default="nothing is written"
-        ),
-    ] = None,
+    most: Most = 60,
+    out: Out = None,
     force: Force = False,
-    workers: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
-    ] = None,
+    workers: AtOnce = None,
 ) -> None:
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
     from labkit.fiducials.measure import Scene, measure_edges

@@ -26,28 +26,28 @@ LEAST_SPAN = 0.1  # of the sharpest: less is the noise of one frame and the next
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
 
+At = Annotated[
+    float | None,
+    typer.Option(
+        "--range", metavar="MM", help="Home the plan's rail and move it to this range first.", show_default="it stays"
+    ),
+]
+Monitor = Annotated[bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")]
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT", help="Where that page listens, such as 0.0.0.0:8642.", show_default="this machine only"
+    ),
+]
+
+
 @camera_app.command("focus")
 def camera_focus(
     ctx: typer.Context,
     where: CameraPlace = "gphoto2:",
-    range_mm: Annotated[
-        float | None,
-        typer.Option(
-            "--range",
-            metavar="MM",
-            help="Home the plan's rail and move it to this range first.",
-            show_default="it stays",
-        ),
-    ] = None,
-    monitor: Annotated[
-        bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")
-    ] = False,
-    listen: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT", help="Where that page listens, such as 0.0.0.0:8642.", show_default="this machine only"
-        ),
-    ] = None,
+    range_mm: At = None,
+    monitor: Monitor = False,
+    listen: Listen = None,
 ) -> None:
     """Photograph on and on, to focus by. Sharpness, clipping, the target's outline, until Ctrl-C; nothing is kept."""
     from labkit.acquisition.camera_check import open_alone
