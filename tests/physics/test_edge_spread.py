@@ -82,5 +82,5 @@ def test_an_edge_looks_as_to_a_camera_that_sums_up_areas(defocus: float, angle: 
     middle = (20 * step - 1) / 2
     region = Region(rows, columns, np.zeros(400), (middle, middle))
     mean = mean_and_slopes(region, Edge(angle, 0.8, 0.0, 1.0), OPTICS, waves(defocus))[0]
-    # its light beyond 40 pixels, 7e-4 of all, adds nothing: 1.3e-4 of that is left here
-    np.testing.assert_allclose(mean, seen.ravel(), atol=2.5e-4)
+    # its light beyond 40 pixels, 7e-4 of all, adds nothing: up to 2.9e-4 of that is left here
+    np.testing.assert_allclose(mean, seen.ravel(), atol=4e-4)

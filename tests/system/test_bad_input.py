@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -122,11 +122,11 @@ def test_a_plan_that_was_edited_in_its_session_is_named_before_anything_is_done(
     assert contents(folder) == before
 
 
-def retaken(folder: Path, new: Path, swapped: dict[str, str]) -> Path:
-    """The same session, some photographs with others in their place, rightly in its journal."""
+def retaken(folder: Path, new: Path, swapped: dict[str, str], kept: Sequence[str] = ()) -> Path:
+    """The same session, some photographs with others in their place, rightly in its journal. kept: of all, if only some are."""
     old = Session.open(folder)
     with Session.create(new, (folder / "plan.toml").read_text(), folder) as session:
-        for frame in old.frames:
+        for frame in (frame for frame in old.frames if not kept or frame.file in kept):
             source = folder / "frames" / swapped.get(frame.file, frame.file)
             session.add_frame(source, frame.file, frame.kind, frame.range_mm, exposure_s=frame.exposure_s)
     return new
@@ -136,7 +136,8 @@ def retaken(folder: Path, new: Path, swapped: dict[str, str]) -> Path:
 def test_a_photograph_without_the_target_is_named(
     instead: str, folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    other = retaken(folder, tmp_path / "retaken", {"target_2050.5_1.dng": instead})
+    alone = [frame.file for frame in Session.open(folder).frames if frame.file != instead]
+    other = retaken(folder, tmp_path / "retaken", {"target_2050.5_1.dng": instead}, alone)
     assert "target_2050.5_1.dng: " in refusal(["fit", str(other)], capfd)
     assert not list((other / "results").rglob("*.json"))
 

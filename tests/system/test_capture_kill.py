@@ -88,7 +88,7 @@ def test_thirty_kills_lose_no_committed_frame_and_resume_finishes(plan_file: Pat
     session = Session.open(folder)
     assert missing(session) == ()
     assert verify(session) == []
-    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml"}
+    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml", "preflight"}
     assert committed.items() <= {frame.file: frame.path.read_bytes() for frame in session.frames}.items()
 
 
@@ -133,4 +133,4 @@ def test_a_kill_as_the_cameras_folder_is_removed_leaves_nothing_for_good(
     assert [".exposing: left by a capture" in remark for remark in remarks(Session.open(folder))] == [True]
     with Session.append(folder) as session:
         assert len(session.frames) == frames
-    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml"}
+    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml", "preflight"}

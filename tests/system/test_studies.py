@@ -9,7 +9,10 @@ import pytest
 from labkit.cli import run
 from labkit.experiments.studies import STUDIES
 
-NAMES = ("crb", "uniform-crb", "targets", "minima", "roc", "global", "annealing", "psf-accuracy", "extension", "edges")
+NAMES = (
+    *("crb", "uniform-crb", "targets", "minima", "roc", "global", "annealing", "psf-accuracy", "extension"),
+    *("edges", "restoration"),
+)
 FIELDS: dict[str, Any] = {"what": str, "measured": (int, float, type(None)), "unit": str, "n": int}
 
 
