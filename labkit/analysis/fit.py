@@ -59,10 +59,10 @@ def fit(
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
-    only these. patience_s: after so long the search for a wavefront makes no further start. joint: climb over all frames at
-    once in the end. split: where the lens was changed half-way, write NAME-before and NAME-after besides. plain: the model is
-    as the plan states it, even where it lacks parts of the camera. name: "latest" by default; of a fit of only some ranges or
-    channels, their names.
+    only these. patience_s: of processor time, after which the search for a wavefront makes no further start. joint: climb
+    over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and NAME-after besides.
+    plain: the model is as the plan states it, even where it lacks parts of the camera. name: "latest" by default; of a fit of
+    only some ranges or channels, their names.
     Raises SessionError for photographs or a plan that were altered, TargetError, DataError for frames that cannot be fitted
     and where more results would be lost than made. Too few ranges for a focus are no error: `Results.unanswered`.
 

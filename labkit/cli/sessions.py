@@ -160,7 +160,7 @@ ResultsName = Annotated[
     ),
 ]
 Patience = Annotated[
-    float, typer.Option(min=0.0, metavar="S", help="Seconds after which the search for a wavefront ends.")
+    float, typer.Option(min=0.0, metavar="S", help="Processor seconds after which the search for a wavefront ends.")
 ]
 Joint = Annotated[bool, typer.Option("--joint", help="Finally climb over all frames at once.")]
 Split = Annotated[bool, typer.Option("--split", help="Fit separately what came before and after the lens was changed.")]

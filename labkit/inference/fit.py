@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -115,17 +115,17 @@ def fit_wavefront(
     poses: of the target in each frame, right to about a pixel. f_number_std: relative standard error of the optics' f-number,
     0: exact. starts: wavefronts (modes,) that other frames of the lens predict; alike: such whose first mode, defocus, is not
     known. rng: for further starts, made while no optimum is accepted. max_starts: of the whole likelihood far from focus,
-    before the best is returned, rejected; patience_s: after so long no further start is made. missing: parts of the camera,
-    to be tried where the model does not explain the frames without them.
+    before the best is returned, rejected; patience_s: of processor time, after which no further start is made.
+    missing: parts of the camera, to be tried where the model does not explain the frames without them.
     What the frames do not determine has huge errors and is rejected.
     """
-    began = perf_counter()
+    began, ends_at = perf_counter(), process_time() + patience_s
     spare = SPARE if f_number_std else 0.0
     model = ForwardModel.build(optics, target, frames[0].counts.shape, poses[0], spare=spare, shine=frames[0].shine)
     whole = Problem(model, tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
     sketches = Sketches(replace(optics, spectrum=Spectrum()), target, frames[0], poses[0], noise)
-    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, began + patience_s, missing, progress)
+    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, ends_at, missing, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
     return _as_fit(whole, record, perf_counter() - began, search.late and not (record.accepted or record.settled))

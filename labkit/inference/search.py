@@ -5,7 +5,7 @@ No start is ever at zero: there the likelihood has a saddle, every even mode's d
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -85,8 +85,9 @@ class Record:
 class Search:
     """What does not change in a search. whole: the problem of all frames; f_number_std: relative error of its cone; poses: as
     first known, one a frame; first: a state of the first frame without wavefront; rng: for random starts; max_starts: about
-    so many, where the best is rejected; ends_at: no start is made after this time of `perf_counter`; missing: parts of a
-    camera that are tried where residuals reject an optimum, so that a poor model is not taken for a wrong optimum."""
+    so many, where the best is rejected; ends_at: no start is made after this `process_time`, which no busy machine shortens;
+    missing: parts of a camera that are tried where residuals reject an optimum, so that a poor model is not taken for a wrong
+    optimum."""
 
     whole: Problem
     f_number_std: float
@@ -119,7 +120,7 @@ class Search:
     @property
     def late(self) -> bool:
         """Whether the search has had its time."""
-        return perf_counter() > self.ends_at
+        return process_time() > self.ends_at
 
     def _predicted(self, given: Sequence[State], alike: Sequence[State]) -> Iterator[tuple[State, State]]:
         """What is predicted, and where to begin: there with its pose settled, or, where a defocus is not known, at the ends in
