@@ -17,6 +17,7 @@ AnyComplexes = NDArray[np.complexfloating]
 """In whatever precision they are."""
 
 Integers = NDArray[np.signedinteger]
+Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.uint16]
 """Numbers as a raw file holds them."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
@@ -146,7 +146,7 @@ def fit_lens(
     prior = np.array([max(c.std, EXACT * c.scale) for c in model.columns])
     scale = np.array([min(c.scale, p) for c, p in zip(model.columns, prior, strict=True)])
     roots = tuple(_root(m, extra_waves, model.size_error(k)) for k, m in enumerate(members))
-    rows = _Rows(model, roots, centre, prior)
+    rows = _Rows.of(model, roots, centre, prior)
     solved = least_squares(
         rows.residuals,
         _start(model, centre),
@@ -164,24 +164,29 @@ def fit_lens(
 
 @dataclass(frozen=True)
 class _Rows:
-    """Members and prior values as whitened rows. roots: of the members' covariances; centre, prior: (columns,)."""
+    """Members and prior values as whitened rows. whitening: (rows, rows) of the members'; centre, prior: (columns,)."""
 
     model: LensModel
-    roots: tuple[Floats, ...]
+    whitening: Floats
+    measured: Floats
     centre: Floats
     prior: Floats
 
+    @classmethod
+    def of(cls, model: LensModel, roots: Sequence[Floats], centre: Floats, prior: Floats) -> _Rows:
+        """roots: lower triangular, of the members' covariances."""
+        whitening = block_diag(*(solve_triangular(root, np.eye(len(root)), lower=True) for root in roots))
+        measured = np.concatenate([m.measured.values for m in model.members])
+        return cls(model, whitening, measured, centre, prior)
+
     def residuals(self, theta: Floats) -> Floats:
         """(rows,) measured less predicted."""
-        pairs = zip(self.model.members, self.model.predicted(theta), self.roots, strict=True)
-        rest = [solve_triangular(root, m.measured.values - predicted, lower=True) for m, predicted, root in pairs]
-        return np.concatenate([*rest, (self.centre - theta) / self.prior])
+        rest = self.whitening @ (self.measured - self.model.all_predicted(theta))
+        return np.concatenate([rest, (self.centre - theta) / self.prior])
 
     def slopes(self, theta: Floats) -> Floats:
         """(rows, columns) of the residuals."""
-        pairs = zip(self.model.jacobian(theta), self.roots, strict=True)
-        rows = [solve_triangular(root, slope, lower=True) for slope, root in pairs]
-        return -np.concatenate([*rows, np.diag(1 / self.prior)])
+        return -np.concatenate([self.whitening @ self.model.whole_jacobian(theta), np.diag(1 / self.prior)])
 
 
 def outliers(fit: LensFit) -> tuple[list[int], LensFit]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -17,7 +18,7 @@ from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.plan import Plan
-from labkit.types import Floats
+from labkit.types import Bools, Floats, Indices
 from labkit.uncertain import Uncertain
 
 USUAL_LOG_MAGNIFICATION = 0.7  # standard error: pupil magnifications of lenses lie between 0.5 and 2
@@ -100,6 +101,27 @@ class Column:
 
 
 @dataclass(frozen=True)
+class _Layout:
+    """How the members' values, one after another, follow from the columns.
+
+    linear (rows, columns), offset (rows,): what is a sum; of_arguments (6, members, columns), stated (6, members): the laws'
+    arguments; laws (3, members): the rows that those give; modes: which rows are; wavelength (rows,): column of each row's.
+    """
+
+    linear: Floats
+    offset: Floats
+    of_arguments: Floats
+    stated: Floats
+    laws: Indices
+    modes: Bools
+    wavelength: Indices
+
+    def arguments(self, theta: Floats) -> Floats:
+        """Of the laws, (6, members)."""
+        return np.asarray(self.stated + self.of_arguments @ theta)
+
+
+@dataclass(frozen=True)
 class LensModel:
     """Members, what is stated, and the columns of the estimate.
 
@@ -154,39 +176,55 @@ class LensModel:
 
     def true(self, theta: Floats) -> list[Floats]:
         """Modes, parts, ln of the cone's f-number and ln of the scale at each member, as `Measured` has them."""
-        laws = self._laws(self._arguments(theta))
-        return [self._one(k, theta, laws[:, k]) for k in range(len(self.members))]
+        return self.by_member(self._true(theta))
 
     def predicted(self, theta: Floats) -> list[Floats]:
-        """What each member should measure.
+        """What each member should measure."""
+        return self.by_member(self.all_predicted(theta))
+
+    def jacobian(self, theta: Floats) -> list[Floats]:
+        """Of each member's prediction, (values, columns)."""
+        return self.by_member(self.whole_jacobian(theta))
+
+    def by_member(self, rows: Floats) -> list[Floats]:
+        """What belongs to each member of (rows, ...) of all."""
+        return np.split(rows, np.cumsum([len(m.measured.values) for m in self.members])[:-1])
+
+    def all_predicted(self, theta: Floats) -> Floats:
+        """(rows,) what the members should measure, one after another.
 
         A light of another wavelength than stated makes the same picture through a cone narrower by as much, with paths
         shorter by as much: N grows with the wavelength's error, the modes shrink.
         """
-        return [value + slope * theta[at] for value, slope, at in self._with_wavelengths(theta)]
+        true, errors = self._true(theta), theta[self._layout.wavelength]
+        return true + self._by_wavelength(true) * errors
 
-    def jacobian(self, theta: Floats) -> list[Floats]:
-        """Of each member's prediction, (values, columns)."""
-        arguments = self._arguments(theta)
+    def whole_jacobian(self, theta: Floats) -> Floats:
+        """(rows, columns) of `all_predicted`."""
+        layout = self._layout
+        arguments = layout.arguments(theta)
         steps = STEP * np.maximum(np.abs(arguments), 0.1)
         moved = arguments[:, None] + steps[:, None] * np.eye(len(steps))[:, :, None]
         back = arguments[:, None] - steps[:, None] * np.eye(len(steps))[:, :, None]
-        slopes = np.moveaxis((self._laws(moved) - self._laws(back)) / (2 * steps), 0, 1)
-        rows = [self._rows(k, slopes[:, :, k]) for k in range(len(self.members))]
-        for member, row, (_, slope, at) in zip(self.members, rows, self._with_wavelengths(theta), strict=True):
-            row[: len(member.measured.noll)] *= 1 - theta[at]
-            row[:, at] = slope
-        return rows
+        slopes = (self._laws(moved) - self._laws(back)) / (2 * steps)
+        whole = layout.linear.copy()
+        whole[layout.laws] += np.einsum("lam,amc->lmc", slopes, layout.of_arguments)
+        whole[layout.modes] *= 1 - theta[layout.wavelength[layout.modes], None]
+        whole[np.arange(len(whole)), layout.wavelength] = self._by_wavelength(self._true(theta))
+        return whole
 
-    def _with_wavelengths(self, theta: Floats) -> list[tuple[Floats, Floats, int]]:
-        """Of each member what is true, its slope by the relative error of the wavelength, and the column of that."""
-        result = []
-        for member, value in zip(self.members, self.true(theta), strict=True):
-            modes = len(member.measured.noll)
-            slope = np.concatenate([-value[:modes], np.zeros(len(value) - modes)])
-            slope[-2] = 1.0
-            result.append((value, slope, self.index("wavelength", member.channel)))
-        return result
+    def _true(self, theta: Floats) -> Floats:
+        """(rows,) modes, parts, ln of the cone's f-number and ln of the scale of the members, one after another."""
+        layout = self._layout
+        true = layout.linear @ theta + layout.offset
+        true[layout.laws] += self._laws(layout.arguments(theta))
+        return true
+
+    def _by_wavelength(self, true: Floats) -> Floats:
+        """(rows,) slopes of what is measured by the relative error of the light's wavelength."""
+        slope = np.where(self._layout.modes, -true, 0.0)
+        slope[self._layout.laws[1]] = 1.0
+        return slope
 
     def _columns(self) -> list[Column]:
         stated, channels = self.stated, self.channels
@@ -218,24 +256,52 @@ class LensModel:
         member = self.members[k]
         return (member.channel,) if self.shared else (member.channel, member.range_mm, k)
 
-    def _arguments(self, theta: Floats) -> Floats:
-        """Of the laws, (6, members): f, N, ln mp, true range, true best focus of the channel, and of the reference."""
-        zero, count = theta[self.index("tape")], len(self.members)
-        common = [np.full(count, theta[self.index(kind)]) for kind in GEOMETRY[:3]]
-        ranges = [m.range_mm + zero + self._offset(m, theta) for m in self.members]
-        focus = [theta[self.index("best focus", m.channel)] + zero for m in self.members]
-        reference = np.full(count, theta[self.index("best focus", self.reference)] + zero)
-        return np.array([*common, ranges, focus, reference])
+    @cached_property
+    def _layout(self) -> _Layout:
+        members, count = self.members, len(self.members)
+        sizes = [len(m.measured.values) for m in members]
+        ends = np.cumsum(sizes)
+        linear, offset = np.zeros((int(ends[-1]), len(self.columns))), np.zeros(int(ends[-1]))
+        of_arguments, stated = np.zeros((6, count, len(self.columns))), np.zeros((6, count))
+        laws, modes = np.empty((3, count), dtype=np.intp), np.zeros(int(ends[-1]), dtype=bool)
+        for k, (member, end) in enumerate(zip(members, ends, strict=True)):
+            own = slice(end - sizes[k], end)
+            defocus = end - sizes[k] + member.measured.noll.index(4)
+            laws[:, k] = defocus, end - 2, end - 1
+            modes[own.start : own.start + len(member.measured.noll)] = True
+            linear[own] = self._linear(k)
+            offset[end - 1] = -(self.lean or member.measured.shortening)[0]
+            of_arguments[:, k], stated[3, k] = self._of_arguments(member), member.range_mm
+        wavelength = [self.index("wavelength", m.channel) for m in members]
+        return _Layout(linear, offset, of_arguments, stated, laws, modes, np.repeat(wavelength, sizes))
 
-    def _offset(self, member: Member, theta: Floats) -> float:
-        """Of a member's range, beside the tape's zero, mm."""
-        shares = self._homing_shares(member)
-        return float(theta[self.index("steps", member.stop)] + sum(theta[k] * share for k, share in shares))
+    def _linear(self, k: int) -> Floats:
+        """(values, columns) of member k by what it has in common with others as it is, laws apart."""
+        member, noll = self.members[k], self.members[k].measured.noll
+        rows = np.zeros((len(member.measured.values), len(self.columns)))
+        rows[-2, self.index("cone")] = rows[-1, self.index("target size")] = 1.0
+        if member.channel != self.reference:
+            rows[-1, self.index("lateral colour", member.channel)] = 1.0
+        for row, j in enumerate(noll):
+            if j != 4:
+                rows[row, self.index("mode", *self._mode_of(k), j)] = 1.0
+        for row, label in enumerate(member.measured.parts, len(noll)):
+            rows[row, self.index("part", *member.part_of(label))] = 1.0
+        return rows
 
-    def _homing_shares(self, member: Member) -> list[tuple[int, float]]:
-        """Columns of the homings after the first, and the share of the member's photographs taken after each."""
-        known = [(self._index.get((GEOMETRY[4], (h,))), h) for h in dict.fromkeys(member.homings)]
-        return [(k, member.homings.count(h) / len(member.homings)) for k, h in known if k is not None]
+    def _of_arguments(self, member: Member) -> Floats:
+        """(6, columns) of the laws' arguments: f, N, ln mp, true range, best focus of the channel, of the reference."""
+        slopes = np.zeros((6, len(self.columns)))
+        for row, kind in enumerate(GEOMETRY[:3]):
+            slopes[row, self.index(kind)] = 1.0
+        slopes[3:, self.index("tape")] = 1.0
+        slopes[3, self.index("steps", member.stop)] = 1.0
+        for homing in dict.fromkeys(member.homings):
+            if (column := self._index.get((GEOMETRY[4], (homing,)))) is not None:  # all but the first
+                slopes[3, column] = member.homings.count(homing) / len(member.homings)
+        slopes[4, self.index("best focus", member.channel)] = 1.0
+        slopes[5, self.index("best focus", self.reference)] = 1.0
+        return slopes
 
     def _laws(self, arguments: Floats) -> Floats:
         """(3, ...): defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale. arguments: (6, ...)."""
@@ -251,40 +317,6 @@ class LensModel:
                 np.log(lens.chief_ray_scale(ranges, reference)),
             ]
         )
-
-    def _one(self, k: int, theta: Floats, laws: Floats) -> Floats:
-        member = self.members[k]
-        modes = [laws[0] if j == 4 else theta[self.index("mode", *self._mode_of(k), j)] for j in member.measured.noll]
-        size = laws[2] + theta[self.index("target size")] - (self.lean or member.measured.shortening)[0]
-        if member.channel != self.reference:
-            size += theta[self.index("lateral colour", member.channel)]
-        parts = [theta[self.index("part", *member.part_of(label))] for label in member.measured.parts]
-        return np.array([*modes, *parts, laws[1] + theta[self.index("cone")], size])
-
-    def _rows(self, k: int, slopes: Floats) -> Floats:
-        """(values, columns) of one member. slopes: (6, 3) of the laws by their arguments."""
-        member = self.members[k]
-        noll = member.measured.noll
-        rows = np.zeros((len(member.measured.values), len(self.columns)))
-        laws = [noll.index(4), -2, -1]
-        by_range, by_focus, by_reference = slopes[3:]
-        for kind, slope in zip(GEOMETRY[:3], slopes[:3], strict=True):
-            rows[laws, self.index(kind)] = slope
-        rows[laws, self.index("tape")] = by_range + by_focus + by_reference
-        rows[laws, self.index("steps", member.stop)] = by_range
-        for column, share in self._homing_shares(member):
-            rows[laws, column] = share * by_range
-        rows[laws, self.index("best focus", member.channel)] += by_focus
-        rows[laws, self.index("best focus", self.reference)] += by_reference
-        rows[-2, self.index("cone")] = rows[-1, self.index("target size")] = 1.0
-        if member.channel != self.reference:
-            rows[-1, self.index("lateral colour", member.channel)] = 1.0
-        for row, j in enumerate(noll):
-            if j != 4:
-                rows[row, self.index("mode", *self._mode_of(k), j)] = 1.0
-        for row, label in enumerate(member.measured.parts, len(noll)):
-            rows[row, self.index("part", *member.part_of(label))] = 1.0
-        return rows
 
 
 def _common_lean(every: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
