@@ -24,6 +24,7 @@ import labkit
 from benchmarks.random_sessions import KINDS, Drawn, make
 from labkit.drivers.simulated.world import Truth
 from labkit.execute import run_all
+from labkit.inference.search import CALLED_FOR
 
 Line = dict[str, Any]
 
@@ -31,6 +32,18 @@ COUNTS = ("fits", "wrong_accepted", "wrong_rejected", "right_rejected", "mended"
 
 WRONG_WAVES = 0.03
 """RMS over the modes above defocus beyond which, and beyond six standard errors, an optimum is another one than the right."""
+
+PARTS = {
+    "low_pass_px": "low_pass_filter",
+    "spectrum": "spectrum",
+    "diffusion_px": "diffusion",
+    "smear": "smear",
+    "veil": "veil",
+}
+"""By name in a drawn session, as results name them."""
+
+TURNED = "low_pass_filter_turned"
+BLURS = ("low_pass_filter", TURNED, "diffusion", "smear")
 
 FAR_Z = 4.0
 """One error in 16,000 of a unit normal is beyond."""
@@ -69,7 +82,7 @@ def run(job: Job) -> Line:
         try:
             labkit.fit(folder, workers=1)
             results = json.loads((folder / "results/latest/results.json").read_text())
-            line |= compared(results, truth)
+            line |= compared(results, truth) | _diagnosed(results)
         except Exception as error:  # whatever it is, it is a finding of the study and not its end
             line["failed"] = f"{type(error).__name__}: {error}"
     return line | {"making_s": round(made - started, 1), "fitting_s": round(time.perf_counter() - made, 1)}
@@ -123,6 +136,34 @@ def compared(results: Line, truth: Truth) -> Line:
         for j, value in zip(w["noll"], errors / w["std"], strict=True):
             z.setdefault(f"noll.{j}", []).append(float(value))
     return {"z": z, **counts}
+
+
+def _diagnosed(results: Line) -> Line:
+    """Parts of the camera that were found, and the most that each of the others was seen to gain, in log-likelihood."""
+    found = list(dict.fromkeys(name.split(".")[0] for name in results["model_parts"]))
+    last = {tried["part"]: tried["gain"] for tried in results["parts_tried"] if not tried["adopted"]}
+    return {"found": found, "gains": {name: gain for name, gain in last.items() if name not in found}}
+
+
+def parts_table(lines: Iterable[Line]) -> Iterator[str]:
+    """What is printed of the parts of cameras in the lines that have any.
+
+    A part that was not found is missed where it would have gained more than is called for. One found that the camera has not
+    stands in for another where that one, blur of the same kind, was not found, and is invented else.
+    """
+    done = [(set(map(PARTS.get, line["parts"])), line) for line in lines if line["failed"] is None and "parts" in line]
+    for name in (*PARTS.values(), TURNED) if done else ():
+        with_it = [line for true, line in done if name in true]
+        found = sum(name in line["found"] for line in with_it)
+        missed = sum(name not in line["found"] and line["gains"].get(name, 0.0) > CALLED_FOR for line in with_it)
+        more = [(true, line) for true, line in done if name in line["found"] and name not in true]
+        stands_in = sum(
+            name in BLURS and any(b in true and b not in line["found"] for b in BLURS) for true, line in more
+        )
+        yield (
+            f"{name}: found in {found} of the {len(with_it)} that have it, missed in {missed}; in the other "
+            f"{len(done) - len(with_it)} it stands in for another blur in {stands_in}, is invented in {len(more) - stands_in}"
+        )
 
 
 def _add(z: dict[str, list[float]], name: str, estimate: Line | None, true: float) -> None:
@@ -193,7 +234,7 @@ def main() -> None:
         for _, line in run_all(run, jobs, asked.workers):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    print(*table(of_study()), sep="\n")
+    print(*table(of_study()), *parts_table(of_study()), sep="\n")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from benchmarks.random_sessions import Drawn, draw, draw_many_modes, draw_with_parts
-from benchmarks.sessions import compared, read, table
+from benchmarks.sessions import compared, parts_table, read, table
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
@@ -225,3 +225,20 @@ def test_the_table_sums_up_and_names_what_failed() -> None:
     assert "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, mended 400" in text
     assert "401 s of making, 802 s of fitting" in text
     assert "session 3 failed: no target" in text
+
+
+def test_parts_are_counted_as_found_missed_standing_in_or_invented() -> None:
+    def line(true: list[str], found: list[str], **gains: float) -> dict[str, Any]:
+        return {"failed": None, "parts": dict.fromkeys(true), "found": found, "gains": gains}
+
+    lines = [
+        line(["low_pass_px", "diffusion_px"], ["low_pass_filter"], diffusion=2.0),  # too weak to be seen
+        line(["low_pass_px"], [], low_pass_filter=50.0),
+        line(["diffusion_px"], ["low_pass_filter"], diffusion=0.0),
+        line(["veil"], ["veil", "spectrum"]),
+    ]
+    said = dict(words.split(": ", 1) for words in parts_table(lines))
+    assert said["low_pass_filter"].startswith("found in 1 of the 2 that have it, missed in 1;")
+    assert said["low_pass_filter"].endswith("stands in for another blur in 1, is invented in 0")
+    assert said["diffusion"].startswith("found in 0 of the 2 that have it, missed in 0;")
+    assert said["spectrum"].endswith("the other 4 it stands in for another blur in 0, is invented in 1")
