@@ -4,6 +4,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from tests import dng
@@ -12,11 +13,16 @@ WriteDng = Callable[..., Path]
 
 
 def pytest_configure() -> None:
-    """What a shell starts in the background ignores SIGINT and SIGQUIT, what nohup starts SIGHUP: so would every program that
-    a test starts."""
+    """No example of hypothesis has a deadline: a loaded machine fails no test.
+
+    What a shell starts in the background ignores SIGINT and SIGQUIT, what nohup starts SIGHUP: so would every program that a
+    test starts.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+    hypothesis.settings.register_profile("untimed", deadline=None)
+    hypothesis.settings.load_profile("untimed")
 
 
 @pytest.fixture(autouse=True)
