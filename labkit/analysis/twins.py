@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -20,18 +20,21 @@ def choose_twins(members: Sequence[Member], stated: Stated) -> tuple[list[int], 
     With the range, defocus passes from negative to positive once: of n ranges the first k are negative. Each k is tried with
     the whole law of the lens, which is steeper on one side of focus than on the other, and with modes that stay.
     """
-    signs, open_ = [1] * len(members), list[str]()
-    for channel in dict.fromkeys(m.channel for m in members):
-        places = [k for k, m in enumerate(members) if m.channel == channel]
-        places.sort(key=lambda k: members[k].range_mm)
-        if len({members[k].range_mm for k in places}) < 2:
-            chosen, clear = _like_the_first(members, places, signs), True
+    signs, open_ = dict[int, int](), list[str]()
+    channels = dict.fromkeys(m.channel for m in members)
+    places = {
+        c: sorted((k for k, m in enumerate(members) if m.channel == c), key=lambda k: members[k].range_mm)
+        for c in channels
+    }
+    lone = {c for c in channels if len({members[k].range_mm for k in places[c]}) < 2}
+    for channel in sorted(channels, key=lambda c: c in lone):
+        if channel in lone:
+            chosen, clear = _like_those_known(members, places[channel], signs), True
         else:
-            chosen, clear = _by_range([members[k] for k in places], stated)
-        for k, sign in zip(places, chosen, strict=True):
-            signs[k] = sign
+            chosen, clear = _by_range([members[k] for k in places[channel]], stated)
+        signs |= zip(places[channel], chosen, strict=True)
         open_ += [] if clear else [channel]
-    return signs, open_
+    return [signs[k] for k in range(len(members))], open_
 
 
 def _by_range(members: Sequence[Member], stated: Stated) -> tuple[list[int], bool]:
@@ -48,14 +51,13 @@ def _by_range(members: Sequence[Member], stated: Stated) -> tuple[list[int], boo
     return choices[order[0]], bool(costs[order[1]] - costs[order[0]] > CLEAR)
 
 
-def _like_the_first(members: Sequence[Member], places: Sequence[int], signs: Sequence[int]) -> list[int]:
-    """Where there is one range: the twin nearest to the first channel's, whose own follows the stated rule."""
-    first = twin(members[0], signs[0]).measured
-    chosen = []
-    for k in places:
-        here = [np.linalg.norm(twin(members[k], sign).measured.waves - first.waves) for sign in (1, -1)]
-        chosen.append(1 if k == 0 or here[0] <= here[1] else -1)
-    return chosen
+def _like_those_known(members: Sequence[Member], places: Sequence[int], signs: Mapping[int, int]) -> list[int]:
+    """Where there is one range: the twin nearest to a known one of another channel there; the first follows the stated rule."""
+    here = members[places[0]].range_mm
+    known = min(signs, key=lambda k: abs(members[k].range_mm - here), default=places[0])
+    like = twin(members[known], signs.get(known, 1)).measured.waves
+    far = [[float(np.linalg.norm(twin(members[k], sign).measured.waves - like)) for sign in (1, -1)] for k in places]
+    return [1 if same <= other else -1 for same, other in far]
 
 
 def defocus(member: Member) -> float:

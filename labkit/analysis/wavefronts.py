@@ -74,8 +74,8 @@ def fit_session(
     """Every observation fitted, and the session estimated from all.
 
     Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. One that does not
-    show soon is sought again from the other. The rest begin at what these predict. Those that the session finds not to belong
-    are made again from what the others predict.
+    show soon is sought again from the other. Of each other colour the clearest range begins with green's modes, and all the
+    rest at what these predict. Those that the session finds not to belong are made again from what the others predict.
     diagnose: whether parts of the camera that the fits call for are taken into the model. A fit whose process is killed
     costs no other one. Raises FitError where all are.
     """
@@ -85,6 +85,7 @@ def fit_session(
     chain.fit(chain.taken_back())
     chain.reconcile()
     chain.complete_model()
+    chain.fit(chain.leaders())
     chain.fit([k for k in range(len(observations)) if k not in chain.fits])
     chain.complete_model()
     chain.reconcile()
@@ -135,6 +136,20 @@ class _Chain:
         for k in places:
             del self.fits[k]
         return places
+
+    def leaders(self) -> list[int]:
+        """What is left of the first channel, and of each other the one at the range where defocus is largest: it tells where
+        that channel's focus lies, and so what its other ranges begin at."""
+        clearest = max(self.fits.values(), key=lambda f: abs(f.member.measured.waves[0]), default=None)
+        if clearest is None or not clearest.ranged:
+            return []
+        there = clearest.task.observation.measured_range_mm
+        left = [k for k in range(len(self.observations)) if k not in self.fits]
+        return [
+            k
+            for k in left
+            if self.observations[k].channel == clearest.channel or self.observations[k].measured_range_mm == there
+        ]
 
     def reconcile(self) -> None:
         """Where fits disagree on the modes, each is sought again with those of the clearest other: the likelihood decides.

@@ -60,3 +60,9 @@ def test_at_one_range_colours_are_turned_alike() -> None:
     signs, open_ = choose_twins([green[0], twin(red[0], -1)], stated(70.0, 2.8))
     assert signs == [1, -1]
     assert open_ == []
+
+
+def test_a_colour_of_one_range_is_turned_as_another_is_there() -> None:
+    green = fits_of([1900.0, 2100.0], 2000.0, [0.01, 0.02, 0.05])
+    red = fits_of([2100.0], 2005.0, [0.01, 0.02, 0.05], "R")
+    assert choose_twins([twin(red[0], -1), *green], stated(70.0, 2.8)) == ([-1, 1, 1], [])

@@ -26,15 +26,17 @@ from tests.plans import PORTRAIT
 NOISE = NoisePrior(0.5, 0.01, 4.0, 0.02)
 TARGET = CellTarget(np.eye(2), (9.0, 9.0), 0.0)
 POSE = Pose.from_corners(np.array([[0.0, 0], [0, 9], [9, 9], [9, 0]]), (9.0, 9.0))
-PLAN = Plan.from_tables({**PORTRAIT, "fit": {"zernike_noll": [4, 4]}})
+LIGHTS = [{"name": name, "wavelength_nm": nm} for name, nm in (("G", 550.0), ("R", 620.0), ("B", 470.0))]
+FIT = {"zernike_noll": [4, 4], "reference_wavelength_nm": 550.0}
+PLAN = Plan.from_tables({**PORTRAIT, "channel": LIGHTS, "fit": FIT})
 RANGES_MM = (2900.0, 3010.0, 3100.0, 3200.0)
 FOCUS_MM = 3000.0
 
 Batch = list[Task]
 
 
-def observations() -> list[Observation]:
-    return [Observation(r, r, "G", ("a.dng",), (), (), NOISE, ((0, 0),), 1) for r in RANGES_MM]
+def observations(channels: str = "G") -> list[Observation]:
+    return [Observation(r, r, c, ("a.dng",), (), (), NOISE, ((0, 0),), 1) for r in RANGES_MM for c in channels]
 
 
 def true_values(task: Task) -> Any:
@@ -67,7 +69,7 @@ def as_found(task: Task, settled: bool) -> WavefrontFit:
     )
 
 
-def made(settles: Callable[[Task], bool]) -> list[Batch]:
+def made(settles: Callable[[Task], bool], channels: str = "G") -> list[Batch]:
     """The batches of tasks that a session is fitted by, where a fit shows if `settles` says so."""
     batches = list[Batch]()
 
@@ -79,7 +81,7 @@ def made(settles: Callable[[Task], bool]) -> list[Batch]:
             batches.append(list(tasks))
         yield from enumerate(as_found(task, settles(task)) for task in tasks)
 
-    fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
+    fit_session(observations(channels), PLAN, TARGET, run, lambda done, of, what: None)
     return batches
 
 
@@ -92,6 +94,16 @@ def test_both_ends_come_first_and_predict_the_rest() -> None:
     assert ranges(anchors) == [2900.0, 3200.0]
     assert ranges(rest) == [3010.0, 3100.0]
     assert all(not task.starts and not task.alike for task in anchors)
+    for task in rest:
+        assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
+
+
+def test_one_range_of_a_colour_predicts_its_others() -> None:
+    ends, leaders, rest = made(lambda task: True, "GRB")
+    assert [task.label for task in ends] == ["G at 2900 mm", "G at 3200 mm"]
+    assert [task.label for task in leaders] == ["G at 3010 mm", "G at 3100 mm", "R at 3200 mm", "B at 3200 mm"]
+    assert [len(task.alike) for task in leaders] == [0, 0, 1, 1]
+    assert [task.label for task in rest] == [f"{c} at {r} mm" for r in (2900, 3010, 3100) for c in "RB"]
     for task in rest:
         assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
 
