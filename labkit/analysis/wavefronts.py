@@ -21,7 +21,7 @@ from labkit.execute import Result, Run
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import LowPass
 from labkit.inference.fit import canonical
-from labkit.inference.missing_parts import with_part
+from labkit.inference.missing_parts import with_part, without_parts
 from labkit.inference.search import CALLED_FOR
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
@@ -194,15 +194,17 @@ class _Chain:
         self._made_alike()
         if not self.tried:  # the searches' own
             found = worth([self.fits[k].fit.measured for k in places])
-            self.tried += [PartTried(name, gain, True) for name, gain in found.items()]
+            self._drop_idle(places)
+            self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
             questions = [Question(self.fits[k], tuple(names)) for k in places]
             answers = [of for _, of in self._done(answer, questions, "looking for what the model lacks")]
             summed = together(answers) if answers else {}
             name = called_for(summed)
-            gained = name is not None and self.diagnose and self._taken_in(name, places)
-            self.tried += [PartTried(each, call.gain, gained and each == name) for each, call in summed.items()]
-            if not gained:
+            better = name is not None and self.diagnose and self._better_with(name, places)
+            taken = [each for each in summed if better and each == name and self._has(each, places)]
+            self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
+            if not better:
                 self.missing = name
                 break
 
@@ -212,23 +214,42 @@ class _Chain:
         poorer = [k for k, f in self.fits.items() if f.fit.optics.shape_labels != richest.shape_labels]
         self._again(poorer, {k: replace(self.fits[k].fit.optics, parts=richest.parts) for k in poorer})
 
-    def _taken_in(self, name: str, places: Sequence[int]) -> bool:
-        """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out."""
+    def _better_with(self, name: str, places: Sequence[int]) -> bool:
+        """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out.
+
+        So is the part itself, where it has only led to a better optimum at which it does nothing: then that is the gain.
+        """
         before = {k: self.fits[k] for k in self.fits}
+
+        def gained() -> float:
+            return sum(self.fits[k].fit.objective - before[k].fit.objective for k in places)
+
         self._again(list(before), {k: with_part(f.fit.optics, name) for k, f in before.items()})
-        gained = sum(self.fits[k].fit.objective - before[k].fit.objective for k in places)
         explained = any(self.fits[k].fit.verdict.accepted for k in places)
-        if gained < max(CALLED_FOR, 0.0 if explained else SHARE * sum(before[k].unexplained for k in places)):
-            self.fits = before
-            return False
-        out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part != name]
+        least = max(CALLED_FOR, 0.0 if explained else SHARE * sum(before[k].unexplained for k in places))
+        if gained() >= least:
+            self._drop_idle(places, (name,))
+            if not self._drop_idle(places) or gained() >= least:
+                return True
+        self.fits = before
+        return False
+
+    def _drop_idle(self, places: Sequence[int], kept: Sequence[str] = ()) -> bool:
+        """Take parts out of all fits that do nothing in these, but for some and the plan's own; whether there were any."""
+        kept = [*kept, *(part.name for part in self._stated_optics.parts)]
+        out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part not in kept]
         if out:
-            fewer = {
-                k: replace(f.fit.optics, parts=tuple(part for part in f.fit.optics.parts if part.name not in out))
-                for k, f in self.fits.items()
-            }
-            self._again(list(fewer), fewer)
-        return True
+            self._again(list(self.fits), {k: without_parts(f.fit.optics, out) for k, f in self.fits.items()})
+        return bool(out)
+
+    @property
+    def _stated_optics(self) -> Optics:
+        """With the parts that the plan wants fitted."""
+        return optics_of(self.plan, self.observations[0].channel)
+
+    def _has(self, name: str, places: Sequence[int]) -> bool:
+        """Whether these fits have a part."""
+        return name not in lacks(self.fits[k].fit.optics for k in places)
 
     def _again(self, places: Sequence[int], optics: dict[int, Optics]) -> None:
         """Make fits again, each from its own end, with other parts of the camera."""
@@ -240,7 +261,9 @@ class _Chain:
         for index, fit in self._done(fit_task, tasks, "fitting with other parts of the camera"):
             old = before[index]
             without = old.left if old.left_without is None else old.left_without
-            self.fits[places[index]] = LocalFit(tasks[index], replace(canonical(fit), left_without=without))
+            found = fit.optics.shape_labels != self._stated_optics.shape_labels
+            fit = replace(canonical(fit), left_without=without if found else None)
+            self.fits[places[index]] = LocalFit(tasks[index], fit)
 
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""

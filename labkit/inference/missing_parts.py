@@ -55,6 +55,12 @@ def with_part(optics: Optics, name: str) -> Optics:
     return replace(optics, parts=(*optics.parts, KNOWN[name]))
 
 
+def without_parts(optics: Optics, names: Sequence[str]) -> Optics:
+    """The optics without some parts that were fitted, the width of the spectrum among them."""
+    parts = tuple(part for part in optics.parts if part.name not in names)
+    return replace(optics, parts=parts, spectrum=Spectrum() if SPECTRUM in names else optics.spectrum)
+
+
 def lacking(optics: Optics) -> list[str]:
     """Parts that optics do not have, nor a plan gives."""
     have = {part.name for part in (*optics.parts, *optics.given)}

@@ -133,7 +133,10 @@ class Search:
                 yield one, _searched_from(sketches.problem(state, sketches.band), state).state
 
     def _swept(self, record: Record) -> Record:
-        """Where no state is given: the sweep's best, the first of them carried on if its sketch is plausible."""
+        """Where no state is given: the sweep's best, the first of them carried on if its sketch is plausible.
+
+        Not near focus: there wrong optima are so close that residuals of a few thousand pixels hardly tell them.
+        """
         if record.given:
             return record
         self.progress("defocus sweep")
@@ -142,7 +145,7 @@ class Search:
         end = _searched_from(sketches.problem(given[0], sketches.band), given[0])
         record = replace(record, given=given, band=sketches.band, ends=(end,), starts=record.starts + 1)
         plausible = self._excess(end.state) < PLAUSIBLE * self._excess(given[0])
-        return self._tried(record, end.state) if plausible else record
+        return self._tried(record, end.state) if plausible and not sketches.near(end.state) else record
 
     def _retrieved_near_focus(self, record: Record) -> Record:
         """Near focus: from the small problem, begun at the given wavefronts."""

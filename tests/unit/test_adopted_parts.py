@@ -1,0 +1,81 @@
+"""Which parts of a camera a session takes in: those that its fits need, not those that only led elsewhere. Fits are played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from labkit.analysis.local_fits import Question, Task, answer
+from labkit.analysis.wavefronts import SessionFits, fit_session
+from labkit.inference.fit import WavefrontFit
+from labkit.inference.missing_parts import Call
+from labkit.plan import Plan
+from tests.plans import PORTRAIT
+from tests.unit.test_wavefronts import TARGET, as_found, observations
+
+PLAN = Plan.from_tables({**PORTRAIT, "fit": {"zernike_noll": [4, 4]}})
+CALLS = {"smear": Call(np.array([20.0]), np.eye(1))}  # a gain of 200 is promised
+
+
+def with_parts(fit: WavefrontFit, task: Task, square: float) -> WavefrontFit:
+    """The fit with the numbers of its task's parts, all alike and known to 0.01."""
+    labels = task.optics.shape_labels
+    inserted = np.full(len(labels), 1)
+    values = np.insert(fit.measured.values, inserted, square)
+    covariance = np.diag(np.insert(np.diag(fit.measured.covariance), inserted, 1e-4))
+    others = [0, *range(1 + len(labels), len(values))]
+    covariance[np.ix_(others, others)] = fit.measured.covariance
+    measured = replace(fit.measured, values=values, covariance=covariance, calibration=0 * covariance, parts=labels)
+    return replace(fit, measured=measured, poor=measured)
+
+
+def session(objective: Callable[[Task, bool], float], square: float, plan: Plan = PLAN) -> SessionFits:
+    """Fits at two ranges. objective: of a task, and of whether it begins at the end of another; square: of their parts."""
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for index, task in enumerate(tasks):
+            if function is answer:
+                yield index, calls_of(task)
+                continue
+            reached = objective(task, tuple(task.starts) != () and task.missing == ())
+            yield index, replace(with_parts(as_found(task, True), task, square), objective=reached)
+
+    def calls_of(question: Question) -> dict[str, Call]:
+        gain = 0.0 if question.local.fit.objective > 0 else 1.0
+        return {name: Call(gain * call.slope, call.information) for name, call in CALLS.items()}
+
+    return fit_session(observations()[::3], plan, TARGET, run, lambda done, of, what: None)
+
+
+def adopted(fits: SessionFits) -> list[str]:
+    return [tried.name for tried in fits.tried if tried.adopted]
+
+
+def test_a_part_that_only_led_to_a_better_optimum_is_not_taken_in() -> None:
+    """Both first fits are wrong by 100; begun with a smear they end at the right optimum, where the smear does nothing."""
+    fits = session(lambda task, again: 100.0 if again else 0.0, square=0.005)
+    assert adopted(fits) == []
+    assert all(local.fit.measured.parts == () for local in fits.fits)
+    assert [local.fit.objective for local in fits.fits] == [100.0, 100.0]
+
+
+def test_a_part_that_the_fits_need_is_taken_in() -> None:
+    fits = session(lambda task, again: 100.0 if task.optics.parts else 0.0, square=0.5)
+    assert adopted(fits) == ["smear"]
+    assert all(local.fit.optics.parts[0].name == "smear" for local in fits.fits)
+
+
+def test_a_part_whose_numbers_are_within_their_errors_is_not_taken_in() -> None:
+    fits = session(lambda task, again: 100.0 if task.optics.parts else 0.0, square=0.005)
+    assert adopted(fits) == []
+    assert [local.fit.optics.parts for local in fits.fits] == [(), ()]
+
+
+def test_a_part_that_the_plan_wants_fitted_stays_where_it_does_nothing() -> None:
+    sensor = {**PORTRAIT["sensor"], "low_pass_filter": {"spread_px": "fit"}}
+    plan = Plan.from_tables({**PORTRAIT, "sensor": sensor, "fit": {"zernike_noll": [4, 4]}})
+    fits = session(lambda task, again: 1.0, square=0.005, plan=plan)
+    assert all(local.fit.measured.parts[0].startswith("low_pass_filter") for local in fits.fits)
