@@ -6,15 +6,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import Aperture
 from labkit.inference.cone import Measured
-from labkit.inference.missing_parts import Call, lacking
+from labkit.inference.missing_parts import SPECTRUM, Call, lacking
 from labkit.inference.search import CALLED_FOR
 
-ALIKE = 10.0
-"""Log-likelihood by which one part must be called for more than another that is more common."""
+ALIKE = 4.0
+"""Log-likelihood by which one part must be called for more than another that is more common: by one number more it gains as
+much by chance once in 200 times."""
 
 DROPPED = 8.0
 """Log-likelihood that a part must be worth; below, it is taken out again."""
@@ -26,9 +28,16 @@ def lacks(optics: Iterable[Optics]) -> list[str]:
     return [name for name in names[0] if all(name in others for others in names)]
 
 
-def together(every: Sequence[Mapping[str, Call]]) -> dict[str, Call]:
-    """Of fits that share the camera. A spectrum is each channel's own; fits of one channel are asked."""
-    return {name: reduce(Call.__add__, (of[name] for of in every)) for name in every[0]}
+def together(every: Sequence[Mapping[str, Call]], channels: Sequence[str]) -> dict[str, Call]:
+    """Of fits that share the camera, by name. channels: theirs, each of which has a spectrum of its own."""
+    whole = {name: reduce(Call.__add__, (of[name] for of in every)) for name in every[0]}
+    if SPECTRUM in whole:
+        of = [
+            [e[SPECTRUM] for e, c in zip(every, channels, strict=True) if c == one] for one in dict.fromkeys(channels)
+        ]
+        calls = [reduce(Call.__add__, calls) for calls in of]
+        whole[SPECTRUM] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
+    return whole
 
 
 def called_for(summed: Mapping[str, Call]) -> str | None:

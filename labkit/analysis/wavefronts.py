@@ -178,11 +178,12 @@ class _Chain:
     def complete_model(self) -> None:
         """Take in what parts of the camera the fits so far call for together, one after another.
 
-        The first fits are asked at any rate; once all are there, those that the model does not explain.
+        The first fits are asked at any rate; once all are there, those that the model does not explain, and of each channel
+        the sharpest: what hardly shows far from focus may still turn the modes of those near it.
         """
         places = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
         if len(self.fits) == len(self.observations) and self.tried:
-            places = [k for k in self.fits if k not in places]
+            places = [k for k in self.fits if k not in places or k in self._sharpest()]
         elif not places:
             places = list(self.fits)
         self.missing = None
@@ -198,8 +199,8 @@ class _Chain:
             self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
             questions = [Question(self.fits[k], tuple(names)) for k in places]
-            answers = [of for _, of in self._done(answer, questions, "looking for what the model lacks")]
-            summed = together(answers) if answers else {}
+            answers = dict(self._done(answer, questions, "looking for what the model lacks"))
+            summed = together([*answers.values()], [self.fits[places[k]].channel for k in answers]) if answers else {}
             name = called_for(summed)
             better = name is not None and self.diagnose and self._better_with(name, places)
             taken = [each for each in summed if better and each == name and self._has(each, places)]
@@ -207,6 +208,15 @@ class _Chain:
             if not better:
                 self.missing = name
                 break
+
+    def _sharpest(self) -> list[int]:
+        """Of each channel the fit with the least defocus, where the first fits, which were asked, are other ones."""
+        of = {
+            c: [k for k, f in self.fits.items() if f.channel == c]
+            for c in dict.fromkeys(f.channel for f in self.fits.values())
+        }
+        sharpest = [min(places, key=lambda k: abs(self.fits[k].fit.measured.waves[0])) for places in of.values()]
+        return [k for k in sharpest if k not in self.anchors()]
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""

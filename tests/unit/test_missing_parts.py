@@ -67,14 +67,21 @@ def call(gain: float, sign: float = 1.0) -> Call:
 
 
 def test_fits_add_up_what_they_call_for() -> None:
-    summed = together([{"veil": call(4.0)}, {"veil": call(4.0)}])
+    summed = together([{"veil": call(4.0)}, {"veil": call(4.0)}], "GR")
     assert summed["veil"].gain == pytest.approx(8.0)
-    assert together([{"veil": call(4.0)}, {"veil": call(4.0, -1.0)}])["veil"].gain == pytest.approx(0.0)
+    assert together([{"veil": call(4.0)}, {"veil": call(4.0, -1.0)}], "GG")["veil"].gain == pytest.approx(0.0)
+
+
+def test_each_channel_has_a_spectrum_of_its_own() -> None:
+    calls = [{SPECTRUM: call(4.0)}, {SPECTRUM: call(4.0)}, {SPECTRUM: call(9.0)}]
+    (summed,) = together(calls, "GGR").values()
+    np.testing.assert_allclose(summed.step, np.sqrt([8.0, 18.0]))
+    assert summed.gain == pytest.approx(8.0 + 9.0)
 
 
 def test_of_parts_that_gain_as_much_the_more_common_is_taken() -> None:
-    assert called_for({"low_pass_filter": call(95.0), "smear": call(100.0), "veil": call(20.0)}) == "low_pass_filter"
-    assert called_for({"low_pass_filter": call(80.0), "smear": call(100.0)}) == "smear"
+    assert called_for({"low_pass_filter": call(97.0), "smear": call(100.0), "veil": call(20.0)}) == "low_pass_filter"
+    assert called_for({"low_pass_filter": call(90.0), "smear": call(100.0)}) == "smear"
     assert called_for({"low_pass_filter": call(9.0), "smear": call(5.0)}) is None
     assert called_for({"veil": call(1000.0, -1.0)}) is None  # a camera that swallows stray light
 

@@ -18,6 +18,7 @@ from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import NoisePrior, State
 from labkit.inference.fit import WavefrontFit
 from labkit.inference.goodness_of_fit import Verdict
+from labkit.inference.missing_parts import Call
 from labkit.plan import Plan
 from labkit.target import CellTarget
 from tests.lens_samples import covariance, laws
@@ -106,6 +107,20 @@ def test_one_range_of_a_colour_predicts_its_others() -> None:
     assert [task.label for task in rest] == [f"{c} at {r} mm" for r in (2900, 3010, 3100) for c in "RB"]
     for task in rest:
         assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
+
+
+def test_the_sharpest_of_each_channel_is_asked_for_missing_parts_besides_the_ends() -> None:
+    asked = list[str]()
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        if function is answer:
+            asked.extend(task.label for task in tasks)
+            yield from enumerate({"smear": Call(np.zeros(3), np.eye(3))} for _ in tasks)
+        else:
+            yield from enumerate(as_found(task, settled=True) for task in tasks)
+
+    fit_session(observations("GRB"), PLAN, TARGET, run, lambda done, of, what: None)
+    assert asked == ["G at 2900 mm", "G at 3200 mm", "G at 3010 mm", "R at 3010 mm", "B at 3010 mm"]
 
 
 def test_progress_counts_what_is_fitted_again_and_says_what_is_done() -> None:
