@@ -25,7 +25,7 @@ PLAN = plan_text(
 
 @pytest.mark.slow
 def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(tmp_path: Path) -> None:
-    """The first end, 0.025 waves off, leaves residuals that are accepted (p = 0.06), and a smear led from it to the right one."""
+    """The first end, 0.025 waves off, has residuals that are accepted (p = 0.06); a smear led from it to the right one."""
     with Session.create(tmp_path / "session", PLAN, tmp_path) as session, open_devices(session.plan) as devices:
         run_plan(session, devices, check=False)
         modes = devices.camera._bench.truth.modes_waves["G"]  # type: ignore[attr-defined]
