@@ -83,7 +83,7 @@ FIRST_NM = 600
 @dataclass(frozen=True)
 class Outcome:
     """Of each band, in the order of BANDS: focus_um, std_um: defocus at the sensor; size: relative to 550 nm; centre_px:
-    (bands, 2) (row, col) relative to 550 nm. chi2: of a parabola through the defocus. settled: whether the first band's optimum is.
+    (bands, 2) (row, col) relative to 550 nm. chi2: of a parabola through the defocus. settled: whether the first band is.
     nonlinear: largest departure of a ladder of exposures from a line, relative."""
 
     focus_um: Floats

@@ -106,6 +106,7 @@ class _Chain:
     fits: dict[int, LocalFit] = field(default_factory=dict)
     tried: list[PartTried] = field(default_factory=list)
     missing: str | None = None
+    asked: dict[int, LocalFit] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     made: int = 0
 
@@ -171,10 +172,12 @@ class _Chain:
             places = [k for k in self.fits if k not in places]
         elif not places:
             places = list(self.fits)
-        self.missing = None
         if not self.diagnose:
             places = [k for k, f in self.fits.items() if not f.fit.verdict.accepted]
             places = places if len(self.fits) == len(self.observations) else []
+        if places and self.asked.keys() == set(places) and all(self.asked[k] is self.fits[k] for k in places):
+            return
+        self.missing = None
         if not places:
             return
         self._made_alike()
@@ -183,6 +186,7 @@ class _Chain:
             self._drop_idle(places)
             self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
+            self.asked = {k: self.fits[k] for k in places}
             questions = [Question(self.fits[k], tuple(names)) for k in places]
             answers = [of for _, of in self._done(answer, questions, "looking for what the model lacks")]
             summed = together(answers) if answers else {}
