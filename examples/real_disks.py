@@ -1,31 +1,32 @@
 """Best focus and size against wavelength in real photographs: python examples/real_disks.py ../shared/real/disks WORK
 
 A printed grid of black disks, photographed through seven filters of 10 nm at seven exposures by B. Llanos, University of
-Alberta (github.com/bllanos/chromatic-aberration). `labkit import` and `labkit fit` make a session of each band in WORK, a new
-folder.
+Alberta (github.com/bllanos/chromatic-aberration). A session of each band is made in WORK, a new folder.
 
-What one range can tell: the amount of defocus in each band, not its sign, nor where the lens is focused in millimetres of
-range, for the size of the disks is not recorded either. Which bands lie on the same side is decided by what is smooth. Under
-this uneven light defocus and astigmatism may trade places in a band: it then lies off the curve.
+The bands are fitted together: one from nothing, until its optimum is settled, and each of the others from the wavefront of the
+band beside it. Near focus defocus and astigmatism nearly trade places, and under this uneven light a band alone may end where
+they have.
+
+What one range can tell: defocus in each band, beside an astigmatism that all have, so that all signs together are open, and
+not where the lens is focused in millimetres of range, for the size of the disks is not recorded either.
 """
 
 import argparse
-import itertools
-import json
 import shutil
-import subprocess
-import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from labkit.analysis.local_fits import LocalFit, Task, fit_task, optics_of
+from labkit.analysis.observe import observe
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
+from labkit.session.import_frames import import_frames
+from labkit.target import open_target
 
 Floats = npt.NDArray[np.float64]
 
@@ -75,19 +76,22 @@ corners_px = {corners}
 """
 
 
+FIRST_NM = 600
+"""Fitted from nothing."""
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """Of each band, in the order of BANDS: focus_um, std_um: defocus at the sensor; chi2: of a parabola through them, and
-    next_chi2 with the next best signs; size: relative to 550 nm; centre_px: (bands, 2) (row, col) relative to 550 nm;
-    settled: whether the optimum was accepted. nonlinear: largest departure of a ladder of exposures from a line, relative."""
+    """Of each band, in the order of BANDS: focus_um, std_um: defocus at the sensor; size: relative to 550 nm; centre_px:
+    (bands, 2) (row, col) relative to 550 nm. chi2: of a parabola through the defocus. settled: whether the first band is.
+    nonlinear: largest departure of a ladder of exposures from a line, relative."""
 
     focus_um: Floats
     std_um: Floats
     chi2: float
-    next_chi2: float
     size: Floats
     centre_px: Floats
-    settled: tuple[bool, ...]
+    settled: bool
     nonlinear: float
 
 
@@ -95,25 +99,36 @@ def check(photographs: Path, work: Path) -> Outcome:
     """Import and fit a photograph of each band in WORK/400 to WORK/700, and draw WORK/real_disks.png."""
     work.mkdir(parents=True)
     corners = corners_of(disks_of(photographs))
-    fits = [fitted(photographs, work / str(nm), nm, corners) for nm in BANDS]
+    fits = together({nm: task_of(photographs, work / str(nm), nm, corners) for nm in BANDS})
     um = 8 * F_NUMBER**2 * np.sqrt(12) * REFERENCE_NM * 1e-3  # of a wave RMS of defocus
-    waves, std = (np.array([fit[key][0] for fit in fits]) for key in ("waves_rms", "std"))
-    chi2, next_chi2, signs = smoothest(waves, std)
-    places = np.array([fit["corners_px"][0] for fit in fits])
+    poor = [fits[nm].fit.poor for nm in BANDS]  # the model is rejected: errors hold what it leaves unexplained
+    focus = um * np.array([measured.values[0] for measured in poor])
+    std = um * np.sqrt([measured.covariance[0, 0] for measured in poor])
+    places = np.array([corners_found(fits[nm]) for nm in BANDS])
     sizes = np.array([np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places])
     middle = list(BANDS).index(550)
     outcome = Outcome(
-        um * waves * signs,
-        um * std,
-        chi2,
-        next_chi2,
+        focus,
+        std,
+        chi2_of_parabola(focus, std),
         sizes / sizes[middle],
         places.mean(axis=1) - places[middle].mean(axis=0),
-        tuple(fit["optimum"]["accepted"] for fit in fits),
+        fits[FIRST_NM].fit.settled,
         nonlinearity(photographs),
     )
     draw(outcome, work / "real_disks.png")
     return outcome
+
+
+def together(tasks: dict[int, Task]) -> dict[int, LocalFit]:
+    """Every band fitted, from the first one outwards."""
+    fits = {FIRST_NM: LocalFit(tasks[FIRST_NM], fit_task(tasks[FIRST_NM]))}
+    shorter, longer = ([nm for nm in BANDS if (nm > FIRST_NM) is up and nm != FIRST_NM] for up in (False, True))
+    for row in (shorter[::-1], longer):
+        for beside, nm in zip([FIRST_NM, *row], row, strict=False):
+            task = replace(tasks[nm], starts=(fits[beside].fit.waves,), patience_s=0.0)
+            fits[nm] = LocalFit(task, fit_task(task))
+    return fits
 
 
 def photograph(folder: Path, nm: int, ms: int) -> Path:
@@ -144,8 +159,8 @@ def corners_of(disks: npt.NDArray[np.bool_]) -> Floats:
     return np.asarray(cv2.perspectiveTransform(ends[None], homography)[0][:, ::-1])
 
 
-def fitted(photographs: Path, folder: Path, nm: int, corners: Floats) -> dict[str, Any]:
-    """The wavefront of a band as results.json has it, made in a new folder as from the shell."""
+def task_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Task:
+    """The fit of a band's photograph, out of a session in a new folder."""
     channel, ms = BANDS[nm]
     folder.mkdir()
     path = photograph(photographs, nm, ms)
@@ -153,26 +168,22 @@ def fitted(photographs: Path, folder: Path, nm: int, corners: Floats) -> dict[st
     (folder / "frames.csv").write_text(f"file,kind,range_mm\n{path.name},target,\n")
     values = {"channel": channel, "nm": float(nm), "corners": np.round(corners, 2).tolist(), "diameter": 9 * DIAMETER}
     (folder / "plan.toml").write_text(PLAN.format(**values, f_number=F_NUMBER, reference=REFERENCE_NM))
-    labkit = Path(sys.executable).with_name("labkit")
-    subprocess.run([labkit, "import", folder / "frames.csv", folder / "plan.toml", folder / "session"], check=True)
-    subprocess.run([labkit, "fit", folder / "session", "--plain", "--patience", "15", "--workers", "1"], check=True)
-    results = json.loads((folder / "session" / "results" / "latest" / "results.json").read_text())
-    wavefront: dict[str, Any] = results["wavefronts"][0]
-    return wavefront
+    session = import_frames(folder / "frames.csv", folder / "plan.toml", folder / "session")
+    plan, target = session.plan, open_target(session.plan.target)
+    (observation,), _ = observe(session, plan, target)
+    stated = plan.lens.stated_f_number
+    return Task(optics_of(plan, channel), target, observation, stated.std / stated.value)
 
 
-def smoothest(waves: Floats, std: Floats) -> tuple[float, float, Floats]:
-    """Chi² of the parabola in wavelength that the defocus fits best, whatever its sign in each band; that of the next best
-    signs; and these signs. All signs the other way round fit as well: the first is +."""
-    nm = np.array(list(BANDS), dtype=np.float64)
-    design = np.vander((nm - REFERENCE_NM) / 150, 3) / std[:, None]
-    tried = []
-    for others in itertools.product((1.0, -1.0), repeat=len(nm) - 1):
-        signs = np.array((1.0, *others))
-        seen = signs * waves / std
-        tried.append((float(np.sum((seen - design @ np.linalg.lstsq(design, seen)[0]) ** 2)), tuple(signs)))
-    (best, chosen), (following, _) = sorted(tried)[:2]
-    return best, following, np.array(chosen)
+def corners_found(local: LocalFit) -> Floats:
+    """(4, 2) (row, col) of the target's corners in the frame."""
+    return np.asarray(local.fit.state.poses[0].corners_px() + np.array(local.task.observation.origin_px))
+
+
+def chi2_of_parabola(focus: Floats, std: Floats) -> float:
+    """In wavelength, of the one that fits best."""
+    design = np.vander((np.array(list(BANDS)) - REFERENCE_NM) / 150, 3) / std[:, None]
+    return float(np.sum((focus / std - design @ np.linalg.lstsq(design, focus / std)[0]) ** 2))
 
 
 def nonlinearity(photographs: Path) -> float:
@@ -204,7 +215,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     focus.errorbar(nm, outcome.focus_um, outcome.std_um, fmt="o", capsize=3)
     fine = np.linspace(nm[0], nm[-1], 200)
     focus.plot(fine, np.polyval(np.polyfit(nm, outcome.focus_um, 2, w=1 / outcome.std_um), fine))
-    focus.set(xlabel="wavelength, nm", ylabel="defocus at the sensor, µm, or its negative")
+    focus.set(xlabel="wavelength, nm", ylabel="defocus at the sensor, µm, or all its negative")
     lateral.plot(nm, 1e5 * (outcome.size - 1), "o-", label="size, 1e-5")
     lateral.plot(nm, 100 * outcome.centre_px[:, 0], "s-", label="row of the middle, 0.01 px")
     lateral.plot(nm, 100 * outcome.centre_px[:, 1], "^-", label="column of the middle, 0.01 px")
@@ -219,16 +230,14 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     asked = parser.parse_args()
     outcome = check(asked.photographs, asked.work)
-    print("nm    defocus/um     size      row/px  col/px  optimum")
+    print("nm    defocus/um     size      row/px  col/px")
     for k, nm in enumerate(BANDS):
         row, col = outcome.centre_px[k]
         print(
-            f"{nm}  {outcome.focus_um[k]:+6.1f} ± {outcome.std_um[k]:.1f}  {outcome.size[k]:.5f}  {row:+6.2f}  {col:+6.2f}  "
-            + ("accepted" if outcome.settled[k] else "open")
+            f"{nm}  {outcome.focus_um[k]:+6.1f} ± {outcome.std_um[k]:.1f}  {outcome.size[k]:.5f}  {row:+6.2f}  {col:+6.2f}"
         )
-    print(
-        f"a parabola through the defocus: chi2 {outcome.chi2:.1f} of 4 degrees; with other signs {outcome.next_chi2:.0f}"
-    )
+    print(f"optimum at {FIRST_NM} nm {'settled' if outcome.settled else 'open'}")
+    print(f"a parabola through the defocus: chi2 {outcome.chi2:.1f} of 4 degrees")
     print(f"exposures depart from a line by {outcome.nonlinear:.2%} at most\ndrawn: {asked.work / 'real_disks.png'}")
 
 

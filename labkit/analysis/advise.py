@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import ceil, floor, hypot, isfinite, log, sqrt
+from math import ceil, floor, isfinite, log, sqrt
 from typing import Any
 
 from labkit.analysis.expected_bound import ExpectedFit, expected_fit, planes_of
@@ -20,6 +20,8 @@ from labkit.analysis.outlook import (
     propose_ranges,
 )
 from labkit.analysis.panel import panel_pixels
+from labkit.analysis.seen_pixels import LEAST_CONTRAST
+from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
@@ -30,7 +32,6 @@ AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.4
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
 MOST_PX = 10_000  # across the widest sensors
-DRAWN_FROM = 0.2  # of the camera's resolution, on the target: larger pixels of a panel have to be drawn
 NAMED = 4  # of what is not determined
 MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 
@@ -215,10 +216,9 @@ def _lens_notes(session: Outlook | None, proposed: tuple[float, ...], proposed_s
 
 def _bench_notes(plan: Plan, advised: Sequence[RangeAdvice], nearest_mm: float | None) -> list[str]:
     """Of target, display and sensor."""
-    nearest_range_mm = min(at.range_mm for at in advised)
     return [
         *_target_notes(plan, advised),
-        *_display_notes(plan, nearest_range_mm, nearest_mm),
+        *_display_notes(plan, advised, nearest_mm),
         *_sampling_notes(plan),
     ]
 
@@ -330,7 +330,7 @@ def _target_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> list[str]:
     return notes
 
 
-def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None) -> list[str]:
+def _display_notes(plan: Plan, advised: Sequence[RangeAdvice], nearest_mm: float | None) -> list[str]:
     panel = plan_panel(plan)
     if panel is None or nearest_mm is None:
         return []
@@ -343,21 +343,17 @@ def _display_notes(plan: Plan, nearest_range_mm: float, nearest_mm: float | None
                 f"cells of {cell_mm:.3g} mm are finer than the display's pixels, {pitch_mm:.3g} mm: show order "
                 f"{plan.target.order} at {least:.3g} mm or more, or a lower order"
             )
-    resolved = pitch_mm / _resolution_mm(plan, nearest_range_mm)
-    if plan.target.pixels is None and resolved > DRAWN_FROM:
-        pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'
-        notes.append(
-            f"at {nearest_range_mm:g} mm the display's own pixels are seen, {resolved:.2g} times as large as what the camera "
-            f"resolves, and the plan has no [target.pixels]: add {pixels} to [target], the layout as the frame shows it"
+    if plan.target.pixels is None:
+        contrast, range_mm = max(
+            (stripe_contrast(plan, pitch_mm, at.range_mm, at.defocus_waves), at.range_mm) for at in advised
         )
+        if contrast > LEAST_CONTRAST:
+            pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'
+            notes.append(
+                f"at {range_mm:g} mm the display's own pixels will be seen with {contrast:.0%} of contrast, if they are "
+                f"striped, and the plan has no [target.pixels]: add {pixels} to [target], the layout as the frame shows it"
+            )
     return notes
-
-
-def _resolution_mm(plan: Plan, range_mm: float) -> float:
-    """On the target, of lens and pixel together."""
-    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    pixel_mm = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
-    return float(hypot(_airy_on_target_mm(plan, range_mm), pixel_mm))
 
 
 def _sampling_notes(plan: Plan) -> list[str]:

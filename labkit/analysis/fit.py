@@ -17,6 +17,7 @@ from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, see
 from labkit.analysis.session_parts import WORDS, model_parts, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
+from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.wavefronts import SessionFits, fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
@@ -138,7 +139,7 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
     """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    warnings = [*words_of_parts(fits, found), *warnings_of(fits)]
+    warnings = [*words_of_parts(fits, found, wanted_parts(plan)), *warnings_of(fits)]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(

@@ -8,14 +8,14 @@ import numpy as np
 
 from labkit.analysis.lens_model import Member
 from labkit.analysis.observe import Observation
+from labkit.analysis.stated_parts import stated_parts, stated_spectrum
 from labkit.imaging.model import ForwardModel, Optics
-from labkit.imaging.parts import Aperture, LowPass, Part
+from labkit.imaging.parts import Part
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.inference.missing_parts import Call, calls
-from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats
@@ -113,11 +113,7 @@ def optics_of(plan: Plan, channel: str) -> Optics:
     """Light, sensor and lens of a plan's channel, the cone as engraved."""
     light = next(c for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
-    low_pass = plan.sensor.low_pass_filter
-    parts: list[Part] = [] if low_pass is None else [LowPass(*low_pass.squares, turned=low_pass.turned)]
-    fitted = low_pass is not None and low_pass.spread_px == "fit"
-    shown = plan.target.pixels
-    drawn: list[Part] = [] if shown is None or shown.aperture is not None else [Aperture()]
+    fitted, given = stated_parts(plan)
     return Optics(
         wavelength_um=light.wavelength_nm * 1e-3,
         reference_um=plan.reference_wavelength_nm * 1e-3,
@@ -125,9 +121,9 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
         noll=tuple(range(first, last + 1)),
-        spectrum=Spectrum() if light.spectrum is None else Spectrum.of_samples(*light.samples, light.wavelength_nm),
-        parts=(*drawn, *(parts if fitted else ())),
-        given=() if fitted else tuple(parts),
+        spectrum=stated_spectrum(light),
+        parts=fitted,
+        given=given,
     )
 
 

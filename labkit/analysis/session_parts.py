@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -52,8 +52,8 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     return found
 
 
-def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[str]:
-    """What was found of the camera and what it changed, a line each."""
+def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
+    """What was found of the camera and what it changed, a line each; not of parts that the plan wanted fitted."""
     lines = []
     for name in dict.fromkeys(key.split(".")[0] for key in found):
         numbers = ", ".join(
@@ -66,6 +66,8 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain]) -> list[st
             lines.append(
                 f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
             )
+            continue
+        if name in wanted:
             continue
         changed = "" if session.lens is None else _changed(session.lens, name)
         lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")

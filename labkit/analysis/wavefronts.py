@@ -15,6 +15,7 @@ from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
 from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
 from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
+from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.twins import choose_twins
 from labkit.errors import FitError, LostTasksError
 from labkit.execute import Result, Run
@@ -106,6 +107,7 @@ class _Chain:
     fits: dict[int, LocalFit] = field(default_factory=dict)
     tried: list[PartTried] = field(default_factory=list)
     missing: str | None = None
+    asked: dict[int, LocalFit] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     made: int = 0
 
@@ -186,10 +188,12 @@ class _Chain:
             places = [k for k in self.fits if k not in places or k in self._sharpest()]
         elif not places:
             places = list(self.fits)
-        self.missing = None
         if not self.diagnose:
             places = [k for k, f in self.fits.items() if not f.fit.verdict.accepted]
             places = places if len(self.fits) == len(self.observations) else []
+        if places and self.asked.keys() == set(places) and all(self.asked[k] is self.fits[k] for k in places):
+            return
+        self.missing = None
         if not places:
             return
         self._made_alike()
@@ -198,6 +202,7 @@ class _Chain:
             self._drop_idle(places)
             self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
         while names := lacks(self.fits[k].fit.optics for k in places):
+            self.asked = {k: self.fits[k] for k in places}
             questions = [Question(self.fits[k], tuple(names)) for k in places]
             answers = dict(self._done(answer, questions, "looking for what the model lacks"))
             summed = together([*answers.values()], [self.fits[places[k]].channel for k in answers]) if answers else {}
@@ -220,8 +225,9 @@ class _Chain:
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""
-        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.shape))
-        poorer = [k for k, f in self.fits.items() if f.fit.optics.shape_labels != richest.shape_labels]
+        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.parts))
+        names = [part.name for part in richest.parts]
+        poorer = [k for k, f in self.fits.items() if [part.name for part in f.fit.optics.parts] != names]
         self._again(poorer, {k: replace(self.fits[k].fit.optics, parts=richest.parts) for k in poorer})
 
     def _better_with(self, name: str, places: Sequence[int]) -> bool:
@@ -246,16 +252,11 @@ class _Chain:
 
     def _drop_idle(self, places: Sequence[int], kept: Sequence[str] = ()) -> bool:
         """Take parts out of all fits that do nothing in these, but for some and the plan's own; whether there were any."""
-        kept = [*kept, *(part.name for part in self._stated_optics.parts)]
+        kept = [*kept, *wanted_parts(self.plan)]
         out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part not in kept]
         if out:
             self._again(list(self.fits), {k: without_parts(f.fit.optics, out) for k, f in self.fits.items()})
         return bool(out)
-
-    @property
-    def _stated_optics(self) -> Optics:
-        """With the parts that the plan wants fitted."""
-        return optics_of(self.plan, self.observations[0].channel)
 
     def _has(self, name: str, places: Sequence[int]) -> bool:
         """Whether these fits have a part."""
@@ -271,7 +272,7 @@ class _Chain:
         for index, fit in self._done(fit_task, tasks, "fitting with other parts of the camera"):
             old = before[index]
             without = old.left if old.left_without is None else old.left_without
-            found = fit.optics.shape_labels != self._stated_optics.shape_labels
+            found = fit.optics.shape_labels != optics_of(self.plan, tasks[index].observation.channel).shape_labels
             fit = replace(canonical(fit), left_without=without if found else None)
             self.fits[places[index]] = LocalFit(tasks[index], fit)
 

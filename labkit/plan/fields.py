@@ -6,9 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import AfterValidator, Strict
+from pydantic import AfterValidator, BeforeValidator, Strict
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -56,6 +56,18 @@ class Takes:
 
     def __str__(self) -> str:
         return self.words
+
+
+def or_fit(low: float, high: float) -> BeforeValidator:
+    """A validator of a number from `low` to `high`, or of "fit"."""
+    words = f'{low:g} to {high:g}, or "fit"'
+
+    def checked(given: Any) -> Any:
+        if given != "fit" and not (type(given) in (int, float) and low <= given <= high):
+            raise not_allowed(words)
+        return given
+
+    return BeforeValidator(checked)
 
 
 def matches(pattern: str, words: str) -> AfterValidator:

@@ -22,6 +22,10 @@ def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str,
     A key written wrongly is often missing as well: its name is what leads on.
     """
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    listed = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
+    details = [
+        detail for detail in details if detail["loc"] not in listed
+    ]  # a list that is short of a wrong item is not wrong
     return "; ".join(dict.fromkeys(_problem(detail, model, tables) for detail in details))
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labkit.errors import PlanError
-from labkit.plan.fields import Allowed, Count, Number, Takes, matches, not_allowed, problem
+from labkit.plan.fields import Allowed, Count, Number, Takes, matches, not_allowed, or_fit, problem
 from labkit.plan.table import Table
 
 SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
@@ -20,7 +20,7 @@ USUAL_SPREAD_PX = 0.5
 
 
 def _spread(given: Any) -> Any:
-    """Of a low-pass filter, as a plan may state it."""
+    """Of a low-pass filter or a smear, as a plan may state it."""
     spreads = given if isinstance(given, (list, tuple)) else (given, given)
     numbers = len(spreads) == 2 and all(type(s) in (int, float) and 0 <= s <= 3 for s in spreads)
     if not (numbers or given == "fit"):
@@ -103,6 +103,14 @@ class Sensor(Table):
     headerless_px: Annotated[tuple[Pixels, Pixels] | None, Takes(HEADERLESS)] = None
     """Size of files that hold nothing but 16-bit numbers, lower byte first. Default: the files have headers."""
     low_pass_filter: LowPassFilter | None = None
+    diffusion_px: Annotated[float | Literal["fit"] | None, or_fit(0, 2), Takes('0 to 2, or "fit"')] = None
+    """Standard deviation of the charge's diffusion, in pixel pitches of the file; `"fit"` estimates it. Default: none, and
+    `labkit fit` looks for it."""
+    smear_px: Annotated[
+        float | tuple[float, float] | Literal["fit"] | None, BeforeValidator(_spread), Takes(SPREAD)
+    ] = None
+    """Standard deviation of the camera's or rail's shake while the shutter is open, in pixel pitches of the file: along rows
+    and columns alike, or `[rows, columns]`; `"fit"` estimates it. Default: none, and `labkit fit` looks for it."""
     tone_curve: Annotated[Literal["file", "linear", "sRGB"] | MeasuredTone, BeforeValidator(_tone), Takes(TONE)] = (
         "file"
     )

@@ -27,6 +27,7 @@ from labkit.plan.fields import (
     Takes,
     matches,
     not_allowed,
+    or_fit,
     problem,
     repeated,
 )
@@ -54,6 +55,9 @@ ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02
 WITHIN_CHANNEL = 0.05
 """Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
 
+WIDEST_LIGHT = 0.08
+"""Of a channel's wavelength: the largest width that stands for a spectrum; a wider one has to be given in samples."""
+
 LEAST_LIT = 0.05
 APERTURE = f"[across, down], each {LEAST_LIT:g} to 1"
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
@@ -71,6 +75,9 @@ class Lens(Table):
     """Focal length as engraved."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
     """F-number as engraved: at infinity, at the aperture that was set."""
+    veil: Annotated[float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')] = None
+    """Share of the light that the lens strays over some 12 pixels round about; `"fit"` estimates it. Default: none, and `labkit
+    fit` looks for it."""
     focal_length_std_mm: Error | None = None
     """Standard error of the engraved focal length. Default: 2 % of it."""
     f_number_std: Error | None = None
@@ -107,6 +114,10 @@ class Channel(Table):
     """Spectrum of the light times the filter, where it is known; its mean lies within 5 % of the wavelength. Default: one
     wavelength; `labkit fit` looks for a width."""
 
+    width_nm: Annotated[float | Literal["fit"] | None, or_fit(0, 1000), Takes('0 to 1000, or "fit"')] = None
+    """Standard deviation of the light's wavelengths, in place of a spectrum: 0.42 of the width at half maximum of a Gaussian;
+    `"fit"` estimates it."""
+
     @property
     def samples(self) -> tuple[list[float], list[float]]:
         """Wavelengths, nm, and weights of the spectrum. Raises ValueError where there is none."""
@@ -122,6 +133,14 @@ class Channel(Table):
     @model_validator(mode="after")
     def _possible(self) -> Channel:
         _refuse_larger(self, "wavelength_nm", "wavelength_std_nm")
+        widest_nm = WIDEST_LIGHT * self.wavelength_nm
+        if self.width_nm is not None and self.spectrum is not None:
+            raise problem("width_nm stands beside spectrum: allowed is one of them")
+        if self.width_nm is not None and self.width_nm != "fit" and self.width_nm > widest_nm:
+            raise problem(
+                f"width_nm = {self.width_nm:g}: allowed is up to {WIDEST_LIGHT:.0%} of the wavelength, {widest_nm:.3g} nm; "
+                "give a wider spectrum in samples"
+            )
         if self.spectrum is not None:
             nm, weights = self.samples
             if not weights or min(weights) < 0 or not sum(weights) > 0:

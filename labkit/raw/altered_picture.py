@@ -79,10 +79,15 @@ def alterations(mosaic: Mosaic) -> Alterations:
                 f"has been enlarged by a program: its noise is {percent}, and its strength repeats with the pixels that were "
                 "there before; give the picture as the camera made it"
             )
-        if not mosaic.compressed:  # which empties a spectrum by itself
-            notes.append(
-                f"the photographs were smoothed by noise reduction or by a program, noise is {percent}: that is part of the PSF"
-            )
+        # compression hides the period of what was enlarged before it, and empties a spectrum a little by itself
+        jpeg, other = (
+            "enlarged or smoothed by a program, or much compressed",
+            "smoothed by noise reduction or by a program",
+        )
+        notes.append(
+            f"the photographs were {jpeg if mosaic.compressed else other}, noise is {percent}: that is part of the PSF; "
+            "give them as the camera made them"
+        )
     if overshoot > OVERSHOOT or (noise is not None and min(noise.upper) > AMPLIFIED):
         how = f"edges overshoot by {100 * overshoot:.0f} %" if overshoot > OVERSHOOT else "noise grows with frequency"
         notes.append(
@@ -199,8 +204,15 @@ def _overshoot_along_rows(plane: Floats) -> float:
     if np.count_nonzero(chosen) < LEAST_PROFILES:
         return 0.0
     mean = np.where(contrast[chosen, None] > 0, profiles[chosen], profiles[chosen, ::-1]).mean(axis=0)
-    dark, bright = mean[: far - near + 1].mean(), mean[near - far - 1 :].mean()
-    overshoot = float((mean[far : far + HALO_PX + 1].max() - bright) / (bright - dark))
+    # a bright side may be clipped, so that only the dark one shows it
+    return max(_overshoot_of(mean), _overshoot_of(-mean[::-1]))
+
+
+def _overshoot_of(profile: Floats) -> float:
+    """Of the bright side of a mean edge, dark first; 0 where that side is uneven."""
+    near, far = FLAT_PX
+    dark, bright = profile[: far - near + 1].mean(), profile[near - far - 1 :].mean()
+    overshoot = float((profile[far : far + HALO_PX + 1].max() - bright) / (bright - dark))
     # structure nearby, out of focus, looks like a halo; a wide halo reaches there too, but less than at the edge
-    uneven = np.ptp(mean[near - far - 1 :]) / (bright - dark)
+    uneven = np.ptp(profile[near - far - 1 :]) / (bright - dark)
     return 0.0 if uneven > max(EVEN, overshoot / 3) else overshoot

@@ -7,6 +7,7 @@ import io
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -193,14 +194,14 @@ def _range(text: str, plan: Plan) -> float | None:
 def _check_photographs(csv_path: Path, rows: list[Row], plan: Plan, progress: Progress) -> list[_Checked]:
     """Decode every photograph. Raises DataError with every problem in one line."""
     checked: list[_Checked] = []
-    problems: list[str] = []
+    problems: list[tuple[str, str]] = []
     first: Mosaic | None = None
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
         try:
             mosaic = read_raw(row.path, plan.sensor)
         except RawError as error:
-            problems.append(str(error))
+            problems.append((str(error), str(error).replace(str(row.path), "")))
             continue
         if first is None:
             first = mosaic
@@ -210,10 +211,21 @@ def _check_photographs(csv_path: Path, rows: list[Row], plan: Plan, progress: Pr
         altered = alterations(mosaic) if lit else Alterations()
         problem = difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
         if problem := problem or altered.refusal:
-            problems.append(f"{row.file} {problem}")
+            problems.append((f"{row.file} {problem}", problem))
         checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))
-    _refuse(csv_path, problems)
+    _refuse(csv_path, _each_once(problems))
     return checked
+
+
+def _each_once(problems: Sequence[tuple[str, str]]) -> list[str]:
+    """Of messages, each with what it says apart from its file, the first of those that say the same."""
+    times, firsts = Counter(what for _, what in problems), dict[str, str]()
+    for words, what in problems:
+        firsts.setdefault(what, words)
+    return [
+        words + (f" (and {times[what] - 1} more files like it)" if times[what] > 1 else "")
+        for what, words in firsts.items()
+    ]
 
 
 def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:

@@ -1,7 +1,6 @@
-"""Real photographs of disks through seven filters, through import and fit: examples/real_disks.py.
+"""Real photographs of disks through seven filters, imported and fitted together: examples/real_disks.py.
 
-Skipped where they are not at hand; two minutes. Best focus is not held: these photographs, under uneven light, do not tell
-defocus from astigmatism surely enough (docs/decisions.md).
+Skipped where they are not at hand.
 """
 
 import runpy
@@ -19,10 +18,15 @@ PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "disks"
 
 @pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/disks")
 @pytest.mark.slow
-def test_size_and_place_are_smooth_in_wavelength_and_exposures_linear(tmp_path: Path) -> None:
+def test_focus_size_and_place_are_smooth_in_wavelength_and_exposures_linear(tmp_path: Path) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "real_disks.py"))
     outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
     assert outcome.nonlinear < limit(CLAIM, "nonlinear")
+    # best focus lies on a parabola in wavelength within its errors, and these tell 700 nm from 500
+    assert outcome.settled
+    assert outcome.chi2 < limit(CLAIM, "chi2")
+    bend = np.abs(outcome.focus_um[-1] - outcome.focus_um[2])
+    assert bend > 2 * np.hypot(outcome.std_um[-1], outcome.std_um[2])
     nm = np.array(list(example["BANDS"]), dtype=float)
     # at 400 nm green pixels see more than blue ones: that light is not of 400 nm, and its place not of that colour
     cubic = np.polynomial.Polynomial.fit(nm[1:], outcome.size[1:], 3)

@@ -74,6 +74,23 @@ def test_a_part_whose_numbers_are_within_their_errors_is_not_taken_in() -> None:
     assert [local.fit.optics.parts for local in fits.fits] == [(), ()]
 
 
+def test_fits_are_asked_once_while_they_stay_as_they_are() -> None:
+    """The model explains neither of them; both are the first fits and all there are."""
+    asked = list[str]()
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for index, task in enumerate(tasks):
+            if function is answer:
+                asked.append(task.label)
+                yield index, {"veil": Call(np.array([0.0]), np.eye(1))}
+            else:
+                yield index, as_found(task, False)
+
+    fits = fit_session(observations()[::3], PLAN, TARGET, run, lambda done, of, what: None)
+    assert asked == ["G at 2900 mm", "G at 3200 mm"]
+    assert [tried.name for tried in fits.tried] == ["veil"]
+
+
 def test_a_part_that_the_plan_wants_fitted_stays_where_it_does_nothing() -> None:
     sensor = {**PORTRAIT["sensor"], "low_pass_filter": {"spread_px": "fit"}}
     plan = Plan.from_tables({**PORTRAIT, "sensor": sensor, "fit": {"zernike_noll": [4, 4]}})

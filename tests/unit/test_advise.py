@@ -10,6 +10,7 @@ import pytest
 from labkit.analysis.advice_tables import session_rows
 from labkit.analysis.advise import Advice, advise, best_order
 from labkit.analysis.session_results import TELLING_STD
+from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
@@ -100,7 +101,21 @@ def test_the_least_side_is_that_of_cells_as_wide_as_an_airy_radius(plan: Plan) -
 def test_a_display_is_resolved_from_where_its_pixels_span_an_airy_radius(plan: Plan) -> None:
     advice = advise(plan, ranges_mm=[3000.0])
     assert advice.nearest_mm == pytest.approx(25.4 / 264 / (0.0703 / 3200), rel=1e-3)
-    assert any("display's own pixels" in note for note in advice.notes)
+    assert any("display's own pixels will be seen with 2% of contrast" in note for note in advice.notes)
+    far = advise(plan, ranges_mm=[5000.0])  # the lens blurs them
+    assert not any("display's own pixels" in note for note in far.notes)
+
+
+def test_the_contrast_of_stripes_is_that_of_their_first_harmonic_through_lens_and_pixel(plan: Plan) -> None:
+    (one,) = (plan.replace(channel=[{"name": "G", "wavelength_nm": 550.0}]),)
+    at_mm = 70.0 / (1000 - 70) * 0.1  # a pitch of 0.1 mm on the sensor
+    s = 1 / at_mm * 0.55e-3 * 2.8 * (1 + 70 / 930)
+    lens = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))  # Goodman (6-34)
+    lit = np.arange(1000) < 850 / 3
+    harmonic = 2 * abs(np.mean(lit * np.exp(-2j * np.pi * np.arange(1000) / 1000))) / np.mean(lit)
+    expected = harmonic * lens * abs(np.sinc(4.78e-3 / at_mm))
+    assert stripe_contrast(one, 0.1, 1000.0, 0.0) == pytest.approx(expected, rel=2e-3)
+    assert stripe_contrast(one, 0.1, 1000.0, 0.5) < 0.1 * expected
 
 
 def test_cells_finer_than_the_displays_pixels_are_named(plan: Plan) -> None:

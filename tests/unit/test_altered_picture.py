@@ -98,6 +98,12 @@ def test_a_smoothed_picture_is_told_and_not_called_enlarged(tmp_path: Path) -> N
     assert "smoothed by noise reduction or by a program" in found.notes[0]
 
 
+def test_an_enlarged_picture_that_was_stored_as_jpeg_is_told(tmp_path: Path) -> None:
+    """JPEG hides the period with which the noise's strength repeats, and leaves that it ends below Nyquist's frequency."""
+    (note,) = alterations(developed(tmp_path, photograph(8.0), 2.0, quality=80)).notes
+    assert note.startswith("the photographs were enlarged or smoothed by a program, or much compressed")
+
+
 @pytest.mark.parametrize(("amount", "radius_px"), [(0.6, 2.0), (1.5, 1.0), (1.5, 2.0)])
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_a_sharpened_picture_is_told(tmp_path: Path, amount: float, radius_px: float, noise: float) -> None:
@@ -115,6 +121,8 @@ def test_the_overshoot_of_an_edge_is_that_of_the_unsharp_mask() -> None:
     crest = np.max(2 * norm.cdf(away / 1.5) - norm.cdf(away / np.hypot(1.5, 1.5)) - 1)
     # OpenCV samples its Gaussian at pixels: of 1.5 pixels, the step's slope is then off by some per cent
     assert edge_overshoot(sharpened(soft, 1.0, 1.5)) == pytest.approx(crest, rel=0.05)
+    clipped = np.minimum(sharpened(soft, 1.0, 1.5), 1.0)  # the dark side has it too
+    assert edge_overshoot(clipped) == pytest.approx(crest, rel=0.05)
 
 
 def test_import_refuses_an_enlarged_picture_in_one_line(tmp_path: Path) -> None:

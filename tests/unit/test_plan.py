@@ -7,7 +7,10 @@ import pytest
 
 from labkit.analysis.local_fits import optics_of
 from labkit.errors import PlanError
+from labkit.imaging.parts import Diffusion, Smear, Veil
+from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
+from labkit.plan.tables import WIDEST_LIGHT
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
 LEAST = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 5, "size_mm": 46.8}})
@@ -129,6 +132,35 @@ def test_a_spectrum_stands_for_the_channels_light() -> None:
     assert np.dot(spectrum.weights, spectrum.nodes) == pytest.approx(552.5 / 550)
     assert optics_of(plan, "R").spectrum.nodes == (1.0,)
     assert Plan.parse(plan.to_toml()) == plan
+
+
+def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
+    text = LEAST.replace("= 4.78", "= 4.78\ndiffusion_px = {0}\nsmear_px = {0}").replace("= 2.8", "= 2.8\nveil = {0}")
+    stated, wanted = (optics_of(Plan.parse(text.format(number)), "G") for number in ("0.2", '"fit"'))
+    assert stated.given == (Diffusion(0.04), Smear(0.04, 0.04), Veil(0.2))
+    assert stated.parts == ()
+    assert wanted.given == ()
+    assert wanted.parts == (Diffusion(), Smear(), Veil())
+    assert "smear_px = 4" in refusal("= 4.78", "= 4.78\nsmear_px = 4")
+
+
+def test_a_width_stands_for_a_spectrum() -> None:
+    stated, wanted = (
+        optics_of(Plan.parse(LEAST.replace("= 550.0", f"= 550.0\nwidth_nm = {width}")), "G").spectrum
+        for width in ("11", '"fit"')
+    )
+    nodes, weights = np.array(stated.nodes), np.array(stated.weights)
+    assert 550 * np.sqrt(weights @ (nodes - 1) ** 2) == pytest.approx(11)
+    assert stated.variance is None  # not estimated
+    assert wanted.variance == 0.0
+    assert "allowed is up to 8% of the wavelength, 44 nm" in refusal("= 550.0", "= 550.0\nwidth_nm = 60")
+    assert "allowed is one of them" in refusal("= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]")
+    assert WIDEST_LIGHT == WIDEST  # of a plan and of a fit
+
+
+def test_a_channels_own_problem_is_the_only_one_named() -> None:
+    message = refusal("= 550.0", "= 550.0\nspectrum = [[540, 0], [560, 0]]")
+    assert message.endswith("with weights from 0, some above")
 
 
 def test_every_problem_is_named_at_once() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
 from labkit.calibration.calibrate import Calibration, channel_data
-from labkit.errors import InputError, RawError
+from labkit.errors import DataError, InputError, RawError
 from labkit.images.encoding import Encoding, profile_curves, srgb
 from labkit.images.jpeg import read_header
 from labkit.inference.likelihood import Detector, FrameData, predict
@@ -24,6 +24,8 @@ from labkit.raw.frame_quality import exposure_problem
 from labkit.raw.mosaic import Mosaic
 from labkit.raw.tone import stated_curve
 from labkit.session.frame import Frame
+from labkit.session.import_frames import import_frames
+from tests.plans import PORTRAIT, plan_text
 
 SILENT = Sensor(pixel_pitch_um=5.0)
 RAMP = np.arange(256, dtype=np.uint8)
@@ -230,6 +232,14 @@ def test_a_jpeg_declared_raw_says_what_to_do(tmp_path: Path, colours: NDArray[np
     bayer = Sensor(pixel_pitch_um=5.0, cfa_pattern="RGGB", black_level=0, white_level=255)
     with pytest.raises(RawError, match=r'is a JPEG, but the plan\'s sensor.cfa_pattern = "RGGB" declares raw numbers'):
         read_raw(saved(tmp_path / "a.jpg", colours), bayer)
+
+
+def test_what_is_wrong_with_many_files_alike_is_said_once(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
+    names = [saved(tmp_path / f"DSC_{k}.NEF", colours, format="JPEG").name for k in range(9)]
+    (tmp_path / "frames.csv").write_text("\n".join(["file,kind,range_mm", *(f"{name},target," for name in names)]))
+    (tmp_path / "plan.toml").write_text(plan_text(PORTRAIT))
+    with pytest.raises(DataError, match=r"DSC_0\.NEF: is a JPEG, [^\n;]*\(and 8 more files like it\)$"):
+        import_frames(tmp_path / "frames.csv", tmp_path / "plan.toml", tmp_path / "session")
 
 
 def test_overexposed_colours_are_named(tmp_path: Path, colours: NDArray[np.uint8]) -> None:

@@ -62,6 +62,11 @@ def test_what_was_found_is_said_and_what_it_changed() -> None:
     assert "without it would move best focus by about G " in words
 
 
+def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
+    fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
+    assert words_of_parts(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"]) == []
+
+
 def test_a_spectrum_is_each_channels_own() -> None:
     found = model_parts(session((SPECTRUM_WIDTH,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
     assert set(found) == {"spectrum.G.width_nm"}

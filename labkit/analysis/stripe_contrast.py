@@ -1,0 +1,41 @@
+"""How plainly a panel's own stripes will be seen in photographs, before any is taken."""
+
+from __future__ import annotations
+
+from math import pi, sin
+
+import numpy as np
+
+from labkit.optics.lens import ThinLens, ground_sample_mm
+from labkit.optics.mtf import mtf, pixel_mtf
+from labkit.optics.wavefront import FittedWavefront
+from labkit.panel_target import USUAL_APERTURE
+from labkit.plan import Plan
+
+LIT = USUAL_APERTURE / 3
+"""Of a pixel's width, that a colour's stripe is lit over."""
+
+HARMONIC = 2 * sin(pi * LIT) / (pi * LIT)
+"""Amplitude of a white panel's stripes in one colour, of their mean: the first term of their Fourier series."""
+
+
+def stripe_contrast(plan: Plan, pitch_mm: float, range_mm: float, defocus_waves: float) -> float:
+    """Amplitude in the photograph of stripes so far apart, of white; of the channel that shows them most.
+
+    defocus_waves: RMS at the plan's reference wavelength; the lens is otherwise perfect.
+    """
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    per_mm = float(ground_sample_mm(lens, range_mm, 1e3)) / pitch_mm  # on the sensor: 1e3 um of it see so many mm
+    passed = []
+    for channel in plan.channel:
+        wavefront = FittedWavefront(
+            (4,),
+            np.array([defocus_waves]),
+            np.zeros((1, 1)),
+            channel.wavelength_nm * 1e-3,
+            plan.reference_wavelength_nm * 1e-3,
+            float(lens.working_f_number(range_mm)),
+        )
+        within = per_mm < wavefront.cutoff_per_mm
+        passed.append(float(mtf(wavefront, per_mm, "x").value) if within else 0.0)
+    return HARMONIC * max(passed) * float(pixel_mtf(per_mm, plan.sensor.active_um, "x"))
