@@ -97,17 +97,25 @@ class Torus:
         positive = (self.fine[1] + 1) // 2
         return np.concatenate([spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1)
 
-    def shift(self, distance_um: float) -> Complexes:
-        """Half plane that moves an image up and left by a distance."""
+    def shift(self, distance_um: float) -> tuple[Complexes, Complexes]:
+        """Factors along rows (m, 1) and columns (1, n) of the half plane that moves an image up and left by a distance."""
         turn = 2j * np.pi * distance_um
-        return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
+        return np.exp(turn * self.row_frequency), np.exp(turn * self.column_frequency)
 
-    def sample(self, spectrum: AnyComplexes) -> Floats:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum.
+    def sample(self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None) -> Floats:
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum, behind a transfer function if one is given.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61).
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as fold
+        onto one another: whole it is as large as the spectrum.
         """
-        return self.unfolded(self.folded_rows(self.folded_columns(spectrum)))
+        folded = np.zeros(self.pixels, np.result_type(spectrum, spectrum if transfer is None else transfer))
+        for first in range(0, len(spectrum), self.pixels[0]):
+            rows = slice(first, first + self.pixels[0])
+            block = self.folded_columns(spectrum[rows] if transfer is None else spectrum[rows] * transfer[rows])
+            folded[: len(block)] += block
+            if first == 0:
+                folded[0] -= 0.5 * block[0]  # frequency 0 has no partner
+        return self.unfolded(folded)
 
     def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""

@@ -250,7 +250,8 @@ class ForwardModel:
         self._checked(drawing, used)
         blur = self.blur if exact else self.rough
         spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
-        by_lens = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
+        by_modes = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
+        by_lens = [np.array(rows, float).reshape(-1, int(u.sum())) for rows, u in zip(by_modes, used, strict=True)]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
         if by_shape:
@@ -274,7 +275,7 @@ class ForwardModel:
             return [np.empty((0, int(u.sum()))) for u in used]
         doubts, made = self.scene.shine.doubts(*self._pixels), []
         for spectrum, u in zip(spectra, used, strict=True):
-            down, right = (torus.sample(spectrum * kernel)[u] for kernel in kernels[1:])
+            down, right = (torus.sample(spectrum, kernel)[u] for kernel in kernels[1:])
             made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
         return made
 
@@ -284,7 +285,7 @@ class ForwardModel:
         """(shape, pixels) of each frame, by `Optics.shape`: what the transfer function's derivatives make of it."""
         turns = [turn.astype(np.complex64) for turn in self._turns(blur, waves)]
         return [
-            np.array([self._seen(blur.torus.sample(spectrum * turn), u) for turn in turns])
+            np.array([self._seen(blur.torus.sample(spectrum, turn), u) for turn in turns])
             for spectrum, u in zip(spectra, used, strict=True)
         ]
 
@@ -301,17 +302,16 @@ class ForwardModel:
         """Fill rows (any, pixels) of each frame with the derivatives by a panel's aperture, which the target is drawn by."""
         for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
             for row, slope in zip(of_frame, slopes, strict=False):
-                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope) * transfer), u)
+                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope), transfer), u)
 
-    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
-        """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
-        return self._responses(
-            self.blur, psfs, [spectrum.astype(np.complex64) for spectrum in drawing.spectra], [used]
-        )[0]
+    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> list[Floats32]:
+        """(pixels,) each, by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
+        return self._responses(self.blur, psfs, drawing.spectra, [used])[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        return self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])[0]
+        (rows,) = self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])
+        return np.array(rows, float).reshape(-1, int(used.sum()))
 
     def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
         """Of a drawing's half plane the band of one of the blurs, in single precision, which is enough for slopes:
@@ -320,20 +320,13 @@ class ForwardModel:
 
     def _responses(
         self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[AnyComplexes], used: Sequence[Bools]
-    ) -> list[Floats]:
-        """(n, pixels) of each frame: what n changes of the PSF change in its mean."""
-        behind = [blur.behind_pixel(spectrum) for spectrum in spectra]
-        product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
-        changes = [
-            [
-                self._seen(blur.torus.sample(np.multiply(b, response, out=product)), u)
-                for b, u in zip(behind, used, strict=True)
-            ]
-            for response in blur.responses(psfs)
-        ]
-        return [
-            np.array([of_all[k] for of_all in changes], float).reshape(-1, int(u.sum())) for k, u in enumerate(used)
-        ]
+    ) -> list[list[Floats32]]:
+        """(pixels,) of each frame: what each of some changes of the PSF changes in its mean."""
+        behind, changes = [blur.behind_pixel(spectrum) for spectrum in spectra], list[list[Floats32]]([] for _ in used)
+        for response in blur.responses(psfs):
+            for of_frame, b, u in zip(changes, behind, used, strict=True):
+                of_frame.append(self._seen(blur.torus.sample(b, response), u).astype(np.float32, copy=False))
+        return changes
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
         if len(drawing.poses) != len(used):
@@ -344,7 +337,7 @@ class ForwardModel:
             mask_array("used", mask, self.scene.torus.frame)
 
     def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
-        picture = self._seen(self.blur.torus.sample(spectrum * transfer), used)
+        picture = self._seen(self.blur.torus.sample(spectrum, transfer), used)
         return picture - self.wrapped[used] + self.scene.surround
 
     def _seen(self, picture: Floats, used: Bools) -> Floats:
