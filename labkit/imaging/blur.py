@@ -81,7 +81,7 @@ class Blur:
         return self.torus.row_frequency * self.torus.pitch_um, self.torus.column_frequency * self.torus.pitch_um
 
     def _behind(self, transfer: AnyArray, pixel: Sequence[Floats | AnyComplexes]) -> AnyArray:
-        """A half plane, which is changed, times that of all that lies behind the lens. pixel: its factors along rows and columns.
+        """A half plane, which is changed, times that of all behind the lens. pixel: its factors along rows and columns.
 
         Two lines are kept of the pixel's instead of a half plane, which of a large target is 70 MB.
         """
@@ -136,15 +136,15 @@ class Blur:
         faded *= self._fading.astype(departure.dtype)[:, None]
         return self.torus.half_spectrum_of_window(faded, self._finer)
 
-    def by_cone(self, waves: Floats) -> Complexes:
-        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held."""
+    def by_cone(self, waves: Floats) -> Complexes64:
+        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held, in single precision."""
         departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
         for share, node in self.spectrum.shares:
             for sign, at in ((1, waves), (-1, 0 * waves)):
                 departure += sign * share * self.pupil.stretched(at / node, node, slope=True)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
-        transfer: Complexes = self._spectrum_of(departure)
+        transfer = self._spectrum_of(departure.astype(np.float32))
         transfer += self._behind(perfect, self._pixel)
         return transfer
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.fft
 
-from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Torus:
         by_row = scipy.fft.rfft(window, n=rows, axis=0)[: self.row_frequency.size]
         return self._columns(np.asarray(scipy.fft.fft(by_row, n=columns, axis=1)))
 
-    def cut(self, spectrum: AnyComplexes, oversampling: int) -> AnyComplexes:
+    def cut(self, spectrum: Complexes64, oversampling: int) -> Complexes64:
         """What a half plane of the same torus at another, finer oversampling holds of this one's band."""
         return self._columns(spectrum[: self.row_frequency.size]) * np.float32((self.oversampling / oversampling) ** 2)
 
@@ -103,10 +103,10 @@ class Torus:
         return np.exp(turn * self.row_frequency), np.exp(turn * self.column_frequency)
 
     def sample(self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None) -> Floats:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum, behind a transfer function if one is given.
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum, times a transfer function if any.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as fold
-        onto one another: whole it is as large as the spectrum.
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as
+        fold onto the torus once: whole it is as large as the spectrum.
         """
         folded = np.zeros(self.pixels, np.result_type(spectrum, spectrum if transfer is None else transfer))
         for first in range(0, len(spectrum), self.pixels[0]):

@@ -21,7 +21,7 @@ from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.panel_target import PanelTarget
 from labkit.target import Target
-from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 ROUGH_BAND = 1.0
@@ -283,13 +283,13 @@ class ForwardModel:
         self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]
     ) -> list[Floats]:
         """(shape, pixels) of each frame, by `Optics.shape`: what the transfer function's derivatives make of it."""
-        turns = [turn.astype(np.complex64) for turn in self._turns(blur, waves)]
+        turns = [turn.astype(np.complex64, copy=False) for turn in self._turns(blur, waves)]
         return [
             np.array([self._seen(blur.torus.sample(spectrum, turn), u) for turn in turns])
             for spectrum, u in zip(spectra, used, strict=True)
         ]
 
-    def _turns(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
+    def _turns(self, blur: Blur, waves: Floats) -> Iterator[AnyComplexes]:
         """Half planes of the transfer function's derivatives by `Optics.shape`."""
         yield from blur.by_parts(waves)
         if self.blur.spectrum.variance is not None:
@@ -313,10 +313,9 @@ class ForwardModel:
         (rows,) = self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])
         return np.array(rows, float).reshape(-1, int(used.sum()))
 
-    def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
-        """Of a drawing's half plane the band of one of the blurs, in single precision, which is enough for slopes:
-        docs/decisions.md."""
-        return blur.torus.cut(spectrum, self.blur.torus.oversampling).astype(np.complex64)
+    def _cut(self, blur: Blur, spectrum: Complexes64) -> Complexes64:
+        """Of a drawing's half plane the band of one of the blurs."""
+        return spectrum if blur.torus == self.blur.torus else blur.torus.cut(spectrum, self.blur.torus.oversampling)
 
     def _responses(
         self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[AnyComplexes], used: Sequence[Bools]
@@ -336,7 +335,7 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
+    def _mean(self, spectrum: Complexes64, transfer: AnyComplexes, used: Bools) -> Floats:
         picture = self._seen(self.blur.torus.sample(spectrum, transfer), used)
         return picture - self.wrapped[used] + self.scene.surround
 

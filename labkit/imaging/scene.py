@@ -12,7 +12,7 @@ from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.panel_target import PanelTarget
 from labkit.target import Target
-from labkit.types import Complexes, Floats, Floats32
+from labkit.types import Complexes64, Floats, Floats32
 
 # Of the raster against the optics' Nyquist rate at the reference: a quintic spline errs by 3e-6 to 6e-6 RMS of white behind a
 # perfect lens, a cubic by 1.5e-5 to 7e-5
@@ -27,10 +27,13 @@ MARGIN_NYQUIST = 21  # Nyquist intervals of raster around the target: its filter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
-    """The target as frames show it from their poses, before any blur. spectra: half planes, one for each pose."""
+    """The target as frames show it from their poses, before any blur.
+
+    spectra: half planes, one for each pose; rounded to single precision, which moves a mean by 1e-8 of white.
+    """
 
     poses: tuple[Pose, ...]
-    spectra: tuple[Complexes, ...]
+    spectra: tuple[Complexes64, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,9 @@ class Scene:
 
     def __post_init__(self) -> None:
         around = self.surround
-        (raster,) = self._rasters(lambda *at: (self.target.sample(*at) - around if around else self.target.sample(*at),))
+        (raster,) = self._rasters(
+            lambda *at: (self.target.sample(*at) - around if around else self.target.sample(*at),)
+        )
         object.__setattr__(self, "_raster", raster)
 
     def _rasters(self, sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]]) -> "tuple[_Raster, ...]":
@@ -97,11 +102,14 @@ class Scene:
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
         """The half planes of the DFT of `image` at each pose."""
-        return Drawing(tuple(poses), tuple(self.torus.half_spectrum(self.image(pose)) for pose in poses))
+        return Drawing(tuple(poses), tuple(self._drawn(self._raster, pose) for pose in poses))
 
-    def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes, ...]]:
+    def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes64, ...]]:
         """At each pose the half planes of the derivatives of `image` by the aperture of a panel's stripes; none of others."""
-        return [tuple(self.torus.half_spectrum(self._seen(raster, pose)) for raster in self._slopes) for pose in poses]
+        return [tuple(self._drawn(raster, pose) for raster in self._slopes) for pose in poses]
+
+    def _drawn(self, raster: "_Raster", pose: Pose) -> Complexes64:
+        return self.torus.half_spectrum(self._seen(raster, pose)).astype(np.complex64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,9 @@ def coefficients(raster: Floats) -> Floats:
 
 def along_rows(raster: Floats) -> Floats:
     """(rows, columns) samples along rows become coefficients; each row stands for itself, so a raster may come in parts."""
-    spline = np.asarray(cv2.transpose(np.asarray(raster, dtype=float)), dtype=float)  # numpy's takes longer than the filter
+    spline = np.asarray(
+        cv2.transpose(np.asarray(raster, dtype=float)), dtype=float
+    )  # numpy's takes longer than the filter
     _filter_columns(spline)
     return np.asarray(cv2.transpose(spline), dtype=float)
 

@@ -34,7 +34,7 @@ CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four ti
 # eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
 ENOUGH, MOST = 8, 100
 EVALUATIONS = 30  # of one start, at most
-AT_ONCE = 8192  # pixels whose rows are rotated together: all components' pictures in double precision are 500 MB of a large target
+AT_ONCE = 8192  # pixels whose rows are rotated together: in double precision those of a large target are 500 MB
 
 
 @dataclass(frozen=True, eq=False)
