@@ -1,6 +1,7 @@
 """The torus that an image is modelled on, and how its spectrum folds when pixels sample it (thesis 2.61-2.69)."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -109,13 +110,30 @@ class Torus:
         fold onto the torus once: whole it is as large as the spectrum.
         """
         folded = np.zeros(self.pixels, np.result_type(spectrum, spectrum if transfer is None else transfer))
-        for first in range(0, len(spectrum), self.pixels[0]):
-            rows = slice(first, first + self.pixels[0])
+        for rows in self._onto_one_another(spectrum):
             block = self.folded_columns(spectrum[rows] if transfer is None else spectrum[rows] * transfer[rows])
             folded[: len(block)] += block
-            if first == 0:
+            if rows.start == 0:
                 folded[0] -= 0.5 * block[0]  # frequency 0 has no partner
         return self.unfolded(folded)
+
+    def sample_slopes(self, spectrum: AnyComplexes, transfer: AnyComplexes) -> tuple[Floats, Floats]:
+        """Derivatives along rows and along columns, per pixel, of what `sample` gives."""
+        down, right = (
+            (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype) for f in (self.row_frequency, self.column_frequency)
+        )
+        by_row, folded = np.zeros(self.pixels, spectrum.dtype), np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype)
+        for rows in self._onto_one_another(spectrum):
+            block = spectrum[rows] * transfer[rows]
+            by_row[: len(block)] += self.folded_columns(block) * down[rows]
+            folded[: len(block)] += block
+            if rows.start == 0:
+                folded[0] -= 0.5 * block[0]
+        return self.unfolded(by_row), self.unfolded(self.folded_columns(folded * right))
+
+    def _onto_one_another(self, spectrum: AnyComplexes) -> Iterator[slice]:
+        """Rows of a half plane, as many at a time as sampling folds onto the same ones."""
+        return (slice(first, first + self.pixels[0]) for first in range(0, len(spectrum), self.pixels[0]))
 
     def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""

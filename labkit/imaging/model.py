@@ -364,16 +364,9 @@ def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes
     square of blur over distance.
     """
     rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
-    down, right = (
-        (2j * np.pi * torus.pitch_um * f).astype(np.complex64) for f in (torus.row_frequency, torus.column_frequency)
-    )
-    result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
+    result = np.zeros((POSE_SIZE, rows.size))
     for kernel, growth in zip(kernels, GROWTH, strict=True):
-        np.multiply(spectrum, kernel, out=product)
-        pictures = (
-            torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used],
-            torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used],
-        )
+        pictures = [picture[used] for picture in torus.sample_slopes(spectrum, kernel)]
         for sign, row, column in growth:
             for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
                 motion *= sign * picture

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
@@ -28,7 +28,6 @@ def holes(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return known
 
 
-@settings(deadline=None)
 @given(SHAPES, st.integers(0, 2**32 - 1))
 def test_holes_are_filled_as_dense_least_squares_fills_them(shape: tuple[int, ...], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -42,7 +41,6 @@ def test_holes_are_filled_as_dense_least_squares_fills_them(shape: tuple[int, ..
     np.testing.assert_allclose(got[~known], np.linalg.lstsq(stacked, wanted)[0], atol=1e-6)
 
 
-@settings(deadline=None)
 @given(SHAPES, st.integers(0, 2**32 - 1))
 def test_roughness_and_its_gradient_are_exact(shape: tuple[int, ...], seed: int) -> None:
     rng = np.random.default_rng(seed)

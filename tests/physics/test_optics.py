@@ -206,7 +206,7 @@ def test_a_wavefront_that_is_none_is_refused(waves: list[complex], says: str) ->
             use(np.array(waves))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.floats(-0.5, 0.5), min_size=12, max_size=12))
 def test_the_twin_has_the_same_psf(waves: list[float]) -> None:
     pupil = Pupil(0.5, 0.5, 4.0, 1.0, 64, EVERY_MODE)

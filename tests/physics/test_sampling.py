@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -46,7 +46,6 @@ def test_more_samples_of_an_odd_number_are_scipys(n: int, m: int) -> None:
     np.testing.assert_allclose(sample(values, (m,)), signal.resample(values, m), atol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.tuples(SIZES, SIZES, SIZES), st.tuples(SIZES, SIZES, SIZES), st.integers(0, 2**32 - 1))
 def test_the_adjoint_of_sampling_is_its_adjoint(
     ours: tuple[int, int, int], theirs: tuple[int, int, int], seed: int

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from labkit.imaging.warp_groups import DEGREES, WarpGroup, warp, warp_derivatives
@@ -102,7 +102,6 @@ def test_a_subgroup_holds_its_products(dof: int, seed: int) -> None:
     np.testing.assert_allclose(group.matrix(np.array(x[dof])), product, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_smooth_picture_is_moved_as_geometry_says(seed: int) -> None:
     rng = np.random.default_rng(seed)

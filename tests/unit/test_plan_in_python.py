@@ -55,7 +55,7 @@ DEVICES = {
 }
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.fixed_dictionaries(TABLES, optional=DEVICES))
 def test_a_plan_reads_back_from_its_toml_the_same(tables: dict[str, Any]) -> None:
     plan = Plan.from_tables(tables)

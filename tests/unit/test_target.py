@@ -72,7 +72,7 @@ def test_samples_agree_with_fine_box_sampling_and_a_long_scipy_filter() -> None:
     assert np.max(np.abs(want - got)[core, core]) < 2e-3
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0.05, 50.0), st.floats(0.0, 1.0))
 def test_a_constant_target_in_its_own_colour_stays_constant(bandwidth: float, radiance: float) -> None:
     target = CellTarget(np.full((3, 4), radiance), (3.0, 4.0), surround=radiance)
