@@ -241,11 +241,10 @@ def maximize(
             converged = length < tolerance
             damping, before = max(damping, 1e-4) * 8, 0.0
             continue
+        here, best, damping, before, converged = trial.undrawn(), value, damping / 8, length, last
         if not last:
             gradient, information, _, evaluations = problem.scores(*trial, by_waves=free_waves, exact=exact)
-            begun = trial.undrawn()
-            steps += 1
-        here, best, damping, before, converged = trial.undrawn(), value, damping / 8, length, last
+            begun, steps = here, steps + 1
     misfit = problem.chi2_per_pixel(here.state, here.relative)
     return Solution(here.state, best, information, here.relative, misfit, steps, converged, begun)
 

@@ -44,7 +44,7 @@ def test_a_spline_goes_through_its_samples_and_holds_fifth_powers() -> None:
 
 
 def test_coefficients_kept_in_single_precision_err_by_less_than_a_spline_does() -> None:
-    step = 1.0 * (RASTER > 0)  # black and white: its coefficients overshoot as a target's do not
+    step = (RASTER > 0).astype(np.float64)  # black and white: its coefficients overshoot as a target's do not
     kept = spline.along_rows(step).astype(np.float32)
     spline.filter_columns(kept)
     off = spline.read(kept, ONTO, SHAPE) - spline.read(spline.coefficients(step), ONTO, SHAPE)
