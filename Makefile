@@ -4,7 +4,8 @@
 PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p; done; true))
 BIN := .venv/bin
-# Tests run one process a core; more threads than that only get in each other's way.
+# Tests run one process a core; more threads than that only get in each other's way. A file stays with one process, which makes
+# what its tests share once; the longest files come first (testpaths).
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
@@ -13,7 +14,7 @@ demo: .venv/installed
 	$(BIN)/labkit demo
 
 test: .venv/installed-test chromium umockdev
-	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist worksteal
+	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # What says within a minute whether something is broken.
 FAST := $(ONE_THREAD) BIN/python -m pytest -q -n auto --dist worksteal -m 'not slow' tests/unit
@@ -23,7 +24,7 @@ fast: .venv/installed-test
 # COVERAGE_OF: the tests that are counted.
 COVERAGE_OF ?= tests
 coverage: .venv/installed-test
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist worksteal --cov --cov-report=term --cov-report=html:build/coverage $(COVERAGE_OF)
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-report=html:build/coverage $(COVERAGE_OF)
 
 # The oldest versions that pyproject.toml allows, installed and tried.
 OLDEST := import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \

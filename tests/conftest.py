@@ -6,8 +6,13 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from hypothesis import settings
 
 from tests import dng
+
+# on a loaded machine an example may take any time; pytest's own limit ends what hangs
+settings.register_profile("labkit", deadline=None)
+settings.load_profile("labkit")
 
 WriteDng = Callable[..., Path]
 

@@ -315,7 +315,8 @@ class _Chain:
     def _left_out(self) -> list[str]:
         """Observations without a fit, in words."""
         fitted = {fit.task.label for fit in self.fits.values()}
-        return [f"{label} is left out: {why}" for label, why in self.lost.items() if label not in fitted]
+        lost = [(label, why) for label, why in self.lost.items() if label not in fitted]
+        return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
 
     def _joined(self) -> SessionFits:
         """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.

@@ -1,8 +1,9 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.signal.windows import tukey
@@ -14,6 +15,9 @@ from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import Spectrum
 from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 
+AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
+"""A half plane of any kind."""
+
 FADING = 0.2  # of the window, both borders together, along rows and columns
 WIDTH_STEP, LEAST_STEP = 0.1, 1e-6  # of a spectrum's variance in its differences: a share of itself, and at least
 
@@ -24,7 +28,7 @@ class Blur:
 
     pupil: the torus's sides are whole numbers of its PSF's samples; its wavelength is the one that the spectrum's nodes are
     relative to. active_um: width of the pixel's active square, whatever the sampling period. parts, given: of the camera,
-    to be estimated and known. beyond: half plane of the transfer function of all that lies behind the lens.
+    to be estimated and known.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
@@ -38,10 +42,11 @@ class Blur:
     spectrum: Spectrum = field(default_factory=Spectrum)
     parts: tuple[Part, ...] = ()
     given: tuple[Part, ...] = ()
-    beyond: Floats = field(init=False, repr=False, compare=False)
     _finer: float = field(init=False, repr=False, compare=False)
     _fading: Floats = field(init=False, repr=False, compare=False)
-    _centred: Complexes = field(init=False, repr=False, compare=False)
+    _pixel: tuple[Floats, Floats] = field(init=False, repr=False, compare=False)  # along rows (m, 1) and columns (1, n)
+    _centred: tuple[Complexes, Complexes] = field(init=False, repr=False, compare=False)  # with the shift to the window
+    _camera: Floats | None = field(init=False, repr=False, compare=False)  # half plane of its parts, if there are any
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
@@ -53,25 +58,41 @@ class Blur:
                 f"the torus's sides, {torus.fine} samples of {torus.spacing_um:g} um, are no multiples of the PSF's spacing, "
                 f"{pupil.spacing_um:g} um"
             )
-        beyond = np.sinc(torus.row_frequency * self.active_um) * np.sinc(torus.column_frequency * self.active_um)
-        for part in (*self.given, *self.parts):
-            beyond *= part.transfer(*self._per_pixel)
+        pixel = np.sinc(torus.row_frequency * self.active_um), np.sinc(torus.column_frequency * self.active_um)
+        shift = torus.shift(pupil.size // 2 * pupil.spacing_um)
+        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts)]
         airy_um = pupil.wavelength_um * pupil.f_number
         perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
         for name, value in (
-            ("beyond", beyond),
             ("_finer", finer),
             ("_fading", tukey(pupil.size, FADING)),
-            ("_centred", beyond * torus.shift(pupil.size // 2 * pupil.spacing_um)),
-            ("_perfect", perfect * beyond),
+            ("_pixel", pixel),
+            ("_centred", tuple(along * turn for along, turn in zip(pixel, shift, strict=True))),
+            ("_camera", math.prod(parts) if parts else None),
+            ("_perfect", perfect),
             ("_perfect_psf", self.psf(np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)
+        self._behind(self._perfect, self._pixel)
 
     @property
     def _per_pixel(self) -> tuple[Floats, Floats]:
         """Frequencies of the half plane along rows and columns, cycles a pixel."""
         return self.torus.row_frequency * self.torus.pitch_um, self.torus.column_frequency * self.torus.pitch_um
+
+    def _behind(self, transfer: AnyArray, pixel: Sequence[Floats | AnyComplexes]) -> AnyArray:
+        """A half plane, which is changed, times that of all behind the lens. pixel: its factors along rows and columns.
+
+        Two lines are kept of the pixel's instead of a half plane, which of a large target is 70 MB.
+        """
+        for factor in (*pixel, *(() if self._camera is None else (self._camera,))):
+            np.multiply(transfer, factor, out=transfer, casting="same_kind")
+        return transfer
+
+    @property
+    def beyond(self) -> Floats:
+        """Half plane of the transfer function of all that lies behind the lens."""
+        return self._behind(np.ones(self._perfect.shape), self._pixel)
 
     @property
     def simple(self) -> "Blur":
@@ -107,8 +128,7 @@ class Blur:
 
     def _spectrum_of(self, departure: Floats | Floats32) -> AnyComplexes:
         """Half plane of the transfer function of a departure of the PSF from the perfect one, pixel and camera with it."""
-        transfer = self._spectrum_of_window(departure)
-        return np.multiply(transfer, self._centred, out=transfer, casting="same_kind")
+        return self._behind(self._spectrum_of_window(departure), self._centred)
 
     def _spectrum_of_window(self, departure: Floats | Floats32) -> AnyComplexes:
         """Half plane of the DFT of a departure (size, size), its borders faded out."""
@@ -116,15 +136,17 @@ class Blur:
         faded *= self._fading.astype(departure.dtype)[:, None]
         return self.torus.half_spectrum_of_window(faded, self._finer)
 
-    def by_cone(self, waves: Floats) -> Complexes:
-        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held."""
+    def by_cone(self, waves: Floats) -> Complexes64:
+        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held, in single precision."""
         departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
         for share, node in self.spectrum.shares:
             for sign, at in ((1, waves), (-1, 0 * waves)):
                 departure += sign * share * self.pupil.stretched(at / node, node, slope=True)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
-        return np.asarray(self._spectrum_of(departure) + perfect * self.beyond)
+        transfer = self._spectrum_of(departure.astype(np.float32))
+        transfer += self._behind(perfect, self._pixel)
+        return transfer
 
     def by_width(self, waves: Floats) -> Complexes:
         """Half plane of its derivative by the spectrum's variance, by differences. Raises ValueError where that is given."""
@@ -154,7 +176,7 @@ class Blur:
 
     def behind_pixel(self, spectrum: AnyComplexes) -> Complexes64:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
-        return np.multiply(spectrum, self._centred, dtype=np.complex64, casting="same_kind")
+        return self._behind(spectrum.astype(np.complex64), [factor.astype(np.complex64) for factor in self._centred])
 
     def spread(self, transfer: AnyComplexes) -> tuple[AnyComplexes, AnyComplexes]:
         """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.

@@ -1,12 +1,13 @@
 """The torus that an image is modelled on, and how its spectrum folds when pixels sample it (thesis 2.61-2.69)."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.fft
 
-from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Torus:
         by_row = scipy.fft.rfft(window, n=rows, axis=0)[: self.row_frequency.size]
         return self._columns(np.asarray(scipy.fft.fft(by_row, n=columns, axis=1)))
 
-    def cut(self, spectrum: AnyComplexes, oversampling: int) -> AnyComplexes:
+    def cut(self, spectrum: Complexes64, oversampling: int) -> Complexes64:
         """What a half plane of the same torus at another, finer oversampling holds of this one's band."""
         return self._columns(spectrum[: self.row_frequency.size]) * np.float32((self.oversampling / oversampling) ** 2)
 
@@ -97,17 +98,42 @@ class Torus:
         positive = (self.fine[1] + 1) // 2
         return np.concatenate([spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1)
 
-    def shift(self, distance_um: float) -> Complexes:
-        """Half plane that moves an image up and left by a distance."""
+    def shift(self, distance_um: float) -> tuple[Complexes, Complexes]:
+        """Factors along rows (m, 1) and columns (1, n) of the half plane that moves an image up and left by a distance."""
         turn = 2j * np.pi * distance_um
-        return np.asarray(np.exp(turn * self.row_frequency) * np.exp(turn * self.column_frequency))
+        return np.exp(turn * self.row_frequency), np.exp(turn * self.column_frequency)
 
-    def sample(self, spectrum: AnyComplexes) -> Floats:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum.
+    def sample(self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None) -> Floats:
+        """The frame's pixels, (rows, columns), of an image given by its half spectrum, times a transfer function if any.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61).
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as
+        fold onto the torus once: whole it is as large as the spectrum.
         """
-        return self.unfolded(self.folded_rows(self.folded_columns(spectrum)))
+        folded = np.zeros(self.pixels, np.result_type(spectrum, spectrum if transfer is None else transfer))
+        for rows in self._onto_one_another(spectrum):
+            block = self.folded_columns(spectrum[rows] if transfer is None else spectrum[rows] * transfer[rows])
+            folded[: len(block)] += block
+            if rows.start == 0:
+                folded[0] -= 0.5 * block[0]  # frequency 0 has no partner
+        return self.unfolded(folded)
+
+    def sample_slopes(self, spectrum: AnyComplexes, transfer: AnyComplexes) -> tuple[Floats, Floats]:
+        """Derivatives along rows and along columns, per pixel, of what `sample` gives."""
+        down, right = (
+            (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype) for f in (self.row_frequency, self.column_frequency)
+        )
+        by_row, folded = np.zeros(self.pixels, spectrum.dtype), np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype)
+        for rows in self._onto_one_another(spectrum):
+            block = spectrum[rows] * transfer[rows]
+            by_row[: len(block)] += self.folded_columns(block) * down[rows]
+            folded[: len(block)] += block
+            if rows.start == 0:
+                folded[0] -= 0.5 * block[0]
+        return self.unfolded(by_row), self.unfolded(self.folded_columns(folded * right))
+
+    def _onto_one_another(self, spectrum: AnyComplexes) -> Iterator[slice]:
+        """Rows of a half plane, as many at a time as sampling folds onto the same ones."""
+        return (slice(first, first + self.pixels[0]) for first in range(0, len(spectrum), self.pixels[0]))
 
     def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""

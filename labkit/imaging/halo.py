@@ -24,8 +24,13 @@ def perfect_lens(torus: Torus, airy_um: float) -> Floats:
 
 def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
     """Half plane of its derivative by ln of lambda N."""
-    nu = np.minimum(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um, 1.0)
-    return np.asarray(-4 / np.pi * nu * np.sqrt(1 - nu**2))
+    slope = np.hypot(torus.row_frequency * airy_um, torus.column_frequency * airy_um)
+    np.minimum(slope, 1.0, out=slope)
+    root = np.square(slope)
+    np.sqrt(np.subtract(1.0, root, out=root), out=root)
+    slope *= root
+    slope *= -4 / np.pi
+    return slope
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:

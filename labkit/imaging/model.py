@@ -21,7 +21,7 @@ from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.panel_target import PanelTarget
 from labkit.target import Target
-from labkit.types import AnyComplexes, Bools, Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 ROUGH_BAND = 1.0
@@ -250,7 +250,8 @@ class ForwardModel:
         self._checked(drawing, used)
         blur = self.blur if exact else self.rough
         spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
-        by_lens = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
+        by_modes = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
+        by_lens = [np.array(rows, float).reshape(-1, int(u.sum())) for rows, u in zip(by_modes, used, strict=True)]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
         if by_shape:
@@ -274,7 +275,7 @@ class ForwardModel:
             return [np.empty((0, int(u.sum()))) for u in used]
         doubts, made = self.scene.shine.doubts(*self._pixels), []
         for spectrum, u in zip(spectra, used, strict=True):
-            down, right = (torus.sample(spectrum * kernel)[u] for kernel in kernels[1:])
+            down, right = (torus.sample(spectrum, kernel)[u] for kernel in kernels[1:])
             made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
         return made
 
@@ -282,13 +283,13 @@ class ForwardModel:
         self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]
     ) -> list[Floats]:
         """(shape, pixels) of each frame, by `Optics.shape`: what the transfer function's derivatives make of it."""
-        turns = [turn.astype(np.complex64) for turn in self._turns(blur, waves)]
+        turns = [turn.astype(np.complex64, copy=False) for turn in self._turns(blur, waves)]
         return [
-            np.array([self._seen(blur.torus.sample(spectrum * turn), u) for turn in turns])
+            np.array([self._seen(blur.torus.sample(spectrum, turn), u) for turn in turns])
             for spectrum, u in zip(spectra, used, strict=True)
         ]
 
-    def _turns(self, blur: Blur, waves: Floats) -> Iterator[Complexes]:
+    def _turns(self, blur: Blur, waves: Floats) -> Iterator[AnyComplexes]:
         """Half planes of the transfer function's derivatives by `Optics.shape`."""
         yield from blur.by_parts(waves)
         if self.blur.spectrum.variance is not None:
@@ -301,39 +302,30 @@ class ForwardModel:
         """Fill rows (any, pixels) of each frame with the derivatives by a panel's aperture, which the target is drawn by."""
         for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
             for row, slope in zip(of_frame, slopes, strict=False):
-                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope) * transfer), u)
+                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope), transfer), u)
 
-    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> Floats:
-        """(n, pixels) by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
-        return self._responses(
-            self.blur, psfs, [spectrum.astype(np.complex64) for spectrum in drawing.spectra], [used]
-        )[0]
+    def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> list[Floats32]:
+        """(pixels,) each, by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
+        return self._responses(self.blur, psfs, drawing.spectra, [used])[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        return self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])[0]
+        (rows,) = self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])
+        return np.array(rows, float).reshape(-1, int(used.sum()))
 
-    def _cut(self, blur: Blur, spectrum: Complexes) -> Complexes64:
-        """Of a drawing's half plane the band of one of the blurs, in single precision, which is enough for slopes:
-        docs/decisions.md."""
-        return blur.torus.cut(spectrum, self.blur.torus.oversampling).astype(np.complex64)
+    def _cut(self, blur: Blur, spectrum: Complexes64) -> Complexes64:
+        """Of a drawing's half plane the band of one of the blurs."""
+        return spectrum if blur.torus == self.blur.torus else blur.torus.cut(spectrum, self.blur.torus.oversampling)
 
     def _responses(
         self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[AnyComplexes], used: Sequence[Bools]
-    ) -> list[Floats]:
-        """(n, pixels) of each frame: what n changes of the PSF change in its mean."""
-        behind = [blur.behind_pixel(spectrum) for spectrum in spectra]
-        product = np.empty_like(behind[0])  # fresh memory for each costs as much as the multiplication
-        changes = [
-            [
-                self._seen(blur.torus.sample(np.multiply(b, response, out=product)), u)
-                for b, u in zip(behind, used, strict=True)
-            ]
-            for response in blur.responses(psfs)
-        ]
-        return [
-            np.array([of_all[k] for of_all in changes], float).reshape(-1, int(u.sum())) for k, u in enumerate(used)
-        ]
+    ) -> list[list[Floats32]]:
+        """(pixels,) of each frame: what each of some changes of the PSF changes in its mean."""
+        behind, changes = [blur.behind_pixel(spectrum) for spectrum in spectra], list[list[Floats32]]([] for _ in used)
+        for response in blur.responses(psfs):
+            for of_frame, b, u in zip(changes, behind, used, strict=True):
+                of_frame.append(self._seen(blur.torus.sample(b, response), u).astype(np.float32, copy=False))
+        return changes
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
         if len(drawing.poses) != len(used):
@@ -343,8 +335,8 @@ class ForwardModel:
         for mask in used:
             mask_array("used", mask, self.scene.torus.frame)
 
-    def _mean(self, spectrum: Complexes, transfer: AnyComplexes, used: Bools) -> Floats:
-        picture = self._seen(self.blur.torus.sample(spectrum * transfer), used)
+    def _mean(self, spectrum: Complexes64, transfer: AnyComplexes, used: Bools) -> Floats:
+        picture = self._seen(self.blur.torus.sample(spectrum, transfer), used)
         return picture - self.wrapped[used] + self.scene.surround
 
     def _seen(self, picture: Floats, used: Bools) -> Floats:
@@ -372,16 +364,9 @@ def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes
     square of blur over distance.
     """
     rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
-    down, right = (
-        (2j * np.pi * torus.pitch_um * f).astype(np.complex64) for f in (torus.row_frequency, torus.column_frequency)
-    )
-    result, product = np.zeros((POSE_SIZE, rows.size)), np.empty_like(spectrum)
+    result = np.zeros((POSE_SIZE, rows.size))
     for kernel, growth in zip(kernels, GROWTH, strict=True):
-        np.multiply(spectrum, kernel, out=product)
-        pictures = (
-            torus.unfolded(torus.folded_rows(torus.folded_columns(product) * down))[used],
-            torus.unfolded(torus.folded_columns(torus.folded_rows(product) * right))[used],
-        )
+        pictures = [picture[used] for picture in torus.sample_slopes(spectrum, kernel)]
         for sign, row, column in growth:
             for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
                 motion *= sign * picture

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from labkit.types import Floats
+from labkit.types import Floats, Floats32
 
 # M. Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16, 1999
 POLES = (
@@ -18,21 +18,38 @@ POLES = (
 )
 REACH = 45  # samples, after which the larger pole has fallen below 1e-16
 
+AT_ONCE = 512  # columns that are filtered together
+
 
 def coefficients(raster: Floats) -> Floats:
     """(rows, columns) of the spline through a raster's samples, mirrored at its borders."""
-    spline = np.array(raster, dtype=float, order="C")
-    _filter_columns(spline)
-    spline = np.asarray(cv2.transpose(spline), dtype=float)  # numpy's takes longer than the filter
-    _filter_columns(spline)
-    return np.asarray(cv2.transpose(spline))
+    spline = along_rows(raster)
+    filter_columns(spline)
+    return spline
 
 
-def read(spline: Floats, onto: Floats, shape: tuple[int, int]) -> Floats:
+def along_rows(raster: Floats) -> Floats:
+    """(rows, columns) samples along rows become coefficients; each row stands for itself, so a raster may come in parts."""
+    spline = np.asarray(
+        cv2.transpose(np.asarray(raster, dtype=float)), dtype=float
+    )  # numpy's takes longer than the filter
+    _filter_columns(spline)
+    return np.asarray(cv2.transpose(spline), dtype=float)
+
+
+def filter_columns(spline: Floats | Floats32) -> None:
+    """Samples along columns become coefficients, in place; in double precision, whatever they are kept in."""
+    for first in range(0, spline.shape[1], AT_ONCE):
+        some = np.array(spline[:, first : first + AT_ONCE], dtype=float, order="C")
+        _filter_columns(some)
+        spline[:, first : first + AT_ONCE] = some
+
+
+def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats:
     """(rows, columns) of a shape, [i, j] the spline's value at the raster's place `onto` (3, 3) @ (i, j, 1); 0 near and beyond
     its borders, where the spline has no six samples.
 
-    spline: from `coefficients`.
+    spline: from `coefficients`, in either precision; sums are in double.
     """
     values = np.zeros(shape)
     _read(spline, np.ascontiguousarray(onto, dtype=float), values)
@@ -40,7 +57,7 @@ def read(spline: Floats, onto: Floats, shape: tuple[int, int]) -> Floats:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _read(spline: Floats, onto: Floats, values: Floats) -> None:
+def _read(spline: Floats | Floats32, onto: Floats, values: Floats) -> None:
     rows, columns = spline.shape
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):

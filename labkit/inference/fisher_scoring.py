@@ -108,6 +108,10 @@ class Start(NamedTuple):
     drawing: Drawing | None = None
     relative: Sequence[Floats] = ()
 
+    def undrawn(self) -> "Start":
+        """Without its drawing, which of a large target is hundreds of megabytes."""
+        return self._replace(drawing=None)
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -218,13 +222,14 @@ def maximize(
     tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
     at least as fast as they did from the last one to this; the information is that of where the last step began.
     """
-    here = begun = problem.drawn(start)
-    gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
+    here = problem.drawn(start)
+    gradient, information, _, evaluations = problem.scores(*here, by_waves=free_waves, exact=exact)
+    here = begun = here.undrawn()
     best = problem.objective(here.state, here.relative)
     damping, steps, before, converged = 1e-3, 1, 0.0, False
     while steps < max_steps and not converged and damping < 1e8:
         step = _damped_step(gradient, information, damping)
-        length, trial = _length(step, information), Start(here.state.moved(step))
+        length, trial = _length(step, information), Start(here.state.moved(step))  # the last one's drawing goes
         left = length * min(1.0, length / before) if before else length
         last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
         if last:
@@ -236,11 +241,10 @@ def maximize(
             converged = length < tolerance
             damping, before = max(damping, 1e-4) * 8, 0.0
             continue
-        here, best, damping, before, converged = trial, value, damping / 8, length, last
-        if not converged:
-            begun = here
-            gradient, information, _, evaluations = problem.scores(*begun, by_waves=free_waves, exact=exact)
-            steps += 1
+        here, best, damping, before, converged = trial.undrawn(), value, damping / 8, length, last
+        if not last:
+            gradient, information, _, evaluations = problem.scores(*trial, by_waves=free_waves, exact=exact)
+            begun, steps = here, steps + 1
     misfit = problem.chi2_per_pixel(here.state, here.relative)
     return Solution(here.state, best, information, here.relative, misfit, steps, converged, begun)
 

@@ -103,11 +103,11 @@ class PsfBasis:
         half = self.directions.shape[1] // 2
         reach = int(half / step)
         at = np.arange(-reach, reach + 1) * step + half
-        centre = torus.shift(reach * torus.spacing_um)
+        down, right = torus.shift(reach * torus.spacing_um)
+        beyond = model.blur.beyond
         return [
             torus.half_spectrum_of_window(map_coordinates(d, np.meshgrid(at, at, indexing="ij"), order=3))
-            * centre
-            * model.blur.beyond
+            * (down * right * beyond)
             for d in self.directions
         ]
 
@@ -138,7 +138,7 @@ def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) ->
     torus, embedded = problem.model.blur.torus, []
     evaluations = problem.model.evaluate(state.waves, drawing, used)
     for evaluation, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
-        departures = [torus.sample(spectrum * kernel)[u] for kernel in kernels]
+        departures = [torus.sample(spectrum, kernel)[u] for kernel in kernels]
         embedded.append(replace(evaluation, by_waves=np.concatenate([departures, evaluation.by_waves])))
     return problem.assembled(state, embedded)[:2]
 
@@ -216,7 +216,7 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     places = np.arange(-half_width, half_width + 1) * step_um
     down = [np.exp(-2j * np.pi * torus.row_frequency * y) for y in places]
     right = [np.exp(-2j * np.pi * torus.column_frequency * x) for x in places]
-    return np.array([torus.sample(spectrum * (a * b))[frame.used] for a in down for b in right])
+    return np.array([torus.sample(spectrum, a * b)[frame.used] for a in down for b in right])
 
 
 @cache

@@ -34,6 +34,7 @@ CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four ti
 # eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
 ENOUGH, MOST = 8, 100
 EVALUATIONS = 30  # of one start, at most
+AT_ONCE = 8192  # pixels whose rows are rotated together: in double precision those of a large target are 500 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +119,22 @@ class PhaseRetrieval:
         pictures = model.departures(components, drawing, frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
-        columns = frame.light(detector.unevenness) * np.array([*pictures, perfect, np.ones_like(perfect)])
+        known = np.array([perfect, np.ones_like(perfect)]) * (light := frame.light(detector.unevenness))
         free = len(frame.departures)
         if free:  # whatever their coefficients: the rows that they can meet are left out
             orders = frame.departures[:, frame.used]
-            columns = np.concatenate([orders * (mean / (1 + detector.unevenness @ orders)), columns])
-        # with the data as the last column, what the rotation makes of them comes without the rotation
-        with_data = np.concatenate([columns, frame.counts[frame.used][None]]) / np.sqrt(variance)
-        (rotated,) = scipy.linalg.qr(with_data.T, mode="r", overwrite_a=True, check_finite=False)
-        count = min(len(columns), variance.size)
-        factor, data = np.hsplit(rotated[free:count, free:].astype(float), [-1])
+            orders = orders * (mean / (1 + detector.unevenness @ orders))
+        counts, sigma = frame.counts[frame.used], np.sqrt(variance)
+        triangle = np.empty((0, free + len(pictures) + 3))
+        for p in (slice(first, first + AT_ONCE) for first in range(0, counts.size, AT_ONCE)):
+            unknown = light[p] * np.array([picture[p] for picture in pictures])
+            # with the data as the last column, what the rotation makes of them comes without the rotation
+            rows = np.concatenate([*([orders[:, p]] if free else []), unknown, known[:, p], [counts[p]]]) / sigma[p]
+            stacked = np.concatenate([triangle, rows.T])
+            (triangle,) = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)
+            triangle = triangle[: triangle.shape[1]]
+        count = min(triangle.shape[1] - 1, counts.size)
+        factor, data = np.hsplit(triangle[free:count, free:].astype(float), [-1])
         return cls(optics, model.blur.pupil, factor, data[:, 0], state)
 
     def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:

@@ -266,12 +266,8 @@ def settle(problem: Problem, start: State) -> State:
 
 
 def _searched_from(problem: Problem, start: State) -> Solution:
-    """Pose and light first: all freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame.
-
-    Ends are kept, their drawings not: those of a large target are hundreds of megabytes.
-    """
-    end = maximize(problem, settle(problem, start), max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
-    return replace(end, begun=None)
+    """Pose and light first: all freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame."""
+    return maximize(problem, settle(problem, start), max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
 
 
 def _likeliest(ends: Sequence[Solution]) -> State:

@@ -87,7 +87,8 @@ def bench() -> Bench:
     return bench
 
 
-@pytest.mark.parametrize(("usual", "better"), [((10, 250.0), (18, 250.0)), ((10, 750.0), (10, 1000.0))])
+# how far the halo goes does not depend on the samples: 8 are as few as a pupil at f/2.8 allows
+@pytest.mark.parametrize(("usual", "better"), [((10, 250.0), (18, 250.0)), ((8, 750.0), (8, 1000.0))])
 def test_a_finer_grid_or_a_wider_halo_changes_little_beside_the_noise(
     bench: Bench, usual: tuple[int, float], better: tuple[int, float]
 ) -> None:

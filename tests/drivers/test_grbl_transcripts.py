@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers.grbl.protocol import read_report
+from labkit.drivers.grbl.protocol import HOMING, REPORTS, SETTING, doubts, read_report, unfit
 from labkit.drivers.simulated.controllers.grbl_controller import GrblController
 from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, GRBL_HAL
 
@@ -166,6 +166,27 @@ def essence(line: str) -> list[object]:
     assert report
     assert speed
     return [report.state, buffers and buffers[0], speed[1] != "0", "Pn:X" in line]
+
+
+@pytest.mark.parametrize(("name", "reports"), [("grbl-1.1h", 1), ("grblhal", 511)])
+def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(name: str, reports: int) -> None:
+    """As from the factory: homing is off, soft and hard limits are, motors are let go, and the travel is a default."""
+    lines = [event.text.decode("latin-1") for event in events((TRANSCRIPTS / f"{name}.txt").read_text())]
+    found = [SETTING.fullmatch(line) for line in lines[: lines.index("$132=200.000") + 1]]
+    settings = {int(each[1]): float(each[2]) for each in found if each}
+    is_hal = name == "grblhal"
+    assert settings[REPORTS] == reports
+    assert "$22=0" in str(unfit(settings, is_hal))
+    assert unfit(settings | {HOMING: 1}, is_hal) is None
+    assert [words.partition(":")[0].partition(",")[0] for words in doubts(settings)] == [
+        "$1=25",
+        "$20=0",
+        "$21=0",
+        "$130=200",
+    ]
+    seen = [report for line in lines if (report := read_report(line))]
+    assert all(report.is_machine for report in seen)  # bit 0 of $10
+    assert any(report.offset_mm is not None for report in seen)  # bit 5 of grblHAL's; GRBL's come in any case
 
 
 SESSIONS = re.split(r"(?m)^#####.*$", (TRANSCRIPTS / "grbl-1.1h.txt").read_text())

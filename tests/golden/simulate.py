@@ -16,6 +16,7 @@ import csv
 import json
 import sys
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -222,6 +223,17 @@ def draw_waves(rng: np.random.Generator) -> dict[str, dict[int, float]]:
     return {c: dict(zip(range(5, 16), common + rng.normal(0, 0.003, 11), strict=True)) for c in COLOURS}
 
 
+@lru_cache(maxsize=len(STANDS))
+def seen(stand: Stand, seed: int) -> tuple[dict[str, dict[int, float]], dict[str, Floats], Floats]:
+    """By colour modes and PSF, 156 um wide, which is within the window that labkit writes; the target's electrons."""
+    lens = draw_waves(np.random.default_rng(seed))
+    waves = {c: {4: defocus_waves(stand.range_mm, BEST_FOCUS_MM[c])} | lens[c] for c in COLOURS}
+    psfs = {c: point_spread(waves[c], COLOURS[c], cone(c)) for c in COLOURS}
+    electrons = mosaic({c: picture + AMBIENT for c, picture in pictures(stand, psfs).items()})
+    middle = slice(REACH - 140, REACH + 141)
+    return waves, {c: psf[middle, middle].copy() for c, psf in psfs.items()}, electrons
+
+
 def true_lens(stated: Stated) -> dict[str, Any]:
     """The lens, best focus on the scale that the plan's ranges have."""
     best = {colour: best_mm - stated.tape_mm for colour, best_mm in BEST_FOCUS_MM.items()}
@@ -232,7 +244,7 @@ def true_lens(stated: Stated) -> dict[str, Any]:
 def write_session(folder: Path, seed: int, stated: Stated = Stated()) -> None:
     """Everything that a lab would have, and the truth beside it, into an empty folder."""
     rng = np.random.default_rng(seed)
-    lens = draw_waves(rng)
+    draw_waves(rng)  # as `seen` does
     response = rng.normal(1, RESPONSE_STD, (FRAME, FRAME)) * light()
     rows: list[tuple[str, str, str]] = []
     truth: list[dict[str, Any]] = []
@@ -249,16 +261,13 @@ def write_session(folder: Path, seed: int, stated: Stated = Stated()) -> None:
     one = np.ones((FRAME, FRAME))
     shoot("dark", 4, "", 0 * one)
     for stand in STANDS:
-        waves = {c: {4: defocus_waves(stand.range_mm, BEST_FOCUS_MM[c])} | lens[c] for c in COLOURS}
-        psfs = {c: point_spread(waves[c], COLOURS[c], cone(c)) for c in COLOURS}
+        waves, psfs, electrons = seen(stand, seed)
         range_mm = stand.range_mm - stated.tape_mm
-        seen = {c: picture + AMBIENT for c, picture in pictures(stand, psfs).items()}
-        shoot("target", 2, f"{range_mm:g}", mosaic(seen))
+        shoot("target", 2, f"{range_mm:g}", electrons)
         shoot("flat", 4, f"{range_mm:g}", 0.9 * mosaic(dict.fromkeys(COLOURS, one)))
         for colour in COLOURS:
             truth.append({"range_mm": range_mm, "channel": colour, "waves": list(waves[colour].values())})
-            middle = slice(REACH - 140, REACH + 141)  # 156 um: within the window that labkit writes
-            stored[f"{range_mm:g}_{colour}"] = psfs[colour][middle, middle]
+            stored[f"{range_mm:g}_{colour}"] = psfs[colour]
     with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("file", "kind", "range_mm"), *rows])
     (folder / "plan.toml").write_text(PLAN.format(focal_mm=stated.focal_mm, f_number=stated.f_number), encoding="utf-8")

@@ -1,5 +1,6 @@
 """Wavefronts retrieved at a pose that is held, from pictures that labkit's model did not form."""
 
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -68,6 +69,19 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
     for _ in range(5):
         mine, whole = squares(random_waves(rng, len(NOLL), 0.25))
         assert mine - best == pytest.approx(whole - whole_best, rel=0.05)
+
+
+def test_it_is_prepared_without_copies_of_all_its_pictures(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = trial.state(trial.waves)
+    whole = prepared(trial, state)
+    monkeypatch.setattr(phase_retrieval, "AT_ONCE", 1000)  # of 11 thousand pixels; of a large target a twentieth
+    tracemalloc.start()
+    small = prepared(trial, state)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_allclose(small.factor.T @ small.factor, whole.factor.T @ whole.factor, rtol=1e-5)
+    pictures = 4 * phase_retrieval.COMPONENTS * int(trial.frame.used.sum())  # bytes, in single precision
+    assert peak < 4 * pictures  # measured: 2.6, the model's own among them
 
 
 def searched(small: PhaseRetrieval, seed: int, given: Sequence[Floats] = ()) -> list[Retrieved]:

@@ -10,7 +10,7 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from labkit.errors import InputError
 from labkit.experiments.extension import EXTERIOR, OURS, SIDE, Task, masks, picture, work
-from labkit.experiments.runner import Setting, run_study
+from tests.studies import quick
 
 
 def test_every_way_keeps_what_is_known_and_is_judged_as_scikit_image_judges() -> None:
@@ -38,8 +38,8 @@ def test_masks_leave_out_what_their_names_say() -> None:
     assert known["squares"] == 1 - (6 / 16) ** 2
 
 
-def test_the_study_writes_both_figures_of_the_appendix(tmp_path: Path) -> None:
-    summary = run_study("extension", Setting(quick=True, workers=1), tmp_path)
+def test_the_study_writes_both_figures_of_the_appendix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = quick("extension", tmp_path, capsys)
     rows = list(csv.DictReader((tmp_path / "extension.csv").read_text().splitlines()))
     assert {row["figure"] for row in rows} == {"A.2", "A.3"}
     by_hand = [float(r["psnr_db"]) for r in rows if r["figure"] == "A.3" and r["method"] == OURS]

@@ -1,7 +1,6 @@
 """The comparison of targets."""
 
 import csv
-import json
 import math
 from pathlib import Path
 
@@ -9,9 +8,9 @@ import numpy as np
 import pytest
 
 from labkit.experiments.conditions import carpet, draw_trial
-from labkit.experiments.runner import Setting, run_study
 from labkit.experiments.targets import READ_NOISES, SPECS, bounds
 from labkit.target import CellTarget
+from tests.studies import quick
 
 
 def test_a_black_target_tells_nothing_and_that_is_said() -> None:
@@ -28,13 +27,11 @@ def test_where_read_noise_rules_the_bound_is_as_large_as_it() -> None:
     assert high.rms(0, 12) / low.rms(0, 12) == pytest.approx(2, rel=1e-3)
 
 
-def test_the_study_says_how_each_target_compares(tmp_path: Path) -> None:
-    summary = run_study("targets", Setting(quick=True, workers=1), tmp_path)
+def test_the_study_says_how_each_target_compares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = quick("targets", tmp_path, capsys)
     assert [claim["measured"] > 0 for claim in summary["claims"]] == [True] * len(SPECS)
     rows = list(csv.DictReader((tmp_path / "targets.csv").read_text().splitlines()))
     for name in SPECS:
         own = [float(row["rms_bound_waves"]) for row in rows if row["target"] == name]
         assert len(own) == len(READ_NOISES)
         assert own == sorted(own)  # more noise tells less
-    assert json.loads((tmp_path / "targets.json").read_text())["study"] == "targets"
-    assert (tmp_path / "targets.png").stat().st_size > 1000

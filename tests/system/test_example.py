@@ -1,13 +1,16 @@
 """The same from Python: examples/measure_lens.py on a small plan, against the simulated bench's truth."""
 
 import runpy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from labkit.drivers.simulated import setup as bench_setup
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
+from labkit.drivers.simulated.world import BenchSettings
 from labkit.plan import Plan
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
@@ -21,7 +24,11 @@ PLAN = plan_text(
 )
 
 
-def test_the_example_measures_a_lens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_measures_a_lens(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # diffraction is followed as far as photon noise lets it be seen
+    monkeypatch.setattr(bench_setup, "BenchSettings", partial(BenchSettings, halo_um=250.0))
     plan_path = tmp_path / "plan.toml"
     plan_path.write_text(PLAN)
     measure = runpy.run_path(str(ROOT / "examples" / "measure_lens.py"))["measure"]

@@ -46,8 +46,8 @@ pytest.importorskip("gphoto2")
 PLAN = plan_text(
     PORTRAIT,
     {"lens": {"f_number": 4.0}, "fit": {"zernike_noll": [4, 15], "reference_wavelength_nm": 450}},
-    simulated([3000, 3150, 3300], 2950.0, "simulated:seed=3"),
-    {"camera": {"frames_per_range": 2, "flats_per_range": 6, "darks": 4}, "rail": {"settle_s": 0}, "display": IPAD},
+    simulated([3000, 3300], 2950.0, "simulated:seed=3"),
+    {"camera": {"frames_per_range": 2, "flats_per_range": 10, "darks": 4}, "rail": {"settle_s": 0}, "display": IPAD},
 )
 
 
@@ -105,7 +105,7 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
         run_plan(session, devices, check=False)
     # more photographs than the virtual camera's card holds, so it was opened again on the way
-    assert len(session.frames) == 4 + 3 * (6 + 2)
+    assert len(session.frames) == 4 + 2 * (10 + 2)
     assert verify(session) == []
     assert {frame.meta["camera_settings"]["shutterspeed"] for frame in session.frames} == {"0.0200s"}
     assert any(event["event"] == "camera" and event["model"] == "Nikon DSC D750" for event in session.events)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, Solution, State, maximize
+from labkit.inference.cone import free_cone
+from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, Solution, Start, State, maximize
 from labkit.inference.likelihood import FrameData
 from labkit.target import CellTarget
 from labkit.types import Floats
@@ -68,6 +71,21 @@ def test_a_climb_ends_where_the_gradient_is_small_in_standard_errors(problem: Pr
     assert solution.converged
     step = np.asarray(np.linalg.solve(solution.information, gradient), float)
     assert standard_errors(step, solution) < 0.05  # its tolerance
+
+
+def test_one_drawing_is_held_at_a_time(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw, drawn = Problem.draw, list[weakref.ref[object]]()
+
+    def noted(self: Problem, state: State) -> Drawing:
+        assert not any(one() is not None for one in drawn)  # of a large target each is hundreds of megabytes
+        drawing = draw(self, state)
+        drawn.append(weakref.ref(drawing.spectra[0]))
+        return drawing
+
+    monkeypatch.setattr(Problem, "draw", noted)
+    climbed = maximize(problem, beside(truth(), np.random.default_rng(1)))
+    free_cone(problem, Start(climbed.state), 0.01)
+    assert len(drawn) > 5
 
 
 def test_what_is_foreseen_of_its_end_is_what_is_seen_there(problem: Problem, solution: Solution) -> None:

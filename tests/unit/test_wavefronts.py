@@ -206,7 +206,7 @@ def test_a_fit_whose_process_is_killed_costs_no_other_one() -> None:
 
     fits = fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
     assert [f.task.observation.range_mm for f in fits.fits] == [2900.0, 3100.0, 3200.0]
-    assert fits.lost == ("G at 3010 mm is left out: killed",)
+    assert fits.lost == ("G at 3010 mm is left out: killed; close other programs and fit again",)
     assert fits.lens is not None
 
 
@@ -215,7 +215,10 @@ def test_where_all_processes_are_killed_it_is_said() -> None:
         raise LostTasksError([(task, "killed") for task in tasks])
         yield
 
-    with pytest.raises(FitError, match="no wavefront could be fitted: G at 2900 mm is left out: killed; G at"):
+    with pytest.raises(
+        FitError,
+        match="no wavefront could be fitted: G at 2900 mm is left out: killed; close other programs and fit again; G at",
+    ):
         fit_session(observations(), PLAN, TARGET, run, lambda done, of, what: None)
 
 
