@@ -4,7 +4,6 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-import hypothesis
 import pytest
 from hypothesis import settings
 
@@ -18,16 +17,11 @@ WriteDng = Callable[..., Path]
 
 
 def pytest_configure() -> None:
-    """No example of hypothesis has a deadline: a loaded machine fails no test.
-
-    What a shell starts in the background ignores SIGINT and SIGQUIT, what nohup starts SIGHUP: so would every program that a
-    test starts.
-    """
+    """What a shell starts in the background ignores SIGINT and SIGQUIT, what nohup starts SIGHUP: so would every program that
+    a test starts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    hypothesis.settings.register_profile("untimed", deadline=None)
-    hypothesis.settings.load_profile("untimed")
 
 
 @pytest.fixture(autouse=True)
