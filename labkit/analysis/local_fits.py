@@ -8,6 +8,7 @@ import numpy as np
 
 from labkit.analysis.lens_model import Member
 from labkit.analysis.observe import Observation
+from labkit.execute import say
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.parts import Aperture, LowPass, Part
 from labkit.imaging.window import WINDOW_AIRY
@@ -106,6 +107,7 @@ def fit_task(task: Task) -> WavefrontFit:
         alike=task.alike,
         patience_s=task.patience_s,
         missing=task.missing,
+        progress=lambda step: say(f"{task.label}: {step}"),
     )
 
 
