@@ -284,7 +284,8 @@ def _journal_in(folder: Path) -> Path:
     if not path.is_file():
         within = next((above for above in folder.absolute().parents if (above / JOURNAL).is_file()), None)
         hint = f"give {within}" if within else "give the folder that labkit import or labkit capture has made"
-        raise SessionError(f"{folder} is no session: {f'it has no {JOURNAL}' if folder.exists() else 'it is not there'}; {hint}")
+        why = f"it has no {JOURNAL}" if folder.exists() else "it is not there"
+        raise SessionError(f"{folder} is no session: {why}; {hint}")
     return path
 
 

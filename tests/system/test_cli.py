@@ -103,7 +103,11 @@ def test_wrong_usage_is_one_line_and_status_2(args: list[str], capfd: pytest.Cap
 @pytest.mark.parametrize(
     ("args", "kind", "words"),
     [
-        (["verify", "no-session"], "SessionError", "no-session is no session: it is not there; give the folder that labkit import"),
+        (
+            ["verify", "no-session"],
+            "SessionError",
+            "no-session is no session: it is not there; give the folder that",
+        ),
         (["verify", "a", "b"], "UsageError", "unexpected extra argument"),
         (["fit", "no-session"], "SessionError", "no-session is no session"),
     ],

@@ -153,6 +153,12 @@ def test_a_missing_plan_is_one_line(tmp_path: Path) -> None:
         Plan.load(tmp_path / "absent.toml")
 
 
+def test_a_folder_in_the_place_of_a_plan_is_answered_with_its_plan(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").touch()
+    with pytest.raises(PlanError, match=rf"{tmp_path}: is a folder: give {tmp_path}/plan\.toml$"):
+        Plan.load(tmp_path)
+
+
 @pytest.mark.parametrize("names", ["R", "G", "mono", "L"])
 def test_a_lone_channel_is_a_colour_or_that_of_a_mono_sensor(names: str) -> None:
     assert Plan.parse(plan_text(PORTRAIT, {"channel": [{"name": names, "wavelength_nm": 550.0}]})).channel
