@@ -157,4 +157,4 @@ def test_a_range_beyond_the_rail_is_answered_with_those_that_it_reaches(
     plan_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["camera", "focus", str(plan_file), "--range", "3"]) == 2
-    assert re.search(r"--range 3: the rail reaches \d+ to \d+ mm\n$", capsys.readouterr().err)
+    assert re.search(r"--range 3: the rail reaches [\d.]+ to [\d.]+ mm\n$", capsys.readouterr().err)
