@@ -78,6 +78,7 @@ def fit(
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
+    steps(steps.done, steps.total, "what the fits make of the lens, and its images of points")
     change = find_change(fits, Stated.of(plan))
     common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
