@@ -163,16 +163,16 @@ class Workers:
         self, futures: Mapping[Future[Result], int], stored: Mapping[int, Path]
     ) -> Iterator[Future[Result]]:
         """Futures as they end; what their processes say meanwhile is heard."""
-        left, said = set(futures), dict[int, str]()
+        left, said, heard = set(futures), dict[int, str](), self._heard
         while left:
-            done, left = first_done(left, None if self._heard is None else HEARD_EVERY_S, FIRST_COMPLETED)
+            done, left = first_done(left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED)
             yield from done
-            for index in () if self._heard is None else (futures[future] for future in left):
+            for index in () if heard is None else (futures[future] for future in left):
                 with suppress(FileNotFoundError):
                     step = _said(stored[index]).read_text(encoding="utf-8")
                     if step and step != said.get(index):
                         said[index] = step
-                        self._heard(step)
+                        heard(step)
 
     def _stored(self, tasks: Sequence[Task]) -> dict[int, Path]:
         """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""

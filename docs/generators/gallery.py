@@ -49,9 +49,10 @@ EXAMPLES = (
         "A lone real photograph",
         (f"python examples/real_photograph.py {PHOTOGRAPHS} real", "labkit report real/session"),
         "A printed noise target, photographed by others: once, by an unknown lens, without range, darks or flats. "
-        "`PHOTOGRAPHS` is the folder with their files (Delbracio, Muse, Almansa, *Non-parametric sub-pixel local PSF estimation*, IPOL); "
-        "their photograph is not ours to show, so the picture ends above it. The first command also prints their own "
-        "program's MTF beside labkit's. The report says that the optimum is settled and that the model does not explain all.",
+        "`PHOTOGRAPHS` is the folder with their files (Delbracio, Muse, Almansa, *Non-parametric sub-pixel local PSF "
+        "estimation*, IPOL); their photograph is not ours to show, so the picture ends above it. The first command also "
+        "prints their own program's MTF beside labkit's. The report says that the optimum is settled and that the model does "
+        "not explain all.",
         "real/session/results/latest/report.html",
     ),
 )

@@ -325,7 +325,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener = socket.create_server(where[:2], family=family, backlog=256)
     except OSError as error:
         elsewhere = isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL
-        why = os.strerror(error.errno) if error.errno in errno.errorcode else error
+        why = os.strerror(error.errno) if error.errno and error.errno in errno.errorcode else error
         do = "this machine has no such address: give 0.0.0.0 for all that it has" if elsewhere else "give another port"
         raise DisplayError(f"cannot listen on {host} port {port}: {why}; {do}") from error
     listener.setblocking(False)

@@ -73,12 +73,10 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     assumed = [*_panel_lacking(plan, target, observations), *assumed]
-    steps = Steps(progress)
-    with Workers(workers or default_workers(), steps.heard) as processes:
+    with Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
-    steps(steps.done, steps.total, "what the fits make of the lens, and its images of points")
     change = find_change(fits, Stated.of(plan))
     common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
