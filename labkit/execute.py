@@ -167,7 +167,9 @@ class Workers:
         while left:
             done, left = first_done(left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED)
             yield from done
-            for index in () if heard is None else (futures[future] for future in left):
+            if heard is None:
+                continue
+            for index in (futures[future] for future in left):
                 with suppress(FileNotFoundError):
                     step = _said(stored[index]).read_text(encoding="utf-8")
                     if step and step != said.get(index):
