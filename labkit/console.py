@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import StringIO
@@ -14,7 +14,9 @@ from typing import Any
 
 import segno
 from rich.console import Console as Terminal
+from rich.console import RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.table import Column
 from rich.text import Text
 
 from labkit.errors import printable
@@ -93,15 +95,14 @@ class Console:
             BarColumn(bar_width=20),
             MofNCompleteColumn(),
             _Times(work),
-            TextColumn("{task.fields[step]}", markup=False),  # it repeats the names of files
         )
-        with Progress(*columns, console=terminal, transient=True) as bar:
-            task = bar.add_task(doing, total=None, step="")
+        with _Bar(work, *columns, console=terminal, transient=True) as bar:
+            task = bar.add_task(doing, total=None)
             self.bar = bar
 
             def report(done: int, total: int, step: str) -> None:
                 work.report(done, total, step)
-                bar.update(task, completed=done, total=total, step=printable(step))
+                bar.update(task, completed=done, total=total)
 
             try:
                 yield report
@@ -154,13 +155,25 @@ class _Work:
         return f"labkit: {self.doing}{done}, {self.times()}" + (f": {printable(self.step)}" if self.step else "")
 
 
+class _Bar(Progress):
+    """A bar, and below it what is being done, cut where the line ends."""
+
+    def __init__(self, work: _Work, *columns: ProgressColumn, console: Terminal, transient: bool) -> None:
+        self._work = work
+        super().__init__(*columns, console=console, transient=transient)
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        yield Text(f"  {printable(self._work.step)}", no_wrap=True, overflow="ellipsis")
+
+
 class _Times(ProgressColumn):
     """Time so far, and time left."""
 
     max_refresh = 0.5
 
     def __init__(self, work: _Work) -> None:
-        super().__init__()
+        super().__init__(Column(no_wrap=True))
         self._work = work
 
     def render(self, task: Task) -> Text:

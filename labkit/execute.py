@@ -13,9 +13,11 @@ import shutil
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
+from concurrent.futures import wait as first_done
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -33,6 +35,18 @@ Result = TypeVar("Result")
 
 KILLED = "the process at work on it was killed, by the system for lack of memory as a rule"
 SHORT = "there is not enough memory"
+
+HEARD_EVERY_S = 0.5
+"""How often it is looked what processes say that they do."""
+
+_say: ContextVar[Callable[[str], None] | None] = ContextVar("say", default=None)
+
+
+def say(step: str) -> None:
+    """What the task at work here does now, for whoever began it (`heard` of `Workers`); unheard elsewhere."""
+    if (heard := _say.get()) is not None:
+        heard(step)
+
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -68,13 +82,14 @@ class Workers:
     As a context it is a function, `Run`: of a function and tasks, which travel by pickle where there are several workers.
     The first exception, an interrupt too, ends the rest at once and is raised; but a task whose process is killed, or that
     lacks memory, is tried again alone, and if it fails so too, LostTasksError names it after all others are done.
-    Raises ValueError for less than one worker.
+    heard: called here with what tasks `say`, as they do. Raises ValueError for less than one worker.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, heard: Callable[[str], None] | None = None) -> None:
         if count < 1:
             raise ValueError(f"workers must be at least 1, not {count}")
         self._count = count
+        self._heard = heard
         self._others = set(multiprocessing.active_children())
         self._pool: ProcessPoolExecutor | None = None
         self._folder: Path | None = None
@@ -93,7 +108,7 @@ class Workers:
         """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
         lost: dict[int, str] = {}
         if self._count == 1:
-            yield from _here(function, tasks, lost)
+            yield from _here(function, tasks, lost, self._heard)
         else:
             try:
                 yield from self._spread(function, tasks, lost)
@@ -126,7 +141,7 @@ class Workers:
     ) -> Iterator[tuple[int, Result]]:
         """Some tasks, all at once; `failed` is filled with those that lacked memory, or may be why a process was killed."""
         futures = self._submitted(function, stored)
-        for future in as_completed(futures):
+        for future in self._as_completed(futures, stored):
             index = futures[future]
             try:
                 result = future.result()
@@ -144,6 +159,23 @@ class Workers:
         for index in failed:
             _begun(stored[index]).unlink(missing_ok=True)
 
+    def _as_completed(
+        self, futures: Mapping[Future[Result], int], stored: Mapping[int, Path]
+    ) -> Iterator[Future[Result]]:
+        """Futures as they end; what their processes say meanwhile is heard."""
+        left, said, heard = set(futures), dict[int, str](), self._heard
+        while left:
+            done, left = first_done(left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED)
+            yield from done
+            if heard is None:
+                continue
+            for index in (futures[future] for future in left):
+                with suppress(FileNotFoundError):
+                    step = _said(stored[index]).read_text(encoding="utf-8")
+                    if step and step != said.get(index):
+                        said[index] = step
+                        heard(step)
+
     def _stored(self, tasks: Sequence[Task]) -> dict[int, Path]:
         """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""
         if self._folder is None:
@@ -153,6 +185,7 @@ class Workers:
             with writing(path):
                 path.write_bytes(pickle.dumps(task))
             _begun(path).unlink(missing_ok=True)
+            _said(path).unlink(missing_ok=True)
         return stored
 
     def _submitted(self, function: Callable[[Task], Result], stored: Mapping[int, Path]) -> dict[Future[Result], int]:
@@ -176,11 +209,15 @@ class Workers:
 
 
 def _here(
-    function: Callable[[Task], Result], tasks: Sequence[Task], lost: dict[int, str]
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: dict[int, str],
+    heard: Callable[[str], None] | None,
 ) -> Iterator[tuple[int, Result]]:
     for index, task in enumerate(tasks):
         try:
-            result = function(task)
+            with _saying(heard):
+                result = function(task)
         except MemoryError:
             lost[index] = SHORT
         else:
@@ -207,9 +244,30 @@ def _begun(stored: Path) -> Path:
     return stored.with_name(f"{stored.name}.begun")
 
 
+def _said(stored: Path) -> Path:
+    """A file with what work on a task does now."""
+    return stored.with_name(f"{stored.name}.said")
+
+
 def _run_stored(function: Callable[[Task], Result], stored: Path) -> Result:
     _begun(stored).touch()
-    return function(pickle.loads(stored.read_bytes()))
+
+    def heard(step: str) -> None:
+        with suppress(OSError):  # on a full disk it is unheard
+            _said(stored).write_text(step, encoding="utf-8")
+
+    with _saying(heard):
+        return function(pickle.loads(stored.read_bytes()))
+
+
+@contextmanager
+def _saying(heard: Callable[[str], None] | None) -> Iterator[None]:
+    """What is said until the end goes there."""
+    token = _say.set(heard)
+    try:
+        yield
+    finally:
+        _say.reset(token)
 
 
 @contextmanager

@@ -1,4 +1,5 @@
-"""Any camera that libgphoto2 drives, over USB. Address: "gphoto2:" for the only one, or "gphoto2:usb:001,004".
+"""Any camera that libgphoto2 drives. Address: "gphoto2:" for the only one on USB, "gphoto2:usb:001,004", or for one on a
+network, by PTP/IP, "gphoto2:ptpip:192.168.1.5".
 
 libgphoto2 runs in a process of its own (`worker`): when it hangs, crashes or loses the camera, the camera is
 let go, looked for again, reset on USB if need be, opened and set as before, a bounded number of times.
@@ -13,6 +14,7 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
+from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,6 +40,11 @@ from labkit.errors import CameraError, DeviceTimeoutError, PlanError
 from labkit.plan import Plan
 
 Result = TypeVar("Result")
+
+ON_NETWORK = "PTP/IP Camera"
+"""What libgphoto2 calls any camera on a network: it does not look for them."""
+
+NO_ANSWER = "it does not answer over the network: look at battery and screen, compare the address with its network menu"
 
 ADVICE = {
     IO: "it does not answer over USB: look at cable and battery, switch it off and on",
@@ -65,20 +72,31 @@ LOW_PERCENT, EMPTY_PERCENT = 20.0, 5.0
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Camera:
     """The camera at that address, opened when it is first needed. Raises PlanError."""
     port = address.partition(":")[2]
-    if port and not re.fullmatch(r"usb:\d+,\d+", port):
-        network = " (not over a network: ptpip: is not driven)" if port.startswith("ptpip") else ""
+    if port and not re.fullmatch(r"usb:\d+,\d+", port) and not _network_port(port):
         raise PlanError(
-            f'address "{address}": allowed is gphoto2: for the only camera on USB, or such as gphoto2:usb:001,004{network}'
+            f'address "{address}": allowed is gphoto2: for the only camera on USB, gphoto2:usb:001,004, or, on a network, '
+            "gphoto2:ptpip:192.168.1.5 with the camera's address"
         )
     if find_spec("gphoto2") is None:
         raise PlanError(f'address "{address}" needs the package gphoto2: pip install gphoto2')
     settings = plan.camera
     return Gphoto2Camera(
-        port,
+        _network_port(port) or port,
         f_number=(settings.f_number if settings else None) or plan.lens.f_number,
         keep=settings is not None and settings.capture_target == "card",
         wait=time.sleep,
     )
+
+
+def _network_port(port: str) -> str:
+    """A camera's address on a network as libgphoto2 takes it; empty if it is none. One port number serves both connections."""
+    found = re.fullmatch(r"ptpip:([\d.]+)((?::\d{1,5}){0,2})", port)
+    try:
+        host = str(IPv4Address(found[1])) if found else ""
+    except ValueError:
+        return ""
+    ports = found[2] if found else ""
+    return f"ptpip:{host}{ports * 2 if ports.count(':') == 1 else ports}" if host else ""
 
 
 def find_cameras() -> list[tuple[str, str]]:
@@ -95,9 +113,9 @@ def find_cameras() -> list[tuple[str, str]]:
 class Gphoto2Camera(ClosesItself):
     """A Camera, Adjustable, Checkable, Candid and Previewing.
 
-    port: "usb:001,004", or "" for the only one; f_number: to be set where the body lets it; keep: photographs go to
-    the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from the end of
-    an exposure to its file.
+    port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only one on USB; f_number: to be set where the body lets it; keep:
+    photographs go to the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from
+    the end of an exposure to its file.
     """
 
     def __init__(
@@ -123,6 +141,10 @@ class Gphoto2Camera(ClosesItself):
         self._body: dict[str, Setting] = {}
         self._info: CameraInfo | None = None
         self._overcome: list[str] = []
+
+    @property
+    def _on_network(self) -> bool:
+        return self._port.startswith("ptpip:")
 
     def overcome(self) -> tuple[str, ...]:
         """Trouble that it has got over by itself since this was asked last."""
@@ -189,7 +211,7 @@ class Gphoto2Camera(ClosesItself):
                 return action()
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
-                    raise _error(what, trouble, attempt) from trouble
+                    raise _error(what, trouble, attempt, self._on_network) from trouble
                 self._overcome.append(f"{what}, try {attempt}: {trouble}")
                 self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
@@ -205,7 +227,11 @@ class Gphoto2Camera(ClosesItself):
             _unmount()
         try:
             self._link.ask("close", CLOSE_S)
-            if self._seen_at and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT))):
+            if (
+                self._seen_at
+                and not self._on_network
+                and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT)))
+            ):
                 self._link.ask("reset", ASK_S, port=self._seen_at)
         except Trouble:
             self._link.kill()
@@ -214,13 +240,17 @@ class Gphoto2Camera(ClosesItself):
         """Find and open the camera, and set it as it was before."""
         if self._is_open:
             return
-        model, port = self._choose([(model, port) for model, port in self._link.ask("find", ASK_S)])
-        self._seen_at = port
+        if self._on_network:
+            model, port = ON_NETWORK, self._port
+        else:
+            model, port = self._choose([(model, port) for model, port in self._link.ask("find", ASK_S)])
+        self._seen_at = "" if self._on_network else port
         version = self._link.ask("open", OPEN_S, model=model, port=port)
         try:
             self._list()
-            serial = str(self._body["serialnumber"].value) if "serialnumber" in self._body else ""
-            info = CameraInfo(_printable(model), _printable(serial), f"libgphoto2 {version}")
+            said = {name: str(setting.value) for name, setting in self._body.items()}
+            model = said.get("cameramodel", model) if self._on_network else model
+            info = CameraInfo(_printable(model), _printable(said.get("serialnumber", "")), f"libgphoto2 {version}")
             if self._info not in (None, info):
                 raise CameraError(f"another camera came back: {info}; the session's is {self._info}: plug that in")
             self._info = info
@@ -338,10 +368,12 @@ class Gphoto2Camera(ClosesItself):
         return seconds or 1.0, round(iso or 0)
 
 
-def _error(what: str, trouble: Trouble, tries: int) -> CameraError | DeviceTimeoutError:
+def _error(what: str, trouble: Trouble, tries: int, on_network: bool) -> CameraError | DeviceTimeoutError:
     """A trouble as a line for people."""
     text = str(trouble)
-    if trouble.code in ADVICE:
+    if on_network and trouble.code in (IO, TIMEOUT, HUNG, GONE):
+        text = f"{NO_ANSWER} (libgphoto2: {text})"
+    elif trouble.code in ADVICE:
         text = f"{ADVICE[trouble.code]} (libgphoto2: {text})"
     elif trouble.code in (HUNG, DIED):
         text = f"{text}: switch the camera off and on, look at its cable"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
+import os
 import socket
 import threading
 import time
@@ -322,9 +324,10 @@ def _listen(host: str, port: int) -> socket.socket:
         family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         listener = socket.create_server(where[:2], family=family, backlog=256)
     except OSError as error:
-        raise DisplayError(
-            f"cannot listen on {host} port {port}: {error.strerror or error}; give another port"
-        ) from error
+        elsewhere = isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL
+        why = os.strerror(error.errno) if error.errno and error.errno in errno.errorcode else error
+        do = "this machine has no such address: give 0.0.0.0 for all that it has" if elsewhere else "give another port"
+        raise DisplayError(f"cannot listen on {host} port {port}: {why}; {do}") from error
     listener.setblocking(False)
     return listener
 

@@ -18,6 +18,7 @@ from labkit.analysis.session_parts import WORDS, model_parts, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.stated_parts import wanted_parts
+from labkit.analysis.steps import Steps
 from labkit.analysis.wavefronts import SessionFits, fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
@@ -73,10 +74,10 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     assumed = [*_panel_lacking(plan, target, observations), *assumed]
-    with Workers(workers or default_workers()) as processes:
+    with Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
         run = KeptFits(processes, folder / FOLDER)
-        fits = fit_session(observations, plan, target, run, progress, patience_s, diagnose=not plain)
-        together = climb(fits, run, progress) if joint and fits.lens is not None else None
+        fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
+        together = climb(fits, run, steps) if joint and fits.lens is not None else None
     change = find_change(fits, Stated.of(plan))
     common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)

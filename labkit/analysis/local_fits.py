@@ -9,6 +9,7 @@ import numpy as np
 from labkit.analysis.lens_model import Member
 from labkit.analysis.observe import Observation
 from labkit.analysis.stated_parts import stated_parts, stated_spectrum
+from labkit.execute import say
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.parts import Part
 from labkit.imaging.window import WINDOW_AIRY
@@ -106,6 +107,7 @@ def fit_task(task: Task) -> WavefrontFit:
         alike=task.alike,
         patience_s=task.patience_s,
         missing=task.missing,
+        progress=lambda step: say(f"{task.label}: {step}"),
     )
 
 

@@ -290,6 +290,7 @@ class _Chain:
         after = self._joined() if again else before
         mended = tuple(k for k in again if k in after.members)
         lost = tuple(self._left_out())
+        self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
         return replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost)
 
     def _done(

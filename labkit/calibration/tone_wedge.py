@@ -94,7 +94,10 @@ def measure_tone(photograph: Path) -> Tone:
     Raises RawError for a raw file or one that is no picture, TargetError where there is no wedge, DataError where its steps
     are too small, clipped, not blurred into even greys, or do not rise.
     """
-    container = recognise(photograph)
+    try:
+        container = recognise(photograph)
+    except RawError as error:
+        raise RawError(f"{photograph}: {error}") from error
     if container.kind == "raw":
         raise RawError(f"{photograph}: is a raw file: its numbers are proportional to light, and have no tone curve")
     try:

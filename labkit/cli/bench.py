@@ -33,7 +33,7 @@ TargetText = Annotated[
 
 Found = TypeVar("Found")
 NONE_OF = {
-    "Cameras": "none on USB; those on a network (PTP/IP) are neither looked for nor driven",
+    "Cameras": 'none on USB; one on a network is not looked for: camera.address = "gphoto2:ptpip:ADDRESS"',
     "Rails": "none answers at a serial port on USB that no program holds",
 }
 SAFE = "every photograph so far is safe, "

@@ -83,6 +83,9 @@ def _set_up(alone: Alone, range_mm: float | None, context: DeviceContext, stack:
         if plan.rail is None:
             raise PlanError(f"--range {range_mm:g}: to move a rail it takes a plan with [rail]")
         rail = stack.enter_context(open_rail(plan.rail.address, plan, context))
+        reached = sorted(plan.rail.range_mm(end) for end in (rail.travel_mm.low_mm, rail.travel_mm.high_mm))
+        if not reached[0] <= range_mm <= reached[1]:
+            raise PlanError(f"--range {range_mm:g}: the rail reaches {reached[0]:g} to {reached[1]:g} mm")
         rail.home()
         rail.move_to(plan.rail.position_mm(range_mm))
         opened.append(rail)

@@ -97,7 +97,8 @@ def _failed(error: BaseException, console: Console) -> int:
         if "\n" in usage:  # the help that a bare command prints
             print(usage, file=sys.stderr)
         else:
-            error_line(f"{usage} See labkit --help.")
+            context = getattr(error, "ctx", None)
+            error_line(f"{usage.rstrip('.')}. See {context.command_path if context else 'labkit'} --help.")
         console.failed("UsageError", usage)
         return error.exit_code
     words, status = _words(error, console)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -194,7 +195,7 @@ def fit(
     console: Console = ctx.obj
     opened = Session.open(session)
     console.warn(*opened.warnings)
-    with console.progress("fitting") as report:
+    with _kept_if_interrupted(console), console.progress("fitting") as report:
         results = fit_session(
             opened,
             plan=plan,
@@ -210,6 +211,16 @@ def fit(
             progress=report,
         )
     _show(console, results, opened.warnings, diagnose)
+
+
+@contextmanager
+def _kept_if_interrupted(console: Console) -> Iterator[None]:
+    """Fits that are done outlive an interrupt, which says so."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.hint = "; fits that are done are kept, and the same command goes on from there"
+        raise
 
 
 def _show(console: Console, results: Results, shown: Sequence[str], diagnose: bool) -> None:

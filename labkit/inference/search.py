@@ -193,7 +193,7 @@ class Search:
             end = _searched_from(problem, _further_start(origin, made, sketches.optics, self.rng))
             made += 1
             record = _with_optimum(replace(record, starts=record.starts + 1), end)
-            self.progress(f"start {record.starts}")
+            self.progress(f"start {record.starts} of {self.max_starts} at most")
             if end.objective > best.objective + SAME_OPTIMUM:
                 best = end
                 record = replace(self._tried(record, end.state), returns=0)
@@ -208,7 +208,7 @@ class Search:
 
     def _tried(self, record: Record, candidate: State) -> Record:
         """The record after the whole likelihood was maximised from a state of the first frame, all poses first, and judged."""
-        self.progress("whole band")
+        self.progress("at full resolution")
         drift, as_many = candidate.poses[0].v - self.poses[0].v, np.ones(len(self.poses))
         state = replace(
             candidate,
@@ -237,7 +237,7 @@ class Search:
 
     def _with_missing(self, plain: Outcome) -> Outcome:
         """The maximum with the missing parts free, if it then is believed. It is sought where slopes promise what is needed."""
-        self.progress("with the camera's parts")
+        self.progress("with parts of the camera")
         model, state = self.whole.model, plain.freed.solution.state
         have = model.optics.parts
         missing = tuple(part for part in self.missing if part.name not in {one.name for one in have})

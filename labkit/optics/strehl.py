@@ -41,7 +41,7 @@ def strehl(wavefront: FittedWavefront) -> Uncertain:
     rest = wavefront.without(TILTS)
     if not rest.noll:
         return Uncertain(1.0, 0.0)
-    tilts = _brightest_tilts(rest)
+    tilts = brightest_tilts(rest)
     found = Climber(rest, float(np.linalg.norm(tilts))).peak(rest.waves, tilts)
     return Uncertain(found.value, np.sqrt(mean_square(rest, found)))
 
@@ -108,7 +108,7 @@ def _over_pupil(noll: tuple[int, ...], steep: float) -> tuple[Floats, Floats]:
     return weights, modes_at(noll, (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel())
 
 
-def _brightest_tilts(wavefront: FittedWavefront) -> Floats:
+def brightest_tilts(wavefront: FittedWavefront) -> Floats:
     """The tilts, waves RMS of Noll 2 and 3, that bring the brightest of samples an eighth of lambda N apart to the centre.
 
     The true peak of each is at most 2 % higher: of two peaks as equal as that, the lower may be taken.

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from labkit.arrays import real_array
 from labkit.optics.mtf import Direction, azimuth_deg, nodes_for
-from labkit.optics.strehl import Climber, mean_square
+from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
@@ -22,6 +22,10 @@ from labkit.uncertain import Uncertain
 DEPTH = 0.8
 """Of the highest Strehl ratio, which the depth of focus keeps to: for a perfect lens Rayleigh's quarter wave. Born and Wolf,
 Principles of Optics, 7th ed., §9.3."""
+
+
+SPLITS_WAVES = 0.1
+"""RMS in a channel's own light: with less, the image of a point has one peak that leads from defocus to defocus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,18 +54,23 @@ class FocusDepth:
 def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> ThroughFocus:
     """Strehl ratio of a wavefront's modes but for its defocus, with others in its place, (n,) ascending, 0 among them.
 
-    The maximum is followed from that at best focus on.
+    The maximum is followed from that at best focus on. Where aberrations may split the image, it is sought anew at each
+    defocus: which one is the highest may change.
     """
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
-    climber = Climber(_with_defocus(rest, float(np.abs(defocus).max())), float(np.linalg.norm(rest.waves)))
-    peaks = {}
-    for side in (range(int(np.argmin(np.abs(defocus))), -1, -1), range(int(np.argmin(np.abs(defocus))), len(defocus))):
-        tilts = np.zeros(2)
-        for k in side:
-            peaks[k] = climber.peak(np.array([*rest.waves, defocus[k]]), tilts)
-            tilts = peaks[k].tilts
-    full = _with_defocus(rest, 0.0)
+    centre, rms = int(np.argmin(np.abs(defocus))), float(np.linalg.norm(rest.waves))
+    split = rms * rest.reference_um / rest.wavelength_um > SPLITS_WAVES
+    brightest = [brightest_tilts(_with_defocus(rest, float(waves))) for waves in defocus] if split else []
+    most_tilt = max((float(np.linalg.norm(tilts)) for tilts in brightest), default=rms)
+    climber = Climber(_with_defocus(rest, float(np.abs(defocus).max())), most_tilt)
+    peaks: dict[int, Peak] = {}
+    for k in (*range(centre, -1, -1), *range(centre + 1, len(defocus))):
+        beside = peaks.get(k - 1, peaks.get(k + 1))
+        starts = [np.zeros(2) if beside is None else beside.tilts, *brightest[k : k + 1]]
+        ends = [climber.peak(np.array([*rest.waves, defocus[k]]), start) for start in starts]
+        peaks[k] = max(ends, key=lambda end: end.value)
     found = [peaks[k] for k in range(len(defocus))]
+    full = _with_defocus(rest, 0.0)
     std = np.sqrt([mean_square(full, peak) for peak in found])
     slopes = np.array([peak.slope[:-1] for peak in found]).T
     return ThroughFocus(defocus, np.array([peak.value for peak in found]), std, slopes)

@@ -107,4 +107,6 @@ Corner = tuple[Number, Number]
 Length = Annotated[Number, AfterValidator(Allowed(1e-3, 1e6))]
 Name = Annotated[str, matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters and digits")]
 Line = Annotated[str, matches(r".+", "printable text")]
-Address = Annotated[str, matches(r"[a-z][a-z0-9]*:\S*", "driver:where, such as simulated: or grbl:/dev/ttyUSB0")]
+Address = Annotated[
+    str, matches(r"[a-z][a-z0-9]*:\S*", "driver:where, such as simulated:, gphoto2: or grbl:/dev/ttyUSB0")
+]

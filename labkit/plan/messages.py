@@ -19,13 +19,11 @@ Step = int | str
 def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
     """Every problem of `tables` that are no `model`, in one line; keys that are not known come first.
 
-    A key written wrongly is often missing as well: its name is what leads on.
+    A key written wrongly is often missing as well: its name is what leads on. A list is too short for what is wrong in it.
     """
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-    listed = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
-    details = [
-        detail for detail in details if detail["loc"] not in listed
-    ]  # a list that is short of a wrong item is not wrong
+    within = {detail["loc"][:end] for detail in details for end in range(len(detail["loc"]))}
+    details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
     return "; ".join(dict.fromkeys(_problem(detail, model, tables) for detail in details))
 
 

@@ -264,7 +264,8 @@ class CameraSettings(Table):
     """The camera: where it is, how to expose, how many photographs to take."""
 
     address: Address
-    """Driver and device: `"gphoto2:"` for the only camera on USB, `"gphoto2:usb:001,004"`, `"simulated:"`."""
+    """Driver and device: `"gphoto2:"` for the only camera on USB, `"gphoto2:usb:001,004"`, on a network
+    `"gphoto2:ptpip:192.168.1.5"`, `"simulated:"`."""
     exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))]
     """Exposure time of every frame."""
     iso: Annotated[Count, AfterValidator(Allowed(1, 10_000_000, whole=True))] = 100

@@ -30,6 +30,9 @@ def read_text(path: Path) -> str:
     try:
         refuse_special(path)
         return path.read_text(encoding="utf-8-sig")
+    except IsADirectoryError as error:
+        plan = path / "plan.toml"
+        raise PlanError(f"is a folder: give {plan if plan.exists() else 'the plan in it'}") from error
     except OSError as error:
         raise PlanError(str(error.strerror)) from error
     except UnicodeDecodeError as error:

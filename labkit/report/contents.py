@@ -106,7 +106,7 @@ def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:
     else:
         where = "range not known"
     lens = f"{plan.lens.focal_length_mm:g} mm f/{plan.lens.f_number:g}"
-    taken = f"photographed {photographs.taken}" if photographs.taken else f"estimated {when(m.created)}"
+    taken = photographs.taken or f"estimated {when(m.created)}"
     return " · ".join(filter(None, (lens, photographs.camera, where, taken)))
 
 

@@ -33,7 +33,7 @@ CORNERS = "corners are fitted to hundredths of a pixel; their errors are not kep
 class Photographs:
     """What is known of them beside the fits; empty where the session's folder is not at hand.
 
-    rows: name, value, and where it comes from. taken: of the first, in words. preview: (rows, columns) 0..1, averaged over
+    rows: name, value, and where it comes from. taken: when, in words. preview: (rows, columns) 0..1, averaged over
     blocks of preview_px pixels; size_px: (rows, columns) of the frame.
     """
 
@@ -78,7 +78,9 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
     ]
     known = tuple((name, value, why) for name, value, why in rows if value)
     shown = next((frames[name].path for name in nearest.frames if name in frames), None)
-    first = (_exif_time(taken[0]) if taken else when(times[0]) if times else "").partition(",")[0]
+    first = (
+        f"photographed {_day(_exif_time(taken[0]))}" if taken else f"imported {_day(when(times[0]))}" if times else ""
+    )
     return Photographs(known, camera, first, **_preview(shown, results))
 
 
@@ -109,8 +111,16 @@ def _exif_time(text: str) -> str:
     return when(f"{day.replace(':', '-')}T{clock}")
 
 
+def _day(time: str) -> str:
+    """Of a time in words."""
+    return time.partition(",")[0]
+
+
 def _span(times: Sequence[str]) -> str:
-    return " to ".join(dict.fromkeys((times[0], times[-1]))) if times else ""
+    if not times:
+        return ""
+    first, last = times[0], times[-1]
+    return first if last == first else f"{first} to {last.removeprefix(f'{_day(first)}, ')}"
 
 
 def _drawn(began: dict[str, Any], fitted_mm: float) -> str:

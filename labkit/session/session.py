@@ -282,7 +282,10 @@ def refuse_unlisted(session: Session) -> None:
 def _journal_in(folder: Path) -> Path:
     path = folder / JOURNAL
     if not path.is_file():
-        raise SessionError(f"{folder} is no session: it has no {JOURNAL}")
+        within = next((above for above in folder.absolute().parents if (above / JOURNAL).is_file()), None)
+        hint = f"give {within}" if within else "give the folder that labkit import or labkit capture has made"
+        why = f"it has no {JOURNAL}" if folder.exists() else "it is not there"
+        raise SessionError(f"{folder} is no session: {why}; {hint}")
     return path
 
 

@@ -42,14 +42,14 @@ class Scene:
     """What the virtual camera photographs: a raw file with a number in it, read anew at each download."""
 
     def __init__(self, folder: Path) -> None:
-        self._photograph = folder / "DCIM" / "100NIKON" / "DSC_0001.JPG"
-        self._photograph.parent.mkdir(parents=True)
+        self.photograph = folder / "DCIM" / "100NIKON" / "DSC_0001.JPG"
+        self.photograph.parent.mkdir(parents=True)
         self.show(0)
 
     def show(self, number: int) -> None:
-        self._photograph.unlink(missing_ok=True)
+        self.photograph.unlink(missing_ok=True)
         counts = np.full((64, 96), 1000 + number, dtype=np.uint16)
-        write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
+        write_raw(self.photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
 
 
 def number_in(path: Path) -> int:
@@ -146,12 +146,6 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     assert capfd.readouterr() == ("", "")
     assert run(["devices"]) == 0
     assert "USB\n  not looked at\n" in capfd.readouterr().out
-
-
-def test_a_camera_on_a_network_is_refused_with_what_is_allowed() -> None:
-    plan = Plan.parse(plan_text(SMALL), Path())
-    with pytest.raises(PlanError, match=r"the only camera on USB.*\(not over a network: ptpip: is not driven\)"):
-        open_camera("gphoto2:ptpip:192.168.1.2", plan, DeviceContext())
 
 
 def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(make: MakeCamera, scene: Scene) -> None:

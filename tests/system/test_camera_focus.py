@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from labkit.acquisition.camera_check import Alone
 from labkit.acquisition.focusing import FRAME, LIVE_VIEW, FocusReading, focus
 from labkit.acquisition.sequence import picture_for
+from labkit.cli import run
 from labkit.cli.focus import bars, line
 from labkit.devices.protocols import Camera
 from labkit.devices.registry import open_devices
@@ -149,3 +151,10 @@ def test_a_rail_is_moved_only_where_the_plan_has_one(tmp_path: Path, capsys: pyt
     told = capsys.readouterr()
     assert "--range 2000: to move a rail it takes a plan with [rail]" in told.err
     assert json.loads(told.out)["error"]["kind"] == "PlanError"
+
+
+def test_a_range_beyond_the_rail_is_answered_with_those_that_it_reaches(
+    plan_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["camera", "focus", str(plan_file), "--range", "3"]) == 2
+    assert re.search(r"--range 3: the rail reaches [\d.]+ to [\d.]+ mm\n$", capsys.readouterr().err)

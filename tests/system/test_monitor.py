@@ -102,7 +102,10 @@ def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
         ([], "someone is needed here"),
         (["--monitor", "--listen", "127.0.0.1:99999"], "allowed is web://HOST:PORT"),
         (["--listen", "host/a/b"], "allowed is web://HOST:PORT"),
-        (["--listen", "192.0.2.1:8642"], "cannot listen on 192.0.2.1 port 8642"),
+        (
+            ["--listen", "192.0.2.1:8642"],
+            "cannot listen on 192.0.2.1 port 8642: Cannot assign requested address; this machine",
+        ),
     ],
 )
 def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(flags: list[str], words: str, plan: Path) -> None:

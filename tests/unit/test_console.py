@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 
 import pytest
@@ -23,6 +24,22 @@ def test_without_a_terminal_a_line_says_how_far_it_is(
     assert (
         first == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
     )
+
+
+def test_on_a_terminal_of_80_columns_progress_keeps_to_two_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+    with Console().progress("capturing") as report:
+        report(2, 22, "taking preflight_3300_target, " + "and more, " * 20)
+        threading.Event().wait(0.3)
+    frames = re.sub(r"\x1b\[[0-9;]*[mK]", "", capsys.readouterr().err).split("\x1b")
+    lines = [frame for frame in frames if "preflight" in frame][-1].strip().split("\n")
+    assert [len(line.rstrip("\r")) <= 80 for line in lines] == [True, True]
+    assert lines[0].endswith("so far, time left not known yet")
+    assert lines[1].rstrip().endswith("…")
 
 
 def test_a_quiet_console_and_a_short_work_say_nothing(

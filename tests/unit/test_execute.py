@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import InputError, LostTasksError
-from labkit.execute import SHORT, Workers, run_all
+from labkit.execute import SHORT, Workers, run_all, say
 
 HOURS = """
 import time
@@ -147,6 +147,23 @@ def test_a_task_that_lacks_memory_is_named_and_all_others_are_done(workers: int)
     with pytest.raises(LostTasksError) as caught:
         next(results)
     assert caught.value.lost == ((2, SHORT),)
+
+
+def say_and_wait(heard: Path) -> str:
+    """Says a word, and ends once it was heard."""
+    say(heard.name)
+    while not heard.exists():
+        time.sleep(0.01)
+    return heard.name
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_tasks_say_is_heard_while_they_work(workers: int, tmp_path: Path) -> None:
+    with Workers(workers, lambda step: (tmp_path / step).touch()) as run:
+        assert sorted(run(say_and_wait, [tmp_path / "start 1", tmp_path / "start 2"])) == [
+            (0, "start 1"),
+            (1, "start 2"),
+        ]
 
 
 def test_workers_go_on_with_the_next_tasks_after_one_was_lost() -> None:

@@ -185,6 +185,20 @@ def test_a_missing_plan_is_one_line(tmp_path: Path) -> None:
         Plan.load(tmp_path / "absent.toml")
 
 
+def test_what_is_wrong_in_the_only_channel_is_said_once() -> None:
+    with pytest.raises(PlanError, match=r'^channel "G"\.wavelength_nm = 0\.55: allowed is a number, 100 to 20000$'):
+        parse(
+            "[lens]\nfocal_length_mm = 50\nf_number = 2\n[sensor]\npixel_pitch_um = 4\n[[channel]]\nname = 'G'\n"
+            "wavelength_nm = 0.55\n[target]\nkind = 'sierpinski'\norder = 3\nsize_mm = 10\n"
+        )
+
+
+def test_a_folder_in_the_place_of_a_plan_is_answered_with_its_plan(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").touch()
+    with pytest.raises(PlanError, match=rf"{tmp_path}: is a folder: give {tmp_path}/plan\.toml$"):
+        Plan.load(tmp_path)
+
+
 @pytest.mark.parametrize("names", ["R", "G", "mono", "L"])
 def test_a_lone_channel_is_a_colour_or_that_of_a_mono_sensor(names: str) -> None:
     assert Plan.parse(plan_text(PORTRAIT, {"channel": [{"name": names, "wavelength_nm": 550.0}]})).channel

@@ -334,3 +334,8 @@ def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touch
     Session.create(tmp_path / "other", PLAN, tmp_path).close()
     assert made.exists()
     assert not asked
+
+
+def test_a_folder_inside_a_session_is_answered_with_the_session(session_folder: Path) -> None:
+    with pytest.raises(SessionError, match=rf"frames is no session: it has no journal.jsonl; give {session_folder}$"):
+        Session.open(session_folder / "frames")
