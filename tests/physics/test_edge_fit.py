@@ -126,7 +126,9 @@ def test_edges_of_several_angles_tell_the_wavefront_that_is_fitted_along() -> No
     regions = [region(d, a, rng, k) for k, (d, a) in enumerate(places)]
     apart = [searched(replace(of, depth=0), lens=UNKNOWN)[0] for of in regions]
     edges = np.array([fit.state.edges[0] for fit in apart])
-    joint = fit_jointly(problem(*regions, lens=UNKNOWN), [f.defocus()[0] for f in apart], edges, range(len(regions)))
+    noise = np.median([fit.state.log_noise for fit in apart], axis=0)
+    of = problem(*regions, lens=UNKNOWN)
+    joint = fit_jointly(of, [f.defocus()[0] for f in apart], edges, range(len(regions)), noise)
     joint = joint if joint.state.defoci[0] > 0 else twin(joint)
     pulls = (joint.state.defoci - defoci) / [joint.defocus(k)[1] for k in range(4)]
     assert np.abs(pulls).max() < 3
