@@ -24,6 +24,7 @@ from labkit.types import Floats
 
 NOISE = 2  # log gain, log read variance of a frame
 MOST_NOISE_STEP = 1.0
+MOST_WAVES_STEP = 0.5  # near best focus the information on defocus vanishes, and a step by it has no end
 EXACTLY, ROUGHLY = 0.03, 0.3  # standard errors of the last step: of a climb, and of one that only begins another
 USUAL_MODE_STD = 0.05  # waves RMS of a mode of a lens that nothing is known of, where one is fitted along
 
@@ -71,10 +72,12 @@ class EdgeState:
         return EdgeState(modes, noise.reshape(self.log_noise.shape), defoci, edges.reshape(self.edges.shape))
 
     def moved(self, step: Floats) -> "EdgeState":
-        """After a step in all parameters, that of the noise held within a factor of e."""
+        """After a step in all parameters, that of the noise held within a factor of e, those of waves within MOST_WAVES_STEP."""
         noise = slice(self.modes.size, self.modes.size + self.log_noise.size)
         step = step.copy()
         step[noise] = np.clip(step[noise], -MOST_NOISE_STEP, MOST_NOISE_STEP)
+        for waves in (slice(0, noise.start), slice(noise.stop, noise.stop + self.defoci.size)):
+            step[waves] = np.clip(step[waves], -MOST_WAVES_STEP, MOST_WAVES_STEP)
         return self.at(self.vector + step)
 
     def edge(self, k: int) -> Edge:

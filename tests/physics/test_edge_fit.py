@@ -137,6 +137,14 @@ def test_edges_of_several_angles_tell_the_wavefront_that_is_fitted_along() -> No
     assert std.min() < 0.01  # of the prior's 0.05
 
 
+def test_a_step_without_information_goes_half_a_wave_and_no_farther() -> None:
+    of = problem(region(0.4, 0.2, np.random.default_rng(1)))
+    state = of.start([0.01], [Edge(0.2, 0.6, 1000.0, 6000.0)])
+    moved = state.moved(np.full(state.vector.size, 1e4))
+    assert moved.defoci == pytest.approx([0.51])
+    assert np.abs(moved.modes - state.modes).max() == pytest.approx(0.5)
+
+
 def test_halves_of_one_edge_agree_and_of_two_do_not() -> None:
     rng = np.random.default_rng(7)
     one = region(0.4, 0.2, rng)
