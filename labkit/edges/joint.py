@@ -72,7 +72,7 @@ class EdgeState:
         return EdgeState(modes, noise.reshape(self.log_noise.shape), defoci, edges.reshape(self.edges.shape))
 
     def moved(self, step: Floats) -> "EdgeState":
-        """After a step in all parameters, that of the noise held within a factor of e, those of waves within MOST_WAVES_STEP."""
+        """After a step in all parameters, that of the noise held within a factor of e, those of waves within half a wave."""
         noise = slice(self.modes.size, self.modes.size + self.log_noise.size)
         step = step.copy()
         step[noise] = np.clip(step[noise], -MOST_NOISE_STEP, MOST_NOISE_STEP)
