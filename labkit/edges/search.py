@@ -174,7 +174,7 @@ def _misfit(problem: EdgeProblem, rough: Sequence[RoughEdge], defocus: float) ->
 def _noise_left(problem: EdgeProblem, misfit: float) -> Floats:
     """(frames, 2) noise to begin with: as expected, or as much larger as a misfit, squares over variance, has it."""
     pixels = sum(region.counts.size for region in problem.regions)
-    return np.array([of.centre for of in problem.noise]) + np.log(max(misfit / pixels, 1.0))
+    return np.asarray(np.array([of.centre for of in problem.noise]) + np.log(max(misfit / pixels, 1.0)))
 
 
 def twin(fit: EdgeFit) -> EdgeFit:
