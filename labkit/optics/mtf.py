@@ -203,7 +203,7 @@ def _autocorrelation(
     cosine, sine = _cosine_and_sine(difference)
     moments = area * scale * (cosine @ weighed + 1j * (sine @ weighed))  # (f, beta, k)
     by_power = np.swapaxes(in_y, 0, 1) @ moments @ np.swapaxes(apart_by, 1, 2)  # (f, q, p)
-    slopes: Complexes = 1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2)))
+    slopes: Complexes = np.asarray(1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2))), complex)
     return moments[:, :, 0].sum(axis=1), slopes
 
 
