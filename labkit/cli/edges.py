@@ -94,7 +94,8 @@ def edges(
 def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | None) -> None:
     """Raises DataError where no edge could be measured."""
     console.warn(*outcome.warnings)
-    if outcome.edges:
+    measured = bool(outcome.edges) or any(of.responses for of in outcome.rejected)
+    if measured:
         console.table(outcome.rows())
     for of in outcome.rejected:
         console.warn(f"box {','.join(map(str, of.box))}: {of.why}")
@@ -104,7 +105,7 @@ def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | Non
         for path in write_outcome(out, outcome, scene.images[0], scene.plan):
             console.say(f"written: {path}")
     console.answer(outcome.as_json())
-    if not outcome.edges:
+    if not measured:
         raise DataError(f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}")
 
 

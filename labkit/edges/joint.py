@@ -24,6 +24,8 @@ from labkit.types import Floats
 
 NOISE = 2  # log gain, log read variance of a frame
 MOST_NOISE_STEP = 1.0
+MOST_WAVES_STEP = 0.5  # near best focus the information on defocus vanishes, and a step by it has no end
+EXACTLY, ROUGHLY = 0.03, 0.3  # standard errors of the last step: of a climb, and of one that only begins another
 USUAL_MODE_STD = 0.05  # waves RMS of a mode of a lens that nothing is known of, where one is fitted along
 
 
@@ -70,10 +72,12 @@ class EdgeState:
         return EdgeState(modes, noise.reshape(self.log_noise.shape), defoci, edges.reshape(self.edges.shape))
 
     def moved(self, step: Floats) -> "EdgeState":
-        """After a step in all parameters, that of the noise held within a factor of e."""
+        """After a step in all parameters, that of the noise held within a factor of e, those of waves within half a wave."""
         noise = slice(self.modes.size, self.modes.size + self.log_noise.size)
         step = step.copy()
         step[noise] = np.clip(step[noise], -MOST_NOISE_STEP, MOST_NOISE_STEP)
+        for waves in (slice(0, noise.start), slice(noise.stop, noise.stop + self.defoci.size)):
+            step[waves] = np.clip(step[waves], -MOST_WAVES_STEP, MOST_WAVES_STEP)
         return self.at(self.vector + step)
 
     def edge(self, k: int) -> Edge:
@@ -122,9 +126,9 @@ class EdgeProblem:
         """(modes,) of the wavefront behind a region."""
         return np.concatenate([state.defoci[self.regions[k].depth, None], state.modes])
 
-    def start(self, defoci: Sequence[float], edges: Sequence[Edge]) -> EdgeState:
-        """Defoci and edges, and all else as it is expected to be."""
-        noise = np.array([of.centre for of in self.noise])
+    def start(self, defoci: Sequence[float], edges: Sequence[Edge], log_noise: Floats | None = None) -> EdgeState:
+        """Defoci, edges and noise (frames, 2), and all else as it is expected to be."""
+        noise = np.array([of.centre for of in self.noise]) if log_noise is None else log_noise
         return EdgeState(self.lens.mean.copy(), noise, np.array(defoci, float), np.array([e.theta for e in edges]))
 
     def slopes(self, state: EdgeState, k: int) -> tuple[Slopes, list[int]]:
@@ -234,7 +238,7 @@ class EdgeFit:
         return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
 
 
-def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 30, tolerance: float = 0.03) -> EdgeFit:
+def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 30, tolerance: float = EXACTLY) -> EdgeFit:
     """The maximum of the likelihood near a start, by damped Fisher scoring.
 
     tolerance: stop when a step is shorter than this many standard errors. At no defocus and no other even mode the
@@ -253,8 +257,10 @@ def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 30, tolerance
         scored = problem.score(trial)
         if scored[0] >= value - 1e-9 * abs(value) * (length < tolerance):
             converged = length < tolerance
+            # what the step gained over what it promised: where that is little, the next one is to be shorter
+            share = (scored[0] - value) / max(float(step @ gradient - 0.5 * length**2), 1e-12)
             state, (value, gradient, information) = trial, scored
-            damping, steps = damping / 8, steps + 1
+            damping, steps = damping * max(1 / 8, 1 - (2 * share - 1) ** 3), steps + 1
         else:
             converged = length < tolerance
             damping = max(damping, 1e-4) * 8

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from labkit.edges.joint import EdgeFit, EdgeProblem, EdgeState, LensPrior, climb
+from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState, LensPrior, climb
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
 from labkit.imaging.model import Optics
@@ -75,7 +75,7 @@ def _blurred(region: Region, angle: float, dark: float, bright: float) -> RoughE
 
 
 def refuse_no_edge(region: Region, rough: RoughEdge) -> None:
-    """Raise DataError, one line, where a region holds no straight edge between two even sides."""
+    """Raise DataError, one line, where a region holds no clear line with two sides."""
     if rough.explained < LEAST_EXPLAINED:
         raise DataError(
             f"it holds no edge: a straight line between two even sides explains {max(rough.explained, 0):.0%} of its "
@@ -88,13 +88,18 @@ def refuse_no_edge(region: Region, rough: RoughEdge) -> None:
             f"it holds no edge with both of its sides: {min(sides):.0%} of the pixels are on one, "
             f"{LEAST_SIDE:.0%} are needed; move the box so that the line runs through its middle"
         )
-    x, y = region.offsets
-    r = x * np.cos(rough.edge.angle) + y * np.sin(rough.edge.angle) - rough.edge.distance_px
     rise = rough.edge.far - rough.edge.near
-    left = region.counts - rough.edge.near - rise * ndtr(r / rough.width_px)
+    left = region.counts - rough.edge.near - rise * ndtr(across / rough.width_px)
     clear = abs(rise) / (2 * left.std() / np.sqrt(left.size))
     if clear < LEAST_CLEAR:
         raise DataError(f"it holds no edge: the step is {clear:.1f} standard errors, {LEAST_CLEAR:g} are needed")
+
+
+def refuse_uneven(region: Region, rough: RoughEdge) -> None:
+    """Raise DataError, one line, where the line is not straight or its sides are not even."""
+    across, _ = region.across_and_along(rough.edge)
+    rise = rough.edge.far - rough.edge.near
+    left = region.counts - rough.edge.near - rise * ndtr(across / rough.width_px)
     uneven = coherent_rms(region, rough.edge, left) / abs(rise)
     if uneven > MOST_UNEVEN:
         raise DataError(
@@ -128,10 +133,10 @@ def likely_defocus(optics: Optics, width_px: float) -> float:
     return float(4 * spread_um / (8 * optics.f_number * PV_PER_RMS * optics.reference_um))
 
 
-def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge]) -> tuple[EdgeFit, ...]:
+def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float = EXACTLY) -> tuple[EdgeFit, ...]:
     """The likeliest ends of a problem with one defocus, best first: one, or one on either side of best focus.
 
-    rough: of its regions. Raises ValueError for a problem with several depths.
+    rough: of its regions; tolerance: as `climb` has it. Raises ValueError for a problem with several depths.
     """
     if problem.depths != 1:
         raise ValueError(f"{problem.depths} depths: one is searched at a time")
@@ -142,8 +147,10 @@ def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge]) -> tuple[EdgeFit
     symmetric = not np.any(problem.lens.mean[even])
     ends = []
     for sign in (1,) if symmetric else (1, -1):
-        at = min((sign * value for value in row), key=lambda value: _misfit(problem, rough, value))
-        ends.append(climb(problem, problem.start([at], [r.edge for r in rough])))
+        misfit = {sign * value: _misfit(problem, rough, sign * value) for value in row}
+        at = min(misfit, key=misfit.__getitem__)
+        noise = _noise_left(problem, misfit[at])
+        ends.append(climb(problem, problem.start([at], [r.edge for r in rough], noise), tolerance=tolerance))
     if symmetric:
         ends.append(twin(ends[0]))
     ends.sort(key=lambda end: -end.objective)
@@ -164,6 +171,12 @@ def _misfit(problem: EdgeProblem, rough: Sequence[RoughEdge], defocus: float) ->
     return total
 
 
+def _noise_left(problem: EdgeProblem, misfit: float) -> Floats:
+    """(frames, 2) noise to begin with: as expected, or as much larger as a misfit, squares over variance, has it."""
+    pixels = sum(region.counts.size for region in problem.regions)
+    return np.asarray(np.array([of.centre for of in problem.noise]) + np.log(max(misfit / pixels, 1.0)))
+
+
 def twin(fit: EdgeFit) -> EdgeFit:
     """The fit on the other side of best focus that looks just the same: all even modes reversed. Thesis §3.6.
 
@@ -178,12 +191,14 @@ def twin(fit: EdgeFit) -> EdgeFit:
     return replace(fit, state=turned, covariance=fit.covariance * np.outer(flips, flips))
 
 
-def fit_jointly(problem: EdgeProblem, defoci: Sequence[float], edges: Floats, groups: Sequence[int]) -> EdgeFit:
+def fit_jointly(
+    problem: EdgeProblem, defoci: Sequence[float], edges: Floats, groups: Sequence[int], log_noise: Floats
+) -> EdgeFit:
     """All depths at once, from what each is by itself: the modes, common to all, are what they tell together.
 
     defoci: (depths,) waves RMS, of which only the sizes count; edges: (regions, 4); groups: of each depth the edge that it
-    is of, whose colours lie on one side of best focus. Edges join one after another, each on the side that is likelier by
-    what those before it tell of the modes; the first one's side is as good as the other.
+    is of, whose colours lie on one side of best focus; log_noise: (frames, 2) to begin with. Edges join one after another,
+    each on the side that is likelier by what those before it tell of the modes; the first one's side is as good as the other.
     """
     lens, start = problem.lens, np.array(defoci, float)
     for group in dict.fromkeys(groups):
@@ -192,14 +207,15 @@ def fit_jointly(problem: EdgeProblem, defoci: Sequence[float], edges: Floats, gr
         signs = (1,) if np.array_equal(lens.mean, problem.lens.mean) and not lens.mean.any() else (1, -1)
         size = np.abs(start[depths])
         beginnings = [
-            replace(part, lens=lens).start(sign * size, [Edge.of(edges[k]) for k in places]) for sign in signs
+            replace(part, lens=lens).start(sign * size, [Edge.of(edges[k]) for k in places], log_noise)
+            for sign in signs
         ]
-        best = max((climb(replace(part, lens=lens), at) for at in beginnings), key=lambda end: end.objective)
+        part = replace(part, lens=lens)
+        best = max((climb(part, at, tolerance=ROUGHLY) for at in beginnings), key=lambda end: end.objective)
         modes = best.state.modes.size
         lens = LensPrior(best.state.modes, best.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes))
         start[depths] = best.state.defoci
-    noise = np.array([of.centre for of in problem.noise])
-    return climb(problem, EdgeState(lens.mean.copy(), noise, start, edges))
+    return climb(problem, EdgeState(lens.mean.copy(), log_noise, start, edges))
 
 
 def _of_depths(problem: EdgeProblem, depths: Sequence[int]) -> tuple[EdgeProblem, list[int]]:
@@ -223,5 +239,6 @@ def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
         except ValueError:
             return None
         problem = replace(fit.problem.alone(k), regions=(part,), lens=held)
-        ends.append(climb(problem, problem.start([float(waves[0])], [edge]), max_steps=15))
+        start = problem.start([float(waves[0])], [edge], fit.state.log_noise[region.frame : region.frame + 1])
+        ends.append(climb(problem, start, max_steps=15, tolerance=ROUGHLY))
     return ends[0], ends[1]

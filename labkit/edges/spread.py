@@ -72,7 +72,7 @@ def _lens_slice(
     series[:, 0] /= 2
     below = frequency < cutoff
     spread = np.zeros((len(series), frequency.size))
-    spread[:, below] = chebyshev.chebval(2 * np.sqrt(1 - frequency[below] / cutoff) - 1, series.T)
+    spread[:, below] = series @ chebyshev.chebvander(2 * np.sqrt(1 - frequency[below] / cutoff) - 1, count - 1).T
     rows = spread[0::2] + 1j * spread[1::2]
     return rows[0], rows[1:]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.edges.esfr import Esfr, Plane, esfr
-from labkit.edges.joint import EdgeFit, EdgeProblem
+from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
 from labkit.edges.region import Region
-from labkit.edges.search import coherent_rms, fit_depth, halves, refuse_no_edge, rough_edge
+from labkit.edges.search import coherent_rms, fit_depth, halves, refuse_no_edge, refuse_uneven, rough_edge
 from labkit.errors import DataError, FitError
 from labkit.fiducials.camera import Camera
 from labkit.fiducials.photographs import Photograph, Place, planes_of, region_of
@@ -60,24 +60,36 @@ def box_task(photographs: list[Photograph], camera: Camera, place: Place) -> Box
 
 
 def fit_box(task: BoxTask) -> BoxFit:
-    """Do it. What cannot be fitted comes back with its reason."""
+    """Do it. What cannot be fitted comes back with its reason, and with its response by ISO 12233 if it has an edge."""
+    rough = []
     try:
-        rough = []
         for region in task.regions:
             rough.append(rough_edge(region))
             refuse_no_edge(region, rough[-1])
-        ends = fit_depth(task.problem, rough)
+    except DataError as error:
+        return BoxFit(task, why=str(error))
+    iso, problem = _by_the_standard(task)
+    try:
+        for region, found in zip(task.regions, rough, strict=True):
+            refuse_uneven(region, found)
+        ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
         _refuse_contradiction(ends[0])
     except (DataError, FitError) as error:
-        return BoxFit(task, why=str(error))
+        return BoxFit(task, why=str(error), iso=iso, iso_problem=problem)
     except np.linalg.LinAlgError:
-        return BoxFit(task, why="it holds no edge that can be fitted: the information is singular")
+        why = "it holds no edge that can be fitted: the information is singular"
+        return BoxFit(task, why=why, iso=iso, iso_problem=problem)
+    return BoxFit(task, ends, iso=iso, iso_problem=problem)
+
+
+def _by_the_standard(task: BoxTask) -> tuple[Esfr | None, str]:
+    """The response by ISO 12233, or why there is none."""
     if not task.planes:
-        return BoxFit(task, ends, iso_problem=task.iso_problem)
+        return None, task.iso_problem
     try:
-        return BoxFit(task, ends, iso=esfr(task.planes, task.camera.optics.pitch_um))
+        return esfr(task.planes, task.camera.optics.pitch_um), ""
     except DataError as error:
-        return BoxFit(task, ends, iso_problem=str(error))
+        return None, str(error)
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:

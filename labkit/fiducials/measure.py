@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labkit.analysis.psf_of_session import check_same_camera
+from labkit.edges.esfr import Esfr
 from labkit.edges.find import Box
 from labkit.edges.joint import EdgeFit
 from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
@@ -127,17 +128,21 @@ def _fitted(
             except DataError as error:
                 why[place].append(f"{name}: {error}")
     fits: dict[Place, dict[str, BoxFit]] = {place: {} for place in places}
+    responses: dict[Place, dict[str, Esfr]] = {place: {} for place in places}
     with Workers(min(workers or default_workers(), max(len(tasks), 1))) as run:
         progress(0, len(tasks), "fitting edges")
         for done, (index, fit) in enumerate(run(fit_box, tasks)):
-            task = tasks[index]
+            place, name = tasks[index].place, tasks[index].camera.channel
+            if fit.iso is not None:
+                responses[place][name] = fit.iso
             if fit.ends:
-                fits[task.place][task.camera.channel] = fit
+                fits[place][name] = fit
             else:
-                why[task.place].append(f"{task.camera.channel}: {fit.why}")
+                why[place].append(f"{name}: {fit.why}")
             progress(done + 1, len(tasks), "fitting edges")
     kept = {place: of for place, of in fits.items() if of and len(of) >= len(why[place])}
-    return kept, [RejectedEdge(place.box, why[place][0].partition(": ")[2]) for place in places if place not in kept]
+    rejected = [place for place in places if place not in kept]
+    return kept, [RejectedEdge(at.box, why[at][0].partition(": ")[2], responses[at]) for at in rejected]
 
 
 def _drop_contradicting(fits: dict[Place, dict[str, BoxFit]]) -> list[RejectedEdge]:
@@ -147,9 +152,9 @@ def _drop_contradicting(fits: dict[Place, dict[str, BoxFit]]) -> list[RejectedEd
         having = [place for place, of in fits.items() if name in of and place not in rejected]
         found = contradicting([fits[place][name] for place in having])
         rejected |= {having[k]: words for k, words in found.items()}
-    for place in rejected:
-        del fits[place]
-    return [RejectedEdge(place.box, words) for place, words in rejected.items()]
+    gone = {place: fits.pop(place) for place in rejected}
+    iso = {place: {name: of.iso for name, of in gone[place].items() if of.iso is not None} for place in gone}
+    return [RejectedEdge(place.box, words, iso[place]) for place, words in rejected.items()]
 
 
 def _measured(

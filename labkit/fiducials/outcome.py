@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,10 +104,39 @@ class MeasuredEdge:
 
 @dataclass(frozen=True)
 class RejectedEdge:
-    """A box that gave no edge, and why, in one line."""
+    """A box that gave no fit, and why, in one line. responses: by ISO 12233 in each channel, where it holds an edge that the
+    model does not explain."""
 
     box: Box
     why: str
+    responses: Mapping[str, Esfr] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """One entry of "rejected"."""
+        channels = [
+            {
+                "channel": name,
+                "esfr_mtf50_per_mm": iso.mtf50.as_json(),
+                "esfr_mtf10_per_mm": iso.mtf10.as_json(),
+                "curve": {
+                    "per_mm": _rounded(iso.frequency_per_mm),
+                    "esfr": _rounded(iso.value),
+                    "esfr_std": _rounded(iso.std),
+                },
+            }
+            for name, iso in self.responses.items()
+        ]
+        return {"box": list(self.box), "why": self.why, "channels": channels}
+
+    def rows(self) -> list[list[str]]:
+        """Of the table, one for each channel with a response."""
+        return [
+            [
+                *(box_words(self.box) if k == 0 else "", "", "", "", name, "not fitted"),
+                *("", _shown(iso.mtf50, False), "", _shown(iso.mtf10, False), ""),
+            ]
+            for k, (name, iso) in enumerate(self.responses.items())
+        ]
 
 
 @dataclass(frozen=True)
@@ -124,13 +153,13 @@ class EdgesOutcome:
         return {
             "schema": 1,
             "edges": [edge.as_json() for edge in self.edges],
-            "rejected": [{"box": list(of.box), "why": of.why} for of in self.rejected],
+            "rejected": [of.as_json() for of in self.rejected],
             "wavefront": {str(j): value.as_json() for j, value in self.wavefront.items()} or None,
             "warnings": list(self.warnings),
         }
 
     def rows(self) -> list[list[str]]:
-        """A heading, and a row for each edge."""
+        """A heading, a row for each edge and colour, and one for each of what ISO 12233's method alone could measure."""
         heading = [
             *("box", "angle", "range", "or", "channel", "defocus, waves"),
             *("MTF50 of the fit, /mm", "by ISO 12233", "MTF10, /mm", "by ISO 12233", "chi2/pixel"),
@@ -154,7 +183,7 @@ class EdgesOutcome:
                         f"{c.chi2_per_pixel:.2f}",
                     ]
                 )
-        return rows
+        return rows + [row for of in self.rejected for row in of.rows()]
 
 
 def _shown(value: Uncertain | None, unit: bool = True) -> str:

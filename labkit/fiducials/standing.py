@@ -76,7 +76,7 @@ def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Stan
     lens = LensPrior(joint.state.modes, joint.covariance[:modes, :modes] + 1e-12 * np.eye(modes))
     for place in clear[len(few) :]:
         for name, of in fits[place].items():
-            known = fit_box(replace(of.task, camera=replace(of.task.camera, lens=lens), planes=()))
+            known = fit_box(replace(of.task, camera=replace(of.task.camera, lens=lens, given=True), planes=()))
             fit = (known.ends or of.ends)[0]
             found[place, name] = Standing(fit, 0, 0, (_side(fit), _side(twin(fit))))
     return found
@@ -111,7 +111,11 @@ def _climbed(fits: Fits, one_range: bool) -> tuple[EdgeFit, dict[tuple[Place, st
             next(a for a, r in zip(apart, _depths(placed), strict=True) if r == light) for light in range(len(names))
         ]
     edges = [end for of in fits.values() for b in of.values() for end in b.ends[0].state.edges]
-    return fit_jointly(problem, [end.defocus()[0] for end in apart], np.array(edges), groups), placed
+    found = [
+        np.median([of[name].ends[0].state.log_noise for of in fits.values() if name in of], axis=0) for name in names
+    ]
+    defoci = [end.defocus()[0] for end in apart]
+    return fit_jointly(problem, defoci, np.array(edges), groups, np.concatenate(found)), placed
 
 
 def _depths(placed: Mapping[tuple[Place, str], tuple[int, int]]) -> list[int]:

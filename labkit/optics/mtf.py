@@ -7,6 +7,7 @@ geometrically. J. W. Goodman, Introduction to Fourier Optics, 3rd ed. (1996), §
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import atan2, degrees
 from typing import Literal
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
+from scipy.special import comb
 
 from labkit.arrays import positive, real_array
 from labkit.optics.wavefront import FittedWavefront
@@ -25,6 +27,8 @@ Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
 
 BLOCK = 1 << 15  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
+TURNS = 1024  # parts of a turn at which cosine and sine are tabulated
+COSINES, SINES = np.cos(2 * np.pi / TURNS * np.arange(TURNS)), np.sin(2 * np.pi / TURNS * np.arange(TURNS))
 HALF_MODULATION_GRID = 200  # frequencies up to the cutoff among which the first below one half is looked for
 
 
@@ -164,44 +168,61 @@ def turning_transfer_function(
 def _slice(wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats) -> tuple[Complexes, Complexes]:
     """(f,) the transfer function, and (tables, f) its derivatives by paths, of which the first are the modes'."""
     apart = np.minimum(2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0)  # of the pupil's radius
-    factor: Complexes = 1j * wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
+    radians = wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
     path = np.tensordot(wavefront.waves, tables[: len(wavefront.noll)], 1)
-    rule = np.polynomial.legendre.leggauss(nodes_for(wavefront))
+    rule = _gauss(nodes_for(wavefront))
     size = max(1, BLOCK // rule[0].size ** 2)
     blocks = [slice(k, k + size) for k in range(0, len(apart), size)]
-    parts = [_autocorrelation(apart[b], factor[b], path, tables, rule) for b in blocks]
+    parts = [_autocorrelation(apart[b], radians[b], path, tables, rule) for b in blocks]
     values, slopes = zip(*parts, strict=True) if parts else ([np.zeros(0)], [np.zeros((len(tables), 0))])
     return np.concatenate(values), np.concatenate(slopes, axis=1)
 
 
 def _autocorrelation(
-    apart: Floats, factor: Complexes, path: Floats, tables: Floats, rule: tuple[Floats, Floats]
+    apart: Floats, radians: Floats, path: Floats, tables: Floats, rule: tuple[Floats, Floats]
 ) -> tuple[Complexes, Complexes]:
-    """(f,) the integral of exp(factor * difference of path) over the overlap, and (modes, f) its derivatives.
+    """(f,) the integral of exp(i radians * difference of path) over the overlap, and (tables, f) its derivatives.
 
     Paths are polynomials in x, the coefficient of each power one in y; so are their differences between the two copies, and
-    what is left to sum over the nodes are moments of the powers.
+    what is left to sum over the nodes are moments of the powers: products of matrices, of real numbers.
     """
     node, weight = rule
     top = np.arccos(apart / 2)[:, None]
     beta = top * node
     y, half = np.sin(beta), np.cos(beta) - apart[:, None] / 2
-    area = (top * weight * np.cos(beta) * half)[:, :, None] * weight / np.pi
-    x = half[:, :, None] * node
-    after, before = x + apart[:, None, None] / 2, x - apart[:, None, None] / 2
     degree = len(path) - 1
     in_y = y ** np.arange(degree + 1)[:, None, None]  # (q, f, beta)
-    of_x = np.tensordot(path, in_y, 1)  # (p, f, beta)
-    high, low, difference, differences = after, before, np.zeros_like(x), []
-    for p in range(1, degree + 1):
-        differences.append(high - low)
-        difference += of_x[p][:, :, None] * differences[-1]
-        high, low = high * after, low * before
-    turned = area * np.exp(factor[:, None, None] * difference)
-    moments = [np.zeros_like(beta), *(np.einsum("fbx,fbx->fb", turned, d) for d in differences)]
-    by_power = np.einsum("qfb,pfb->pqf", in_y, np.stack(moments))
-    slopes = np.tensordot(tables, by_power, 2)
-    return turned.sum(axis=(1, 2)), factor * slopes
+    of_x = np.moveaxis(np.tensordot(path, in_y, 1), 0, 2)  # (f, beta, p)
+    apart_by = _differences(degree, apart / 2)  # (f, p, k)
+    power = np.arange(apart_by.shape[2])
+    scale = half[:, :, None] ** power  # (f, beta, k): x is half a width times a node
+    by_x = node[:, None] ** power  # (x, k)
+    difference = (radians[:, None, None] * scale * (of_x @ apart_by)) @ by_x.T
+    weighed = weight[:, None] * by_x
+    area = (top * weight * np.cos(beta) * half / np.pi)[:, :, None]
+    cosine, sine = _cosine_and_sine(difference)
+    moments = area * scale * (cosine @ weighed + 1j * (sine @ weighed))  # (f, beta, k)
+    by_power = np.swapaxes(in_y, 0, 1) @ moments @ np.swapaxes(apart_by, 1, 2)  # (f, q, p)
+    slopes: Complexes = np.asarray(1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2))), complex)
+    return moments[:, :, 0].sum(axis=1), slopes
+
+
+def _cosine_and_sine(angle: Floats) -> tuple[Floats, Floats]:
+    """Of angles in radians, right to 1e-13: a table and Taylor's series, in half the time of NumPy's two."""
+    part = np.rint(angle * (TURNS / (2 * np.pi)))
+    at = part.astype(np.int64) & (TURNS - 1)
+    left = angle - part * (2 * np.pi / TURNS)
+    square = left * left
+    cosine, sine = 1 - square * (0.5 - square / 24), left * (1 - square / 6)
+    here, beside = COSINES[at], SINES[at]
+    return here * cosine - beside * sine, beside * cosine + here * sine
+
+
+def _differences(degree: int, by: Floats) -> Floats:
+    """(f, degree + 1, k) coefficients of (x + by)^p - (x - by)^p in powers of x."""
+    p, k = np.meshgrid(np.arange(degree + 1), np.arange(max(degree, 1)), indexing="ij")
+    odd = np.where((p - k) % 2 == 1, 2 * comb(p, k), 0.0)
+    return np.asarray(odd * by[:, None, None] ** np.maximum(p - k, 0))
 
 
 def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
@@ -219,6 +240,22 @@ def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
     return tables
 
 
+@lru_cache(maxsize=64)
+def _gauss(count: int) -> tuple[Floats, Floats]:
+    """Nodes and weights, (count,) each, on -1 to 1."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return node, weight
+
+
+@lru_cache(maxsize=16)
+def _slopes_of(noll: tuple[int, ...]) -> Floats:
+    """(2, modes, samples) slopes of the modes, along each axis, at samples of the pupil."""
+    rho, theta = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 2 * np.pi, 24, endpoint=False))
+    x, y = (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel()
+    tables = _tables(noll, 0.0)
+    return np.array([[polynomial.polyval2d(x, y, polynomial.polyder(t, axis=axis)) for t in tables] for axis in (0, 1)])
+
+
 def nodes_for(wavefront: FittedWavefront) -> int:
     """Nodes along each side that integrate exp(i phase) over the pupil to about 1e-7 (tests hold it)."""
     return 16 + int(np.ceil(0.35 * steepness(wavefront)))
@@ -226,8 +263,5 @@ def nodes_for(wavefront: FittedWavefront) -> int:
 
 def steepness(wavefront: FittedWavefront) -> float:
     """The greatest slope of the phase, radians per radius of the pupil, by samples of it."""
-    path = np.tensordot(wavefront.waves, _tables(wavefront.noll, 0.0), 1)
-    rho, theta = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 2 * np.pi, 24, endpoint=False))
-    x, y = rho * np.cos(theta), rho * np.sin(theta)
-    slopes = [polynomial.polyval2d(x, y, polynomial.polyder(path, axis=axis)) for axis in (0, 1)]
+    slopes = np.tensordot(wavefront.waves, _slopes_of(wavefront.noll), (0, 1))
     return float(wavefront.radians_per_wave * np.hypot(*slopes).max())

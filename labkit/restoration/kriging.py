@@ -17,7 +17,7 @@ import scipy.fft
 
 from labkit.restoration.grid import SceneGrid
 from labkit.restoration.views import Views
-from labkit.types import AnyComplexes, Complexes, Floats, Floats32
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats, Floats32
 
 TOLERANCE, MOST_STEPS = 1e-3, 400  # of conjugate gradients
 
@@ -83,6 +83,7 @@ class Kriging:
         self.nearly: Complexes = np.asarray(
             np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1)), complex
         )
+        self._roughly = self.nearly.astype(np.complex64)  # a preconditioner need be no more exact
 
     def stiffer(self, factor: float) -> Kriging:
         """The same of a penalty so many times as stiff; its `scene` is still that of this one."""
@@ -136,10 +137,11 @@ class Kriging:
 
     def _nearly(self, planes: Floats) -> Floats:
         """The inverse of what `apply` does, were all counts there and equally good."""
-        return np.where(self.used, self._convolved(self.nearly, planes), 0.0)
+        return np.where(self.used, self._convolved(self._roughly, planes), 0.0)
 
-    def _convolved(self, kernels: Complexes, planes: Floats) -> Floats:
-        cells = np.zeros((len(planes), *self.grid.cells.pixels))
+    def _convolved(self, kernels: AnyComplexes, planes: Floats) -> AnyFloats:
+        """In the precision of the kernels."""
+        cells = np.zeros((len(planes), *self.grid.cells.pixels), kernels.real.dtype)
         cells[:, *self.grid.at_frame] = planes
         spectra = scipy.fft.rfft2(cells)
         mixed = kernels[0] * spectra if len(planes) == 1 else np.einsum("ijrc,jrc->irc", kernels, spectra)

@@ -6,7 +6,7 @@ product-convolution (L. Denis et al., Int. J. Comput. Vis. 115, 253 (2015)).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -28,6 +28,7 @@ PARTS, PART_PX = 3, 96  # what a strength is chosen by
 SEED = 1
 BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour, and for each plane
 LEAST_ROWS = 96
+USUAL_STEPS = 6  # of Newton, on both grids together
 REACH_CELLS = 1.5  # from a used count, beyond which nothing is said of the scene
 
 
@@ -82,7 +83,8 @@ def restore_job(
 ) -> Picture:
     """Restore a scene. strength: lambda, or how to choose it; tile_px: a tile's side; overlap_px: with others."""
     areas = list(tiles(job.shape, tile_px, overlap_px, job.period))
-    progress(0, len(areas) + 1, "choosing how smooth")
+    total = len(areas) + 1 if len(areas) > 1 else USUAL_STEPS + 1
+    progress(0, total, "choosing how smooth")
     square = guessed_square(job)
     if isinstance(strength, str):
         chosen = choose(parts_of(job), job.coupling, strength, np.random.default_rng(SEED))
@@ -94,13 +96,13 @@ def restore_job(
     size = (colours, job.shape[0] * samples, job.shape[1] * samples)
     scene, std, by_penalty = (np.zeros(size, np.float32) for _ in range(3))
     done: list[Part] = []
-    for index, part in run_all(restore_tile, tasks, workers):
+    for index, part in _parts(tasks, workers, progress):
         done.append(part)
         (rows, columns), weight = _fine(areas[index][0], samples), areas[index][1]
         weight = np.repeat(np.repeat(weight, samples, axis=0), samples, axis=1).astype(np.float32)
         for whole, own in ((scene, part.scene), (std, part.std), (by_penalty, part.by_penalty)):
             whole[:, rows, columns] += weight * own
-        progress(len(done), len(areas) + 1, f"tile {len(done)} of {len(areas)}")
+        progress(len(done) if len(areas) > 1 else total, total, f"tile {len(done)} of {len(areas)}")
     unknown = ~known(job)
     for whole in (scene, std, by_penalty):
         whole[np.repeat(np.repeat(unknown, samples, axis=1), samples, axis=2)] = np.nan
@@ -110,8 +112,23 @@ def restore_job(
     return Picture(scene, std, by_penalty, found, chosen.stiffness, chosen.chosen_by, chi2, norm, len(areas))
 
 
-def restore_tile(task: Task) -> Part:
-    """One tile: on few samples first, then on all."""
+def _parts(tasks: Sequence[Task], workers: int, progress: Progress) -> Iterator[tuple[int, Part]]:
+    """Each tile's part with its number; the only one of a picture tells its steps meanwhile."""
+    if len(tasks) > 1:
+        yield from run_all(restore_tile, tasks, workers)
+        return
+    steps = 0
+
+    def step() -> None:
+        nonlocal steps
+        steps += 1
+        progress(min(steps, USUAL_STEPS), USUAL_STEPS + 1, f"step {steps}")
+
+    yield 0, restore_tile(tasks[0], step)
+
+
+def restore_tile(task: Task, step: Callable[[], None] = lambda: None) -> Part:
+    """One tile: on few samples first, then on all. step: called after each of Newton's."""
     job, count = task.job, len(task.job.colours)
     shape = (count, *(side * job.samples for side in job.shape))
     nothing = np.zeros(shape, np.float32)
@@ -119,7 +136,7 @@ def restore_tile(task: Task) -> Part:
     if not there:
         return Part(nothing, nothing, nothing, 0.0, 0, Norm(0.0, np.zeros(count), 0.0), 0.0)
     part = job.only(there)
-    views, restored = _restored(part, task)
+    views, restored = _restored(part, task, step)
     small = part.small(_middle(job.shape), _small_cells(job))
     errors = standard_errors(views, small, part.coupling, task.stiffness, restored.means)
     scene, std, by_penalty = (nothing.copy() for _ in range(3))
@@ -139,7 +156,7 @@ def _small_cells(job: Job) -> int:
     return max(24, 2 * -(-job.guard_px // job.period), -(-LEAST_ROWS // (job.period * job.samples))) | 1
 
 
-def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
+def _restored(job: Job, task: Task, step: Callable[[], None]) -> tuple[Views, Restored]:
     """Of a tile, with its views."""
     start, done = None, list[tuple[Views, Restored]]()
     for samples in dict.fromkeys((min(COARSE, job.samples), job.samples)):
@@ -149,7 +166,7 @@ def _restored(job: Job, task: Task) -> tuple[Views, Restored]:
         if not (task.whole and task.strength):
             held = Norm(1.0, np.zeros(len(job.colours)), 0.0)
             penalty = replace(penalty, strength=0.5 * task.stiffness, held=held)
-        restored = restore(views, penalty, start)
+        restored = restore(views, penalty, start, lambda number, gained: step())
         done.append((views, restored))
         start = restored.finer(views.grid, job.samples) if samples < job.samples else None
     views, restored = done[-1]

@@ -126,13 +126,23 @@ def test_edges_of_several_angles_tell_the_wavefront_that_is_fitted_along() -> No
     regions = [region(d, a, rng, k) for k, (d, a) in enumerate(places)]
     apart = [searched(replace(of, depth=0), lens=UNKNOWN)[0] for of in regions]
     edges = np.array([fit.state.edges[0] for fit in apart])
-    joint = fit_jointly(problem(*regions, lens=UNKNOWN), [f.defocus()[0] for f in apart], edges, range(len(regions)))
+    noise = np.median([fit.state.log_noise for fit in apart], axis=0)
+    of = problem(*regions, lens=UNKNOWN)
+    joint = fit_jointly(of, [f.defocus()[0] for f in apart], edges, range(len(regions)), noise)
     joint = joint if joint.state.defoci[0] > 0 else twin(joint)
     pulls = (joint.state.defoci - defoci) / [joint.defocus(k)[1] for k in range(4)]
     assert np.abs(pulls).max() < 3
     std = np.sqrt(np.diag(joint.covariance))[: len(MODES)]
     assert np.abs((joint.state.modes - MODES) / std).max() < 3.5
     assert std.min() < 0.01  # of the prior's 0.05
+
+
+def test_a_step_without_information_goes_half_a_wave_and_no_farther() -> None:
+    of = problem(region(0.4, 0.2, np.random.default_rng(1)))
+    state = of.start([0.01], [Edge(0.2, 0.6, 1000.0, 6000.0)])
+    moved = state.moved(np.full(state.vector.size, 1e4))
+    assert moved.defoci == pytest.approx([0.51])
+    assert np.abs(moved.modes - state.modes).max() == pytest.approx(0.5)
 
 
 def test_halves_of_one_edge_agree_and_of_two_do_not() -> None:

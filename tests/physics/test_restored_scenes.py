@@ -59,6 +59,16 @@ def test_tiles_are_one_picture(one: Picture) -> None:
     assert np.abs(apart).max() < 0.6
 
 
+def test_a_picture_of_one_tile_tells_its_steps() -> None:
+    seen: list[tuple[int, int, str]] = []
+    taken = job(exposed(world().mean())).cut((slice(0, 24), slice(0, 24)))
+    restore_job(taken, 100.0, 24, 0, progress=lambda done, total, step: seen.append((done, total, step)))
+    done = [k for k, _, _ in seen]
+    assert done == sorted(done)
+    assert len({*done}) >= 3
+    assert {total for _, total, _ in seen} == {done[-1]}
+
+
 def test_the_weights_of_all_tiles_sum_to_one() -> None:
     total = np.zeros((100, 70))
     for (rows, columns), weight in tiles((100, 70), 32, 12, 2):

@@ -141,3 +141,20 @@ def test_a_channel_that_the_session_lacks_is_refused(folder: Path, capsys: pytes
     (folder / "plan.toml").write_text(plan_text(TABLES, other))
     _, err = asked(folder, capsys, "--psf", str(folder / "session"), *boxes(0), status=2)
     assert "channel X, the session has M" in err
+
+
+def test_an_edge_that_the_model_does_not_explain_keeps_its_response_by_the_standard(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    even = square(1500.0, 0.15)
+    striped = even + 0.4 * np.ptp(even) * (np.arange(SIDE)[:, None] // 6 % 2)  # along the edge, both sides alike
+    write_scene(folder / "scene.tif", [striped, even])
+    found, err = asked(folder, capsys, "--psf", str(folder / "session"), *boxes(0))
+    assert not found["edges"]
+    (rejected,) = found["rejected"]
+    assert "no straight edge between two even sides" in rejected["why"]
+    clean, _ = asked(folder, capsys, "--psf", str(folder / "session"), *boxes(1))
+    assert rejected["channels"][0]["esfr_mtf50_per_mm"]["value"] == pytest.approx(
+        clean["edges"][0]["esfr_mtf50_per_mm"], rel=0.15
+    )
+    assert rejected["why"] in err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -204,3 +205,25 @@ def test_a_session_whose_files_went_is_named(session: Path, capsys: pytest.Captu
     shutil.rmtree(session / "results")
     assert run(["restore", str(session)]) == 2
     assert "labkit fit" in line_of(capsys)
+
+
+def test_another_channels_psf_is_taken_by_force_alone(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
+    asked = ["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1", "--channel", "B"]
+    assert run(asked) == 2
+    assert "--force to take another's" in line_of(capsys)
+    assert run([*asked, "--force", "--quiet"]) == 0
+    assert json.loads((out / "restore.json").read_text())["channels"] == ["B"]
+
+
+def test_another_method_without_scikit_image_is_one_line(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "skimage", None)  # as if it were not installed
+    image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
+    asked = ["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1"]
+    assert run([*asked, "--method", "wiener"]) == 2
+    assert "need scikit-image: pip install 'labkit[study]'" in capsys.readouterr().err.splitlines()[-1]
+    assert not out.exists()
