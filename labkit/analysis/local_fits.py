@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.lens_model import Member
+from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member
 from labkit.analysis.observe import Observation
 from labkit.analysis.stated_parts import stated_parts, stated_spectrum
 from labkit.execute import say
@@ -17,12 +18,15 @@ from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.inference.missing_parts import Call, calls
+from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 
 SEED = 1  # of the further starts: a session fitted twice gives the same results
 PATIENCE_S = 120.0
+SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,12 @@ class Task:
         assert o.measured_range_mm is not None
         stop = o.measured_range_mm if o.range_mm is None else o.range_mm
         return Member(o.channel, o.measured_range_mm, stop, measured, o.homings)
+
+    def starting_at(self, predicted: Floats) -> Task:
+        """The same, begun at a prediction, as of `Measured`."""
+        modes = len(self.optics.noll)
+        optics = self.optics.shaped(predicted[modes:-1])  # as of `Optics.shape`
+        return replace(self, optics=optics, f_number_std=SHARED_CONE_STD, starts=(predicted[:modes],), alike=())
 
     @property
     def label(self) -> str:
@@ -129,6 +139,15 @@ def optics_of(plan: Plan, channel: str) -> Optics:
     )
 
 
+def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
+    """The f-number at the sensor, by the engraving, of a lens focused among some ranges; in its error what the pupils make of
+    it, as long as their magnification is not known."""
+    lens, stated = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), plan.lens.stated_f_number
+    cone = float(lens.working_f_number(float(np.mean(ranges_mm)))) if ranges_mm else lens.f_number
+    pupils = (cone / lens.f_number - 1) * USUAL_LOG_MAGNIFICATION
+    return Uncertain(cone, cone * float(np.hypot(stated.std / lens.f_number, pupils)))
+
+
 def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> Problem:
     """A task's frames and a model of them about a state, of optics that a fit ended with. spare: as of `ForwardModel`."""
     observation = task.observation
@@ -162,3 +181,13 @@ def answer(question: Question) -> dict[str, Call]:
     local = question.local
     problem = problem_at(local.task, local.fit.optics, local.fit.state, SPARE)
     return calls(problem, local.fit.state, question.parts, local.task.f_number_std)
+
+
+def most_like(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | None:
+    """Of fits the one most like an observation: of its channel, of its range."""
+
+    def unlike(fit: LocalFit) -> tuple[bool, float]:
+        there, here = fit.task.observation.measured_range_mm, observation.measured_range_mm
+        return fit.channel != observation.channel, abs((there or 0.0) - (here or 0.0))
+
+    return min(fits, key=unlike, default=None)

@@ -11,8 +11,19 @@ import numpy as np
 
 from labkit.analysis.diagnosis import called_for, idle, lacks, together, worth
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
-from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Stated
-from labkit.analysis.local_fits import PATIENCE_S, LocalFit, Question, Task, answer, fit_task, optics_of
+from labkit.analysis.lens_model import Stated
+from labkit.analysis.local_fits import (
+    PATIENCE_S,
+    SHARED_CONE_STD,
+    LocalFit,
+    Question,
+    Task,
+    answer,
+    engraved_cone,
+    fit_task,
+    most_like,
+    optics_of,
+)
 from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
 from labkit.analysis.stated_parts import wanted_parts
@@ -24,11 +35,10 @@ from labkit.imaging.parts import LowPass
 from labkit.inference.fit import canonical
 from labkit.inference.missing_parts import with_part, without_parts
 from labkit.inference.search import CALLED_FOR
-from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.target import Target
-from labkit.types import Floats, Progress
+from labkit.types import Progress
 
 ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
 SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is explained with it: else it stands for another lack
@@ -36,7 +46,6 @@ RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what th
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 NAMED = 3  # of the fits that are under way
-SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 Input = TypeVar("Input", Task, Question)
 
@@ -185,7 +194,8 @@ class _Chain:
         """
         places = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
         if len(self.fits) == len(self.observations) and self.tried:
-            places = [k for k in self.fits if k not in places or k in self._sharpest()]
+            sharpest = self._sharpest()
+            places = [k for k in self.fits if k not in places or k in sharpest]
         elif not places:
             places = list(self.fits)
         if not self.diagnose:
@@ -354,13 +364,14 @@ class _Chain:
     def _task(self, k: int, known: SessionFits) -> Task:
         """From what is known of the lens: its cone, its modes, and where its focus lies."""
         observation = self.observations[k]
-        optics = replace(optics_of(self.plan, observation.channel), f_number=self._engraved_cone())
-        std = float(np.hypot(self.plan.lens.stated_f_number.std / self.plan.lens.f_number, self._pupils_share()))
+        ranges = [o.measured_range_mm for o in self.observations if o.measured_range_mm is not None]
+        cone = engraved_cone(self.plan, ranges)
+        optics = replace(optics_of(self.plan, observation.channel), f_number=cone.value)
         target = as_shown(self.plan, self.target, observation.channel)
-        task = Task(optics, target, observation, std, patience_s=self.patience_s)
+        task = Task(optics, target, observation, cone.std / cone.value, patience_s=self.patience_s)
         task = replace(task, missing=(LowPass(),) if self.diagnose else ())
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
-        nearest = _nearest(observation, accepted)
+        nearest = most_like(observation, accepted)
         if nearest is None:
             return task
         # one range determines neither best focus nor the right twin
@@ -368,20 +379,9 @@ class _Chain:
         if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))
             alike = replace(optics, parts=nearest.fit.optics.parts)
-            return _starting_at(replace(task, optics=alike), predicted)
-        cone = replace(optics, f_number=nearest.fit.f_number, parts=nearest.fit.optics.parts)
-        return replace(task, optics=cone, f_number_std=SHARED_CONE_STD, alike=(nearest.fit.waves,))
-
-    def _engraved_cone(self) -> float:
-        """The f-number at the sensor, by the engraving, of a lens focused among the ranges."""
-        ranges = [o.measured_range_mm for o in self.observations if o.measured_range_mm is not None]
-        lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
-        return float(lens.working_f_number(sum(ranges) / len(ranges))) if ranges else lens.f_number
-
-    def _pupils_share(self) -> float:
-        """Relative error of the engraved cone that the pupils make, as long as their magnification is not known."""
-        lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
-        return (self._engraved_cone() / lens.f_number - 1) * USUAL_LOG_MAGNIFICATION
+            return replace(task, optics=alike).starting_at(predicted)
+        seen = replace(optics, f_number=nearest.fit.f_number, parts=nearest.fit.optics.parts)
+        return replace(task, optics=seen, f_number_std=SHARED_CONE_STD, alike=(nearest.fit.waves,))
 
     def _tasks_again(self, known: SessionFits, lens: LensFit) -> dict[int, Task]:
         """Of those that are no members, from what the members predict, where they do."""
@@ -389,7 +389,7 @@ class _Chain:
         for k in range(len(known.fits)):
             local = known.fits[k]
             if k not in known.members and local.ranged and local.channel in lens.model.channels:
-                again[k] = _starting_at(local.task, predict(lens, local.member))
+                again[k] = local.task.starting_at(predict(lens, local.member))
         return again
 
 
@@ -397,20 +397,3 @@ def _some(labels: Collection[str]) -> str:
     """The first few."""
     more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
     return ", ".join(islice(labels, NAMED)) + more
-
-
-def _starting_at(task: Task, predicted: Floats) -> Task:
-    """A task that begins at a prediction, as of `Measured`."""
-    modes = len(task.optics.noll)
-    optics = task.optics.shaped(predicted[modes:-1])  # as of `Optics.shape`
-    return replace(task, optics=optics, f_number_std=SHARED_CONE_STD, starts=(predicted[:modes],), alike=())
-
-
-def _nearest(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | None:
-    """Of fits the one most like an observation: of its channel, of its range."""
-
-    def unlike(fit: LocalFit) -> tuple[bool, float]:
-        there, here = fit.task.observation.measured_range_mm, observation.measured_range_mm
-        return fit.channel != observation.channel, abs((there or 0.0) - (here or 0.0))
-
-    return min(fits, key=unlike, default=None)

@@ -137,7 +137,7 @@ def test_a_spectrum_stands_for_the_channels_light() -> None:
 def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
     text = LEAST.replace("= 4.78", "= 4.78\ndiffusion_px = {0}\nsmear_px = {0}").replace("= 2.8", "= 2.8\nveil = {0}")
     stated, wanted = (optics_of(Plan.parse(text.format(number)), "G") for number in ("0.2", '"fit"'))
-    assert stated.given == (Diffusion(0.04), Smear(0.04, 0.04), Veil(0.2))
+    assert stated.given == (Diffusion(0.2**2), Smear(0.2**2, 0.2**2), Veil(0.2))
     assert stated.parts == ()
     assert wanted.given == ()
     assert wanted.parts == (Diffusion(), Smear(), Veil())
