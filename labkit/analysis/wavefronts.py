@@ -151,9 +151,10 @@ class _Chain:
     def leaders(self) -> list[int]:
         """What is left of the first channel, and of each other the one at the range where defocus is largest: it tells where
         that channel's focus lies, and so what its other ranges begin at."""
-        clearest = max(self.fits.values(), key=lambda f: abs(f.member.measured.waves[0]), default=None)
-        if clearest is None or not clearest.ranged:
+        ranged = [f for f in self.fits.values() if f.ranged]
+        if not ranged:
             return []
+        clearest = max(ranged, key=lambda f: abs(f.fit.waves[0]))
         there = clearest.task.observation.measured_range_mm
         left = [k for k in range(len(self.observations)) if k not in self.fits]
         return [

@@ -109,6 +109,26 @@ def test_one_range_of_a_colour_predicts_its_others() -> None:
         assert task.starts[0][0] == pytest.approx(true_values(task)[0], abs=7e-4)
 
 
+def test_colours_of_an_unknown_range_are_fitted_like_the_first() -> None:
+    batches = list[Batch]()
+
+    def run(function: Any, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
+        if function is answer:
+            yield from enumerate({} for _ in tasks)
+            return
+        batches.append(list(tasks))
+        yield from enumerate(replace(as_found(at_3_m(task), settled=True), optics=task.optics) for task in tasks)
+
+    def at_3_m(task: Task) -> Task:
+        return replace(task, observation=replace(task.observation, range_mm=3000.0))
+
+    unknown = [replace(o, range_mm=None, measured_range_mm=None) for o in observations("GRB")[:3]]
+    fit_session(unknown, PLAN, TARGET, run, lambda done, of, what: None)
+    first, rest = filter(None, batches)
+    assert [task.label for task in first] == ["G"]
+    assert [(task.label, len(task.alike)) for task in rest] == [("R", 1), ("B", 1)]
+
+
 def test_the_sharpest_of_each_channel_is_asked_for_missing_parts_besides_the_ends() -> None:
     asked = list[str]()
 
