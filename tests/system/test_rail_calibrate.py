@@ -81,7 +81,8 @@ def test_what_is_typed_during_a_move_is_no_answer(tmp_path: Path) -> None:
                 (b"press Enter: ", b"\n2019\n"),  # the second line while it homes
                 (b"at 20.000 mm. Range from the target to the lens, in mm: ", b"2020\n"),
                 (b"at 40.000 mm. Range from the target to the lens, in mm: ", b"1.94\n"),
-                (b"if metres were meant, type 1940\n", b"2940\n"),
+                (b"if metres were meant, type 1940\nThe rail stands at 40.000 mm. ", b""),
+                (b"Range from the target to the lens, in mm: ", b"2940\n"),
                 (b"at 60.000 mm. Range from the target to the lens, in mm: ", b"2060\n"),
                 (b"2940 mm at 40 mm: this does not fit the others; once more", b""),
                 (b"at 40.000 mm. Range from the target to the lens, in mm: ", b"2040\n"),
