@@ -112,7 +112,7 @@ def test_one_range_of_a_colour_predicts_its_others() -> None:
 def test_colours_of_an_unknown_range_are_fitted_like_the_first() -> None:
     batches = list[Batch]()
 
-    def run(function: Any, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         if function is answer:
             yield from enumerate({} for _ in tasks)
             return
