@@ -29,6 +29,7 @@ NOLL = tuple(range(4, 16))
 WAVES = np.array([1.068, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020])
 GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
 FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
+QUICK_SAMPLES = 3
 INSIDE_PX = 8  # from the border, where the frame's end no longer counts
 FRAMES = 4
 GRANTED = {"richardson-lucy": (25, 50, 100, 200, 400), "richardson-lucy-blind": (2, 4, 8)} | {
@@ -41,13 +42,18 @@ OURS, DEFOCUS_ONLY, SEVERAL, BLURRED = "full PSF", "defocus alone", "four frames
 
 @dataclass(frozen=True)
 class Task:
+    """samples: to a pixel, of what is restored; fewer err more, and are quicker."""
+
     picture: str
+    samples: int = SAMPLES
 
 
 @dataclass(frozen=True)
 class Answer:
-    """restored: relative radiance by method; seconds: of each; covered: share of truth within 1 and 2 errors of ours."""
+    """restored: relative radiance by method, samples to a pixel; seconds: of each; covered: share of truth within 1 and 2
+    errors of ours."""
 
+    samples: int
     truth: Floats
     data: Floats
     restored: dict[str, Floats]
@@ -57,7 +63,7 @@ class Answer:
     def rmse(self, method: str, inside: bool = False) -> float:
         """Relative to white, over the frame or what is inside it."""
         apart = self.restored[method] - self.truth
-        border = INSIDE_PX * SAMPLES
+        border = INSIDE_PX * self.samples
         return float(np.sqrt(np.mean((apart[border:-border, border:-border] if inside else apart) ** 2)))
 
     def ssim(self, method: str) -> float:
@@ -76,7 +82,7 @@ def scene(name: str) -> Floats:
     return np.asarray(whole[top : top + side, left : left + side])
 
 
-def job_of(frames: list[Floats], waves: Floats = WAVES) -> Job:
+def job_of(frames: list[Floats], waves: Floats = WAVES, samples: int = SAMPLES) -> Job:
     """Red's plane of frames, as the estimator knows the camera; where they stand is registered."""
     optics = Optics(
         wavelength_um=WAVELENGTH_UM,
@@ -91,7 +97,7 @@ def job_of(frames: list[Floats], waves: Floats = WAVES) -> Job:
     red[::2, ::2] = True
     shots = [Photograph(counts, red, np.ones(counts.shape)) for counts in frames]
     shots = [shots[0], *(replace(shot, motion=registered(shots[0], shot, 2, ((0, 0),))) for shot in shots[1:])]
-    return refined(Job(tuple(shots), (colour,), 2, SAMPLES, GUARD, np.eye(1)))
+    return refined(Job(tuple(shots), (colour,), 2, samples, GUARD, np.eye(1)))
 
 
 def work(task: Task) -> Answer:
@@ -102,21 +108,22 @@ def work(task: Task) -> Answer:
     world = PictureCamera(scene(task.picture), SQUARES, camera, WAVES * REFERENCE_UM / WAVELENGTH_UM, NOLL)
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
     frames = [_exposed(WHITE * world.mean((down, right)), rng) for down, right in shifts]
-    truth, one = world.truth(SAMPLES), job_of(frames[:1])
+    made = partial(job_of, samples=task.samples)
+    truth, one = world.truth(task.samples), made(frames[:1])
     restored, seconds = {BLURRED: interpolated(one, 0) / WHITE}, {BLURRED: 0.0}
     for name in GRANTED:
         began = perf_counter()
         restored[name] = _best(name, one, truth)
         seconds[name] = perf_counter() - began
     alone = np.where(np.array(NOLL) == 4, WAVES, 0.0)
-    for name, job in ((DEFOCUS_ONLY, job_of(frames[:1], alone)), (OURS, one), (SEVERAL, job_of(frames))):
+    for name, job in ((DEFOCUS_ONLY, made(frames[:1], alone)), (OURS, one), (SEVERAL, made(frames))):
         began = perf_counter()
         found = restore_job(job, "discrepancy", FRAME, 0)
         restored[name], seconds[name] = found.scene[0] / WHITE, perf_counter() - began
         if name == OURS:
             apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)
             covered = (float(np.mean(apart < 1)), float(np.mean(apart < 2)))
-    return Answer(truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered)
+    return Answer(task.samples, truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered)
 
 
 def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
@@ -127,7 +134,7 @@ def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
 def _best(name: str, job: Job, truth: Floats) -> Floats:
     """Another method's scene with the setting that suits the truth best; no further ones are tried once they get worse."""
     blurred, psf = interpolated(job, 0) / WHITE, psf_of(job, 0)
-    reach, best, least = GUARD * SAMPLES, blurred, np.inf
+    reach, best, least = GUARD * job.samples, blurred, np.inf
     wide, method = np.pad(blurred, reach, mode="reflect"), METHODS[name]
     for setting in GRANTED[name]:
         found = method(wide, psf, setting)[reach:-reach, reach:-reach]
@@ -141,7 +148,7 @@ def _best(name: str, job: Job, truth: Floats) -> Floats:
 
 def run(setting: Setting) -> Outcome:
     """RMSE, PSNR and SSIM of every method on every scene."""
-    tasks = [Task(name) for name in (PICTURES[:1] if setting.quick else PICTURES)]
+    tasks = [Task(PICTURES[0], QUICK_SAMPLES)] if setting.quick else [Task(name) for name in PICTURES]
     answers = all_answers(setting, work, tasks, lambda task: task.picture)
     rows = [
         {
