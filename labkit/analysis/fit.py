@@ -14,12 +14,13 @@ from labkit.analysis.local_fits import PATIENCE_S
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
+from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import WORDS, model_parts, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.steps import Steps
-from labkit.analysis.wavefronts import SessionFits, fit_session
+from labkit.analysis.wavefronts import fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
 from labkit.plan import Plan

@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.local_fits import Task, problem_at
-from labkit.analysis.wavefronts import SessionFits
+from labkit.analysis.session_fits import SessionFits
 from labkit.execute import Run
 from labkit.imaging.model import Optics
 from labkit.inference.cone import Measured, expand

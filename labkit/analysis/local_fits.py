@@ -31,7 +31,8 @@ SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 @dataclass(frozen=True)
 class Task:
-    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing: as `fit_wavefront` takes them."""
+    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing, alone: as `fit_wavefront` takes
+    them."""
 
     optics: Optics
     target: Target
@@ -41,6 +42,7 @@ class Task:
     alike: tuple[Floats, ...] = ()
     patience_s: float = PATIENCE_S
     missing: tuple[Part, ...] = ()
+    alone: bool = False
 
     @property
     def ranged(self) -> bool:
@@ -117,6 +119,7 @@ def fit_task(task: Task) -> WavefrontFit:
         alike=task.alike,
         patience_s=task.patience_s,
         missing=task.missing,
+        alone=task.alone,
         progress=lambda step: say(f"{task.label}: {step}"),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
-from labkit.analysis.wavefronts import SessionFits
+from labkit.analysis.session_fits import SessionFits
 from labkit.imaging.parts import Aperture
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan

@@ -9,7 +9,7 @@ import numpy as np
 from labkit.analysis.lens_fit import LEAST_MAGNIFICATION, MOST_MAGNIFICATION, LensFit
 from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
-from labkit.analysis.wavefronts import SessionFits
+from labkit.analysis.session_fits import SessionFits
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.lens_model import Member, Stated
 from labkit.analysis.local_fits import LocalFit
+from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.twins import choose_twins, twin
-from labkit.analysis.wavefronts import SessionFits
 
 LEAST_STOPS = 3
 FEWER = 5.0  # by which chi2 must fall where the session is parted: a touched lens leaves hundreds of times its errors

@@ -26,6 +26,7 @@ from labkit.analysis.local_fits import (
 )
 from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
+from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.twins import choose_twins
 from labkit.errors import FitError, LostTasksError
@@ -45,31 +46,11 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
+SHARPEST = 2  # fits that are asked what the model lacks besides the ends of the rail
+HINTED = 5.0  # log-likelihood that a part would gain by those, at which all fits are asked
 NAMED = 3  # of the fits that are under way
 
 Input = TypeVar("Input", Task, Question)
-
-
-@dataclass(frozen=True)
-class SessionFits:
-    """All fits of a session, in the order of its observations, and the lens that they have in common.
-
-    lens: None where no ranges, or no defocus, are there to determine one. members: which fits it is made of; the others were
-    rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
-    belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
-    about; missing: one that those call for which their model does not explain, and that was not taken in. lost: observations
-    that have no fit, in words.
-    """
-
-    fits: tuple[LocalFit, ...]
-    lens: LensFit | None = None
-    members: tuple[int, ...] = ()
-    strangers: tuple[int, ...] = ()
-    mended: tuple[int, ...] = ()
-    open_channels: tuple[str, ...] = ()
-    tried: tuple[PartTried, ...] = ()
-    missing: str | None = None
-    lost: tuple[str, ...] = ()
 
 
 def fit_session(
@@ -190,18 +171,9 @@ class _Chain:
     def complete_model(self) -> None:
         """Take in what parts of the camera the fits so far call for together, one after another.
 
-        The first fits are asked at any rate; once all are there, those that the model does not explain, and of each channel
-        the sharpest: what hardly shows far from focus may still turn the modes of those near it.
+        All are asked where those that are asked first hint at one.
         """
-        places = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
-        if len(self.fits) == len(self.observations) and self.tried:
-            sharpest = self._sharpest()
-            places = [k for k in self.fits if k not in places or k in sharpest]
-        elif not places:
-            places = list(self.fits)
-        if not self.diagnose:
-            places = [k for k, f in self.fits.items() if not f.fit.verdict.accepted]
-            places = places if len(self.fits) == len(self.observations) else []
+        places = self._to_ask()
         if places and self.asked.keys() == set(places) and all(self.asked[k] is self.fits[k] for k in places):
             return
         self.missing = None
@@ -218,6 +190,10 @@ class _Chain:
             answers = dict(self._done(answer, questions, "looking for what the model lacks"))
             summed = together([*answers.values()], [self.fits[places[k]].channel for k in answers]) if answers else {}
             name = called_for(summed)
+            hinted = self.diagnose and max((call.gain for call in summed.values()), default=0.0) > HINTED
+            if name is None and hinted and len(places) < len(self.fits):
+                places = list(self.fits)
+                continue
             better = name is not None and self.diagnose and self._better_with(name, places)
             taken = [each for each in summed if better and each == name and self._has(each, places)]
             self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
@@ -225,14 +201,30 @@ class _Chain:
                 self.missing = name
                 break
 
+    def _to_ask(self) -> list[int]:
+        """The first fits at any rate; once all are there, those that the model does not explain, and the sharpest: what hardly
+        shows far from focus may still turn the modes of those near it."""
+        accepted, all_there = (
+            [k for k, f in self.fits.items() if f.fit.verdict.accepted],
+            len(self.fits) == len(self.observations),
+        )
+        rejected = [k for k in self.fits if k not in accepted]
+        if not self.diagnose:
+            return rejected if all_there else []
+        if not (all_there and self.tried):
+            return accepted or rejected
+        sharpest = self._sharpest()
+        return [k for k in self.fits if k in rejected or k in sharpest]
+
     def _sharpest(self) -> list[int]:
-        """Of each channel the fit with the least defocus, where the first fits, which were asked, are other ones."""
+        """Fits with the least defocus, each of another channel, where the first fits, which were asked, are other ones."""
         of = {
             c: [k for k, f in self.fits.items() if f.channel == c]
             for c in dict.fromkeys(f.channel for f in self.fits.values())
         }
-        sharpest = [min(places, key=lambda k: abs(self.fits[k].fit.measured.waves[0])) for places in of.values()]
-        return [k for k in sharpest if k not in self.anchors()]
+        defocus = {k: abs(f.fit.waves[0]) for k, f in self.fits.items()}
+        sharpest = sorted((min(places, key=defocus.__getitem__) for places in of.values()), key=defocus.__getitem__)
+        return [k for k in sharpest[:SHARPEST] if k not in self.anchors()]
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""
@@ -370,7 +362,7 @@ class _Chain:
         optics = replace(optics_of(self.plan, observation.channel), f_number=cone.value)
         target = as_shown(self.plan, self.target, observation.channel)
         task = Task(optics, target, observation, cone.std / cone.value, patience_s=self.patience_s)
-        task = replace(task, missing=(LowPass(),) if self.diagnose else ())
+        task = replace(task, missing=(LowPass(),) if self.diagnose else (), alone=len(set(ranges)) < 2)
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = most_like(observation, accepted)
         if nearest is None:

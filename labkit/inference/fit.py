@@ -108,6 +108,7 @@ def fit_wavefront(
     max_starts: int = 40,
     patience_s: float = np.inf,
     missing: tuple[Part, ...] = (),
+    alone: bool = True,
     progress: Callable[[str], None] = lambda step: None,
 ) -> WavefrontFit:
     """Fit one wavefront to frames of one channel at one range.
@@ -116,7 +117,8 @@ def fit_wavefront(
     0: exact. starts: wavefronts (modes,) that other frames of the lens predict; alike: such whose first mode, defocus, is not
     known. rng: for further starts, made while no optimum is accepted. max_starts: of the whole likelihood far from focus,
     before the best is returned, rejected; patience_s: of processor time, after which no further start is made.
-    missing: parts of the camera, to be tried where the model does not explain the frames without them.
+    missing: parts of the camera, to be tried where the model does not explain the frames without them. alone: whether no
+    frames of other ranges will tell a wrong optimum.
     What the frames do not determine has huge errors and is rejected.
     """
     began, ends_at = perf_counter(), process_time() + patience_s
@@ -125,7 +127,7 @@ def fit_wavefront(
     whole = Problem(model, tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
     sketches = Sketches(replace(optics, spectrum=Spectrum()), target, frames[0], poses[0], noise)
-    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, ends_at, missing, progress)
+    search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, ends_at, missing, alone, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
     return _as_fit(whole, record, perf_counter() - began, search.late and not (record.accepted or record.settled))

@@ -87,7 +87,7 @@ class Search:
     first known, one a frame; first: a state of the first frame without wavefront; rng: for random starts; max_starts: about
     so many, where the best is rejected; ends_at: no start is made after this `process_time`, which no busy machine shortens;
     missing: parts of a camera that are tried where residuals reject an optimum, so that a poor model is not taken for a wrong
-    optimum."""
+    optimum; alone: whether no frames of other ranges will tell a wrong optimum."""
 
     whole: Problem
     f_number_std: float
@@ -98,6 +98,7 @@ class Search:
     max_starts: int
     ends_at: float
     missing: tuple[Part, ...]
+    alone: bool
     progress: Callable[[str], None]
 
     def run(self, given: Sequence[State], alike: Sequence[State] = ()) -> Record:
@@ -135,7 +136,7 @@ class Search:
     def _swept(self, record: Record) -> Record:
         """Where no state is given: the sweep's best, the first of them carried on if its sketch is plausible.
 
-        Not near focus: there wrong optima are so close that residuals of a few thousand pixels hardly tell them.
+        Not of a lone frame near focus: there wrong optima are so close that its residuals hardly tell them.
         """
         if record.given:
             return record
@@ -145,7 +146,8 @@ class Search:
         end = _searched_from(sketches.problem(given[0], sketches.band), given[0])
         record = replace(record, given=given, band=sketches.band, ends=(end,), starts=record.starts + 1)
         plausible = self._excess(end.state) < PLAUSIBLE * self._excess(given[0])
-        return self._tried(record, end.state) if plausible and not sketches.near(end.state) else record
+        doubtful = self.alone and sketches.near(end.state)
+        return self._tried(record, end.state) if plausible and not doubtful else record
 
     def _retrieved_near_focus(self, record: Record) -> Record:
         """Near focus: from the small problem, begun at the given wavefronts."""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from labkit.analysis.local_fits import Question, Task, answer
-from labkit.analysis.wavefronts import SessionFits, fit_session
+from labkit.analysis.session_fits import SessionFits
+from labkit.analysis.wavefronts import fit_session
 from labkit.inference.fit import WavefrontFit
 from labkit.inference.missing_parts import Call
 from labkit.plan import Plan

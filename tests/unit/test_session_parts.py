@@ -9,8 +9,8 @@ import pytest
 
 from labkit.analysis.lens_fit import fit_session_lens
 from labkit.analysis.lens_model import Member
+from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import model_parts, words_of_parts
-from labkit.analysis.wavefronts import SessionFits
 from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
 from labkit.plan import Plan

@@ -1,0 +1,31 @@
+"""What the fits of a session come to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labkit.analysis.lens_fit import LensFit
+from labkit.analysis.local_fits import LocalFit
+from labkit.results.model import PartTried
+
+
+@dataclass(frozen=True)
+class SessionFits:
+    """All fits of a session, in the order of its observations, and the lens that they have in common.
+
+    lens: None where no ranges, or no defocus, are there to determine one. members: which fits it is made of; the others were
+    rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
+    belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
+    about; missing: one that those call for which their model does not explain, and that was not taken in. lost: observations
+    that have no fit, in words.
+    """
+
+    fits: tuple[LocalFit, ...]
+    lens: LensFit | None = None
+    members: tuple[int, ...] = ()
+    strangers: tuple[int, ...] = ()
+    mended: tuple[int, ...] = ()
+    open_channels: tuple[str, ...] = ()
+    tried: tuple[PartTried, ...] = ()
+    missing: str | None = None
+    lost: tuple[str, ...] = ()
