@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from labkit.analysis.joint import Joint, climb
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
@@ -75,11 +77,11 @@ def fit(
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
     assumed = [*_panel_lacking(plan, target, observations), *assumed]
-    with Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
+    with threadpool_limits(1), Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
-    change = find_change(fits, Stated.of(plan))
+        change = find_change(fits, Stated.of(plan))
     common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
