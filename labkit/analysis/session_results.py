@@ -117,8 +117,8 @@ def warnings_of(session: SessionFits) -> list[str]:
     """What the session found, a line each."""
     lens, labels = session.lens, [local.task.label for local in session.fits]
     warnings = [
-        f"{labels[k]}: the search ended after {local.task.patience_s:g} s and {local.fit.starts} starts without an "
-        "accepted optimum; the likeliest is kept, a longer --patience searches further"
+        f"{labels[k]}: the search ended after {local.task.patience_s:g} s of processor time and {local.fit.starts} starts "
+        "without an accepted optimum; the likeliest is kept, a longer --patience searches further"
         for k, local in enumerate(session.fits)
         if local.fit.cut_short and k not in session.members
     ]

@@ -47,7 +47,7 @@ RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what th
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
 SHARPEST = 2  # fits that are asked what the model lacks besides the ends of the rail
-HINTED = 5.0  # log-likelihood that a part would gain by those, at which all fits are asked
+HINTED = 5.0  # log-likelihood that a part would gain by those, at which all are: chance gains as much once in 50 parts at most
 NAMED = 3  # of the fits that are under way
 
 Input = TypeVar("Input", Task, Question)

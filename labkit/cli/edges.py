@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import app
+from labkit.cli.sessions import Workers
 from labkit.console import Console
 from labkit.errors import DataError
 
@@ -54,9 +55,6 @@ Out = Annotated[
     Path | None,
     typer.Option(metavar="FOLDER", help="Write edges.json and the depth map here.", show_default="nothing is written"),
 ]
-AtOnce = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
-]
 
 
 @app.command()
@@ -72,7 +70,7 @@ def edges(
     most: Most = 60,
     out: Out = None,
     force: Force = False,
-    workers: AtOnce = None,
+    workers: Workers = None,
 ) -> None:
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
     from labkit.fiducials.measure import Scene, measure_edges

@@ -77,6 +77,7 @@ def restore(
     workers: Workers = None,
 ) -> None:
     """Restore the scene behind photographs. By a session's lens, with standard errors."""
+    from labkit.execute import default_workers
     from labkit.restoring.restore import Wanted
 
     if method not in METHODS:
@@ -93,7 +94,7 @@ def restore(
         force=force,
         method=method,  # type: ignore[arg-type]
         sixteen_bit=sixteen_bit,
-        workers=workers or 1,
+        workers=workers or default_workers(),
     )
     _restored(ctx.obj, photographs, psf, out, name, wanted)
 

@@ -196,7 +196,7 @@ def _drawn(every: list[Ranged]) -> Figure:
             markersize=4,
             label=f"{len(errors)} edges at {range_mm / 1000:g} m",
         )
-        left.plot([range_mm / 1000], [thesis], "*", color=colour, markersize=9)
+        left.plot([range_mm / 1000], [thesis], "*", color=colour, markersize=10, markeredgecolor="black", zorder=3)
     left.set(
         xlabel="range, m",
         ylabel="|error|, mm",

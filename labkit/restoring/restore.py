@@ -140,12 +140,13 @@ def _restore(
         notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
     if wanted.fit_defocus:
         job = fitted_defocus(job, progress)
-    overlap, tile = 2 * job.guard_px, _tile(job, wanted)
-    say(_will_take(job, tile, overlap))
+    tile = _tile(job, wanted)
+    workers = _workers(job, tile, wanted)
+    say(_will_take(job, tile, workers))
     white = shots[0].mosaic.white - float(np.mean(shots[0].mosaic.black))
     std: Floats32 | None = None
     if wanted.method == "model":
-        picture = restore_job(job, wanted.strength, tile, overlap, wanted.workers, progress)
+        picture = restore_job(job, wanted.strength, tile, 2 * job.guard_px, workers, progress)
         scene, std, more = picture.scene, picture.std, _about(picture)
         notes += _remarks(picture)
     else:
@@ -282,18 +283,16 @@ def _guard(colours: Sequence[Colour]) -> int:
 
 def _tile(job: Job, wanted: Wanted) -> int:
     """The largest that memory allows. Raises DataError where none does, or the given one does not fit."""
-    free, workers = _free_bytes(wanted), max(wanted.workers, 1)
-    overlap = 2 * job.guard_px
-    size = 8.0 * len(job.colours) * job.shape[0] * job.shape[1] * job.samples**2
+    free = _free_bytes(wanted)
 
     def fits(tile: int) -> bool:
-        return size + workers * memory_bytes(job, tile, overlap) <= free
+        return _whole_bytes(job, tile, 1) <= free
 
     sizes = [max(job.shape)] if max(job.shape) <= TILE_PX else []
     sizes += [tile for tile in (TILE_PX, 192, 128, 96, LEAST_TILE_PX) if tile < max(job.shape)]
     best = next((tile for tile in sizes if fits(tile)), None)
     asked = wanted.tile_px
-    needed = size + workers * memory_bytes(job, asked or sizes[-1], overlap)
+    needed = _whole_bytes(job, asked or sizes[-1], 1)
     if asked is not None and fits(asked):
         return asked
     if best is None:
@@ -318,10 +317,25 @@ def _free_bytes(wanted: Wanted) -> float:
         return 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def _will_take(job: Job, tile: int, overlap: int) -> str:
+def _tiles(job: Job, tile: int) -> int:
     rows, columns = job.shape
-    count = math.ceil(rows / tile) * math.ceil(columns / tile)
-    memory = memory_bytes(job, tile, overlap) + 8.0 * len(job.colours) * rows * columns * job.samples**2
+    return math.ceil(rows / tile) * math.ceil(columns / tile)
+
+
+def _workers(job: Job, tile: int, wanted: Wanted) -> int:
+    """As many as are wanted, have a tile, and memory allows: at least one."""
+    most = min(wanted.workers, _tiles(job, tile))
+    return next((n for n in range(most, 1, -1) if _whole_bytes(job, tile, n) <= _free_bytes(wanted)), 1)
+
+
+def _whole_bytes(job: Job, tile: int, workers: int) -> float:
+    """Of a picture and so many tiles."""
+    picture = 8.0 * len(job.colours) * job.shape[0] * job.shape[1] * job.samples**2
+    return picture + workers * memory_bytes(job, tile, 2 * job.guard_px)
+
+
+def _will_take(job: Job, tile: int, workers: int) -> str:
+    (rows, columns), count, memory = job.shape, _tiles(job, tile), _whole_bytes(job, tile, workers)
     plural = "one tile" if count == 1 else f"{count} tiles of {tile} pixels"
     return (
         f"{rows} x {columns} pixels, {job.samples} samples a pixel ({job.pitch_um / job.samples:.3g} um): {plural}, "

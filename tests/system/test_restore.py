@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -99,6 +100,19 @@ def test_a_photograph_is_restored_by_the_contract(session: Path, tmp_path: Path)
     np.testing.assert_allclose(sixteen, restored * 65535 / (TOP - BLACK), atol=0.51)
     with Image.open(out / "restored.png") as shown:
         assert shown.size == (side, side)
+
+
+def test_tiles_are_restored_on_every_core_and_the_memory_that_is_said_counts_them(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, said = photograph(tmp_path / "a.tif"), list[float]()
+    for name, cores in (("one", 1), ("four", 4)):
+        monkeypatch.setattr("labkit.execute.default_workers", lambda cores=cores: cores)
+        out = ["--out", str(tmp_path / name), "--tile", "32"]
+        assert run(["restore", str(image), "--psf", str(session), *out]) == 0
+        (gigabytes,) = re.findall(r"tiles of 32 pixels, about ([\d.]+) GB", capsys.readouterr().out)
+        said.append(float(gigabytes))
+    assert 2 < said[1] / said[0] < 4
 
 
 def test_a_cut_says_where_it_stands(session: Path, tmp_path: Path) -> None:
