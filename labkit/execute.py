@@ -19,6 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
+from importlib import import_module
 from multiprocessing.connection import wait
 from pathlib import Path
 from tempfile import mkdtemp
@@ -104,6 +105,13 @@ class Workers:
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
+    def warm_up(self, module: str) -> None:
+        """Begin the processes, each with a module imported, while there is nothing yet for them to do: that takes a second."""
+        if self._count > 1:
+            with _interrupt_held():
+                for _ in range(self._count):
+                    self._processes().submit(_import, module)
+
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
         """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
         lost: dict[int, str] = {}
@@ -178,9 +186,7 @@ class Workers:
 
     def _stored(self, tasks: Sequence[Task]) -> dict[int, Path]:
         """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""
-        if self._folder is None:
-            self._folder = Path(mkdtemp(prefix="labkit-"))
-        stored = {index: self._folder / str(index) for index in range(len(tasks))}
+        stored = {index: self._tasks_folder() / str(index) for index in range(len(tasks))}
         for path, task in zip(stored.values(), tasks, strict=True):
             with writing(path):
                 path.write_bytes(pickle.dumps(task))
@@ -190,13 +196,27 @@ class Workers:
 
     def _submitted(self, function: Callable[[Task], Result], stored: Mapping[int, Path]) -> dict[Future[Result], int]:
         with _interrupt_held():
-            if self._pool is None:
-                # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
-                context = multiprocessing.get_context("spawn")
-                assert self._folder is not None
-                begin = partial(_begin, self._folder)
-                self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=begin)
-            return {self._pool.submit(_run_stored, function, path): index for index, path in stored.items()}
+            try:
+                return {self._processes().submit(_run_stored, function, path): index for index, path in stored.items()}
+            except BrokenProcessPool:  # killed before there was anything to do
+                self._close_pool()
+                return {self._processes().submit(_run_stored, function, path): index for index, path in stored.items()}
+
+    def _processes(self) -> ProcessPoolExecutor:
+        """The processes, begun if need be."""
+        if self._pool is None:
+            # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(
+                self._count, mp_context=context, initializer=partial(_begin, self._tasks_folder())
+            )
+        return self._pool
+
+    def _tasks_folder(self) -> Path:
+        """Where tasks are stored."""
+        if self._folder is None:
+            self._folder = Path(mkdtemp(prefix="labkit-"))
+        return self._folder
 
     def _close_pool(self) -> None:
         if self._pool is not None:
@@ -228,6 +248,10 @@ def _begin(folder: Path) -> None:
     """What a worker does first."""
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     pin_threads()
+
+
+def _import(module: str) -> None:
+    import_module(module)
 
 
 def _end_with_parent(folder: Path) -> None:

@@ -29,8 +29,10 @@ def lacks(optics: Iterable[Optics]) -> list[str]:
 
 
 def together(every: Sequence[Mapping[str, Call]], channels: Sequence[str]) -> dict[str, Call]:
-    """Of fits that share the camera, by name. channels: theirs, each of which has a spectrum of its own."""
-    whole = {name: reduce(Call.__add__, (of[name] for of in every)) for name in every[0]}
+    """Of fits that share the camera, by name, where all lack the part. channels: theirs, each of which has a spectrum of its
+    own."""
+    names = [name for name in every[0] if all(name in of for of in every)]
+    whole = {name: reduce(Call.__add__, (of[name] for of in every)) for name in names}
     if SPECTRUM in whole:
         of = [
             [e[SPECTRUM] for e, c in zip(every, channels, strict=True) if c == one] for one in dict.fromkeys(channels)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from labkit.analysis.joint import Joint, climb
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
-from labkit.analysis.local_fits import PATIENCE_S
+from labkit.analysis.local_fits import PATIENCE_S, fit_task
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
@@ -66,8 +66,7 @@ def fit(
     plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
     only these. patience_s: of processor time, after which the search for a wavefront makes no further start. joint: climb
     over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and NAME-after besides.
-    plain: the model is as the plan states it, even where it lacks parts of the camera. name: "latest" by default; of a fit of
-    only some ranges or channels, their names.
+    plain: the model is the plan's, whatever it lacks. name: "latest", or of only some ranges or channels their names.
     Raises SessionError for photographs or a plan that were altered, TargetError, DataError for frames that cannot be fitted
     and where more results would be lost than made. Too few ranges for a focus are no error: `Results.unanswered`.
 
@@ -75,9 +74,10 @@ def fit(
     """
     session, plan, checksum = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
-    observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-    assumed = [*_panel_lacking(plan, target, observations), *assumed]
     with threadpool_limits(1), Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
+        processes.warm_up(fit_task.__module__)
+        observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
+        assumed += _panel_lacking(plan, target, observations)
         run = KeptFits(processes, folder / FOLDER)
         fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None

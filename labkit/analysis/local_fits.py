@@ -14,10 +14,9 @@ from labkit.execute import say
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.parts import Part
 from labkit.imaging.window import WINDOW_AIRY
-from labkit.inference.cone import SPARE, Measured
+from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
-from labkit.inference.missing_parts import Call, calls
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.target import Target
@@ -31,8 +30,8 @@ SHARED_CONE_STD = 0.01  # of a cone that other frames of the session measured
 
 @dataclass(frozen=True)
 class Task:
-    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing, alone: as `fit_wavefront` takes
-    them."""
+    """One fit, as it travels to a worker. f_number_std: relative; starts, alike, missing, asked, alone: as `fit_wavefront`
+    takes them."""
 
     optics: Optics
     target: Target
@@ -42,6 +41,7 @@ class Task:
     alike: tuple[Floats, ...] = ()
     patience_s: float = PATIENCE_S
     missing: tuple[Part, ...] = ()
+    asked: bool = False
     alone: bool = False
 
     @property
@@ -119,6 +119,7 @@ def fit_task(task: Task) -> WavefrontFit:
         alike=task.alike,
         patience_s=task.patience_s,
         missing=task.missing,
+        asked=task.asked,
         alone=task.alone,
         progress=lambda step: say(f"{task.label}: {step}"),
     )
@@ -164,26 +165,6 @@ def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> 
         shine=observation.frames[0].shine,
     )
     return Problem(model, observation.frames, observation.noise)
-
-
-@dataclass(frozen=True)
-class Question:
-    """To a fit: what it says of parts of the camera, by name, that its model lacks."""
-
-    local: LocalFit
-    parts: tuple[str, ...]
-
-    @property
-    def label(self) -> str:
-        """Of the fit."""
-        return self.local.task.label
-
-
-def answer(question: Question) -> dict[str, Call]:
-    """What the fit says."""
-    local = question.local
-    problem = problem_at(local.task, local.fit.optics, local.fit.state, SPARE)
-    return calls(problem, local.fit.state, question.parts, local.task.f_number_std)
 
 
 def most_like(observation: Observation, fits: Sequence[LocalFit]) -> LocalFit | None:

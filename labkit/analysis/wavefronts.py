@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from labkit.analysis.local_fits import (
     PATIENCE_S,
     SHARED_CONE_STD,
     LocalFit,
-    Question,
     Task,
-    answer,
     engraved_cone,
     fit_task,
     most_like,
@@ -30,10 +27,10 @@ from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.twins import choose_twins
 from labkit.errors import FitError, LostTasksError
-from labkit.execute import Result, Run
+from labkit.execute import Run
 from labkit.imaging.model import Optics
-from labkit.imaging.parts import LowPass
-from labkit.inference.fit import canonical
+from labkit.imaging.parts import LowPass, Part
+from labkit.inference.fit import WavefrontFit, canonical
 from labkit.inference.missing_parts import with_part, without_parts
 from labkit.inference.search import CALLED_FOR
 from labkit.plan import Plan
@@ -46,11 +43,7 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
-SHARPEST = 2  # fits that are asked what the model lacks besides the ends of the rail
-HINTED = 5.0  # log-likelihood that a part would gain by those, at which all are: chance gains as much once in 50 parts at most
 NAMED = 3  # of the fits that are under way
-
-Input = TypeVar("Input", Task, Question)
 
 
 def fit_session(
@@ -99,6 +92,7 @@ class _Chain:
     missing: str | None = None
     asked: dict[int, LocalFit] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
+    known: tuple[dict[int, LocalFit], SessionFits] = ({}, SessionFits(()))
     made: int = 0
 
     def anchors(self) -> list[int]:
@@ -112,14 +106,19 @@ class _Chain:
         return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
 
     def fit(self, places: Sequence[int], patience_s: float = np.inf) -> None:
-        """Fit these, all at once. patience_s: for a search, if it is less than the session's."""
+        """Fit these, all at once. patience_s: for a search, if it is less than the session's.
+
+        The shortest wavelength comes first: its pictures are the finest, and no other core should wait for it in the end.
+        """
         if not places:
             return
         known = self._joined()
+        light = {channel.name: channel.wavelength_nm for channel in self.plan.channel}
+        places = sorted(places, key=lambda k: light[self.observations[k].channel])
         tasks = [self._task(k, known) for k in places]
         tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
         doing = "fitting" if self.fits else "searching from nothing"
-        for index, fit in self._done(fit_task, tasks, doing, new=len(tasks)):
+        for index, fit in self._done(tasks, doing, new=len(tasks)):
             self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
     def taken_back(self) -> list[int]:
@@ -164,67 +163,38 @@ class _Chain:
             cone = replace(fit.optics, f_number=self.fits[others[0]].fit.f_number)
             alike = (self.fits[others[0]].fit.waves,)
             tasks.append(replace(self.fits[k].task, optics=cone, starts=(), alike=alike, patience_s=RECONCILE_S))
-        for index, fit in self._done(fit_task, tasks, "trying each with the modes of another"):
+        for index, fit in self._done(tasks, "trying each with the modes of another"):
             if fit.objective > self.fits[places[index]].fit.objective + SAME_OPTIMUM:
                 self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
     def complete_model(self) -> None:
-        """Take in what parts of the camera the fits so far call for together, one after another.
-
-        All are asked where those that are asked first hint at one.
-        """
+        """Take in what parts of the camera the fits so far call for together, one after another."""
         places = self._to_ask()
-        if places and self.asked.keys() == set(places) and all(self.asked[k] is self.fits[k] for k in places):
+        if not places or _same(self.asked, {k: self.fits[k] for k in places}):
             return
         self.missing = None
-        if not places:
-            return
         self._made_alike()
         if not self.tried:  # the searches' own
             found = worth([self.fits[k].fit.measured for k in places])
             self._drop_idle(places)
             self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
-        while names := lacks(self.fits[k].fit.optics for k in places):
+        better = True
+        while better:
             self.asked = {k: self.fits[k] for k in places}
-            questions = [Question(self.fits[k], tuple(names)) for k in places]
-            answers = dict(self._done(answer, questions, "looking for what the model lacks"))
-            summed = together([*answers.values()], [self.fits[places[k]].channel for k in answers]) if answers else {}
+            summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
             name = called_for(summed)
-            hinted = self.diagnose and max((call.gain for call in summed.values()), default=0.0) > HINTED
-            if name is None and hinted and len(places) < len(self.fits):
-                places = list(self.fits)
-                continue
             better = name is not None and self.diagnose and self._better_with(name, places)
             taken = [each for each in summed if better and each == name and self._has(each, places)]
             self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
-            if not better:
-                self.missing = name
-                break
+            self.missing = None if better else name
 
     def _to_ask(self) -> list[int]:
-        """The first fits at any rate; once all are there, those that the model does not explain, and the sharpest: what hardly
-        shows far from focus may still turn the modes of those near it."""
-        accepted, all_there = (
-            [k for k, f in self.fits.items() if f.fit.verdict.accepted],
-            len(self.fits) == len(self.observations),
-        )
-        rejected = [k for k in self.fits if k not in accepted]
+        """All, once they are there; until then those that are explained, if any are. Without diagnosis, those that are not."""
+        explained = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
+        all_there = len(self.fits) == len(self.observations)
         if not self.diagnose:
-            return rejected if all_there else []
-        if not (all_there and self.tried):
-            return accepted or rejected
-        sharpest = self._sharpest()
-        return [k for k in self.fits if k in rejected or k in sharpest]
-
-    def _sharpest(self) -> list[int]:
-        """Fits with the least defocus, each of another channel, where the first fits, which were asked, are other ones."""
-        of = {
-            c: [k for k, f in self.fits.items() if f.channel == c]
-            for c in dict.fromkeys(f.channel for f in self.fits.values())
-        }
-        defocus = {k: abs(f.fit.waves[0]) for k, f in self.fits.items()}
-        sharpest = sorted((min(places, key=defocus.__getitem__) for places in of.values()), key=defocus.__getitem__)
-        return [k for k in sharpest[:SHARPEST] if k not in self.anchors()]
+            return [k for k in self.fits if k not in explained] if all_there else []
+        return [*self.fits] if all_there else explained or [*self.fits]
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""
@@ -272,7 +242,7 @@ class _Chain:
             for k in places
         ]
         before = [self.fits[k].fit for k in places]
-        for index, fit in self._done(fit_task, tasks, "fitting with other parts of the camera"):
+        for index, fit in self._done(tasks, "fitting with other parts of the camera"):
             old = before[index]
             without = old.left if old.left_without is None else old.left_without
             found = fit.optics.shape_labels != optics_of(self.plan, tasks[index].observation.channel).shape_labels
@@ -285,7 +255,7 @@ class _Chain:
             raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
         before, order = self._joined(), sorted(self.fits)
         again = {} if before.lens is None else self._tasks_again(before, before.lens)
-        for index, fit in self._done(fit_task, list(again.values()), "fitting again what the session doubts"):
+        for index, fit in self._done(list(again.values()), "fitting again what the session doubts"):
             place = list(again)[index]
             made, old = LocalFit(again[place], canonical(fit)), self.fits[order[place]].fit
             if fit.objective > old.objective - SAME_OPTIMUM:
@@ -296,10 +266,8 @@ class _Chain:
         self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
         return replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost)
 
-    def _done(
-        self, function: Callable[[Input], Result], tasks: Sequence[Input], doing: str, new: int = 0
-    ) -> Iterator[tuple[int, Result]]:
-        """What comes of tasks; those that memory was too short for are noted, and what was there before them stays.
+    def _done(self, tasks: Sequence[Task], doing: str, new: int = 0) -> Iterator[tuple[int, WavefrontFit]]:
+        """Fits of tasks; those that memory was too short for are noted, and what was there before them stays.
 
         new: how many are observations without a fit; others are more work than was to do before.
         """
@@ -308,7 +276,7 @@ class _Chain:
         try:
             if tasks:
                 self.progress(self.made, total, f"{doing}: {_some(under_way.values())}")
-            for index, result in self.run(function, tasks):
+            for index, result in self.run(fit_task, tasks):
                 self.made += 1
                 del under_way[index]
                 self.progress(self.made, total, f"{doing}: {_some(under_way.values())}" if under_way else doing)
@@ -323,7 +291,13 @@ class _Chain:
         return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
 
     def _joined(self) -> SessionFits:
-        """What the fits so far say of the lens, their twins chosen; those that disagree with the rest are left out.
+        """What the fits so far say of the lens."""
+        if not _same(self.known[0], self.fits):
+            self.known = dict(self.fits), self._join()
+        return self.known[1]
+
+    def _join(self) -> SessionFits:
+        """The same: twins are chosen, and those that disagree with the rest are left out.
 
         Fits whose residuals were rejected belong where the others predict them: then the model lacks something, and the
         optimum is right; their errors in the estimate say so. Where too few are accepted, all of them vouch for each other.
@@ -362,7 +336,8 @@ class _Chain:
         optics = replace(optics_of(self.plan, observation.channel), f_number=cone.value)
         target = as_shown(self.plan, self.target, observation.channel)
         task = Task(optics, target, observation, cone.std / cone.value, patience_s=self.patience_s)
-        task = replace(task, missing=(LowPass(),) if self.diagnose else (), alone=len(set(ranges)) < 2)
+        missing: tuple[Part, ...] = (LowPass(),) if self.diagnose else ()
+        task = replace(task, missing=missing, asked=True, alone=len(set(ranges)) < 2)
         accepted = [f for f in known.fits if f.fit.verdict.accepted]
         nearest = most_like(observation, accepted)
         if nearest is None:
@@ -390,3 +365,8 @@ def _some(labels: Collection[str]) -> str:
     """The first few."""
     more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
     return ", ".join(islice(labels, NAMED)) + more
+
+
+def _same(fits: Mapping[int, LocalFit], others: Mapping[int, LocalFit]) -> bool:
+    """Whether none was made again."""
+    return fits.keys() == others.keys() and all(fits[k] is others[k] for k in fits)

@@ -1,16 +1,17 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.signal.windows import tukey
 
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part
+from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import Spectrum
 from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
@@ -18,7 +19,6 @@ from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
 
-FADING = 0.2  # of the window, both borders together, along rows and columns
 WIDTH_STEP, LEAST_STEP = 0.1, 1e-6  # of a spectrum's variance in its differences: a share of itself, and at least
 
 
@@ -65,7 +65,7 @@ class Blur:
         perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
         for name, value in (
             ("_finer", finer),
-            ("_fading", tukey(pupil.size, FADING)),
+            ("_fading", fading(pupil.size)),
             ("_pixel", pixel),
             ("_centred", tuple(along * turn for along, turn in zip(pixel, shift, strict=True))),
             ("_camera", math.prod(parts) if parts else None),
@@ -73,26 +73,21 @@ class Blur:
             ("_perfect_psf", self.psf(np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)
-        self._behind(self._perfect, self._pixel)
+        _times(self._perfect, *self._pixel)
 
     @property
     def _per_pixel(self) -> tuple[Floats, Floats]:
         """Frequencies of the half plane along rows and columns, cycles a pixel."""
         return self.torus.row_frequency * self.torus.pitch_um, self.torus.column_frequency * self.torus.pitch_um
 
-    def _behind(self, transfer: AnyArray, pixel: Sequence[Floats | AnyComplexes]) -> AnyArray:
-        """A half plane, which is changed, times that of all behind the lens. pixel: its factors along rows and columns.
-
-        Two lines are kept of the pixel's instead of a half plane, which of a large target is 70 MB.
-        """
-        for factor in (*pixel, *(() if self._camera is None else (self._camera,))):
-            np.multiply(transfer, factor, out=transfer, casting="same_kind")
-        return transfer
+    def _through_camera(self, transfer: AnyArray) -> AnyArray:
+        """A half plane, which is changed, times that of the camera's parts."""
+        return transfer if self._camera is None else _times(transfer, self._camera)
 
     @property
     def beyond(self) -> Floats:
         """Half plane of the transfer function of all that lies behind the lens."""
-        return self._behind(np.ones(self._perfect.shape), self._pixel)
+        return self._through_camera(_times(np.ones(self._perfect.shape), *self._pixel))
 
     @property
     def simple(self) -> "Blur":
@@ -122,13 +117,17 @@ class Blur:
 
     def transfer(self, waves: Floats, precision: type[np.floating] = np.float64) -> AnyComplexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
-        transfer = self._spectrum_of((self.psf(waves) - self._perfect_psf).astype(precision))
-        transfer += self._perfect
-        return transfer
+        return self._through_camera(self._bare(waves, precision))
 
-    def _spectrum_of(self, departure: Floats | Floats32) -> AnyComplexes:
-        """Half plane of the transfer function of a departure of the PSF from the perfect one, pixel and camera with it."""
-        return self._behind(self._spectrum_of_window(departure), self._centred)
+    def _bare(self, waves: Floats, precision: type[np.floating]) -> AnyComplexes:
+        """The same without the camera's parts."""
+        return self._of((self.psf(waves) - self._perfect_psf).astype(precision), self._perfect)
+
+    def _of(self, departure: Floats | Floats32, perfect: Floats) -> AnyComplexes:
+        """Half plane of a departure (size, size) of the PSF, through the pixel, and of a perfect lens, which is so already."""
+        transfer = _times(self._spectrum_of_window(departure), *self._centred)
+        transfer += perfect
+        return transfer
 
     def _spectrum_of_window(self, departure: Floats | Floats32) -> AnyComplexes:
         """Half plane of the DFT of a departure (size, size), its borders faded out."""
@@ -144,27 +143,36 @@ class Blur:
             for sign, at in ((1, waves), (-1, 0 * waves)):
                 departure += sign * share * self.pupil.stretched(at / node, node, slope=True)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
-        transfer = self._spectrum_of(departure.astype(np.float32))
-        transfer += self._behind(perfect, self._pixel)
-        return transfer
+        return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
 
-    def by_width(self, waves: Floats) -> Complexes:
+    def by_width(self, waves: Floats) -> Complexes64:
         """Half plane of its derivative by the spectrum's variance, by differences. Raises ValueError where that is given."""
         if self.spectrum.variance is None:
             raise ValueError("the spectrum is given: it has no width to be estimated")
-        here = self.spectrum.variance
+        here, shares = self.spectrum.variance, defaultdict[float, float](float)
         step = max(WIDTH_STEP * abs(here), LEAST_STEP)
-        up, down = (replace(self, spectrum=Spectrum.of_width(here + by)).transfer(waves) for by in (step, -step))
-        return np.asarray((up - down) / (2 * step))
+        for change in (step, -step):
+            for share, node in Spectrum.of_width(here + change).shares:
+                shares[node] += share / (2 * change)
+        departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
+        airy_um = self.pupil.wavelength_um * self.pupil.f_number
+        for node, share in shares.items():
+            departure += share * (self.pupil.stretched(waves / node, node) - self.pupil.stretched(0 * waves, node))
+            perfect += share * perfect_lens(self.torus, node * airy_um)
+        return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
 
-    def by_parts(self, waves: Floats) -> Iterator[Complexes]:
-        """Half planes of its derivatives by the numbers of each part."""
-        transfers = [part.transfer(*self._per_pixel) for part in self.parts]
-        bare = np.asarray(replace(self, parts=()).transfer(waves) if self.parts else 0j)
-        for k, part in enumerate(self.parts):
-            others = math.prod((transfer for i, transfer in enumerate(transfers) if i != k), start=bare)
+    def by_parts(self, waves: Floats, first: int = 0) -> Iterator[Complexes64]:
+        """Half planes of its derivatives by the numbers of each part, from one on, in single precision."""
+        if not self.parts[first:]:
+            return
+        active = {k: part.transfer(*self._per_pixel) for k, part in enumerate(self.parts) if any(part.values)}
+        bare = self._bare(waves, np.float32)
+        for part in self.given:
+            bare = _times(bare, part.transfer(*self._per_pixel))
+        for k, part in enumerate(self.parts[first:], first):
+            others = _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k))
             for slope in part.slopes(*self._per_pixel):
-                yield np.asarray(others * slope)
+                yield np.asarray(others * slope.astype(np.float32))
 
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
         """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
@@ -176,7 +184,7 @@ class Blur:
 
     def behind_pixel(self, spectrum: AnyComplexes) -> Complexes64:
         """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
-        return self._behind(spectrum.astype(np.complex64), [factor.astype(np.complex64) for factor in self._centred])
+        return self._through_camera(_times(spectrum.astype(np.complex64), *self._centred))
 
     def spread(self, transfer: AnyComplexes) -> tuple[AnyComplexes, AnyComplexes]:
         """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.
@@ -193,3 +201,11 @@ class Blur:
         for kernel, side in zip((by_row, by_column), self.torus.pixels, strict=True):
             kernel *= 1j * side / (4 * np.pi)
         return by_row, by_column
+
+
+def _times(transfer: AnyArray, *factors: Floats | AnyComplexes) -> AnyArray:
+    """A half plane, which is changed, times others, or times such of one line: a half plane of a large target is 70 MB."""
+    for factor in factors:
+        precision = transfer.dtype if np.iscomplexobj(factor) else transfer.real.dtype
+        np.multiply(transfer, factor.astype(precision, copy=False), out=transfer)
+    return transfer

@@ -70,8 +70,8 @@ class Torus:
         """Of the fine grid."""
         return self.pitch_um / self.oversampling
 
-    def half_spectrum(self, image: Floats) -> Complexes:
-        """Half plane of the DFT of a fine image."""
+    def half_spectrum(self, image: AnyFloats) -> AnyComplexes:
+        """Half plane of the DFT of a fine image, in its precision."""
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 

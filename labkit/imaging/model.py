@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 import scipy.fft
@@ -279,17 +280,31 @@ class ForwardModel:
             made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
         return made
 
+    def by_parts(
+        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int, by_width: bool
+    ) -> list[Floats]:
+        """(numbers, pixels) of each frame: derivatives by the numbers of the optics' parts from one on, and by their light's
+        width, if that is wanted too."""
+        turns = self.blur.by_parts(waves, first), [self.blur.by_width(waves)] if by_width else []
+        return self._turned(self.blur, chain(*turns), drawing.spectra, used)
+
     def _by_shape(
         self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]
     ) -> list[Floats]:
-        """(shape, pixels) of each frame, by `Optics.shape`: what the transfer function's derivatives make of it."""
-        turns = [turn.astype(np.complex64, copy=False) for turn in self._turns(blur, waves)]
-        return [
-            np.array([self._seen(blur.torus.sample(spectrum, turn), u) for turn in turns])
-            for spectrum, u in zip(spectra, used, strict=True)
-        ]
+        """(shape, pixels) of each frame, by `Optics.shape`."""
+        return self._turned(blur, self._turns(blur, waves), spectra, used)
 
-    def _turns(self, blur: Blur, waves: Floats) -> Iterator[AnyComplexes]:
+    def _turned(
+        self, blur: Blur, turns: Iterable[Complexes64], spectra: Sequence[Complexes64], used: Sequence[Bools]
+    ) -> list[Floats]:
+        """(turns, pixels) of each frame: what derivatives of the transfer function make of it."""
+        rows = [list[Floats]() for _ in used]
+        for turn in turns:
+            for of_frame, spectrum, u in zip(rows, spectra, used, strict=True):
+                of_frame.append(self._seen(blur.torus.sample(spectrum, turn), u))
+        return [np.array(of_frame).reshape(-1, int(u.sum())) for of_frame, u in zip(rows, used, strict=True)]
+
+    def _turns(self, blur: Blur, waves: Floats) -> Iterator[Complexes64]:
         """Half planes of the transfer function's derivatives by `Optics.shape`."""
         yield from blur.by_parts(waves)
         if self.blur.spectrum.variance is not None:

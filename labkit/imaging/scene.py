@@ -29,7 +29,7 @@ MARGIN_NYQUIST = 21  # Nyquist intervals of raster around the target: its filter
 class Drawing:
     """The target as frames show it from their poses, before any blur.
 
-    spectra: half planes, one for each pose; rounded to single precision, which moves a mean by 1e-8 of white.
+    spectra: half planes, one for each pose; in single precision, which moves a mean by 2e-8 of white.
     """
 
     poses: tuple[Pose, ...]
@@ -75,11 +75,11 @@ class Scene:
         """Radiance around the target; an unknown one counts as 0, its pixels are to be masked."""
         return self.target.surround or 0.0
 
-    def image(self, pose: Pose) -> Floats:
+    def image(self, pose: Pose) -> Floats32:
         """Fine image (torus.fine) of the radiance above the surround's. pose: in the pixels of the frame."""
         return self._seen(self._raster, pose)
 
-    def _seen(self, raster: "_Raster", pose: Pose) -> Floats:
+    def _seen(self, raster: "_Raster", pose: Pose) -> Floats32:
         """Fine image of a raster at a pose."""
         many, (top, left) = self.torus.oversampling, self.torus.margin
         onto_torus = pose.shifted(-top, -left)
@@ -87,7 +87,7 @@ class Scene:
         low = np.floor(corners.min(axis=0) * many).astype(int)
         high = np.ceil(corners.max(axis=0) * many).astype(int) + 1
         low, high = np.clip(low, 0, self.torus.fine), np.clip(high, 0, self.torus.fine)
-        image = np.zeros(self.torus.fine)
+        image = np.zeros(self.torus.fine, np.float32)
         if np.all(high > low):
             to_torus = np.array([[1 / many, 0, low[0] / many], [0, 1 / many, low[1] / many], [0, 0, 1]])
             window = tuple(slice(*ends) for ends in zip(low, high, strict=True))
@@ -109,7 +109,7 @@ class Scene:
         return [tuple(self._drawn(raster, pose) for raster in self._slopes) for pose in poses]
 
     def _drawn(self, raster: "_Raster", pose: Pose) -> Complexes64:
-        return self.torus.half_spectrum(self._seen(raster, pose)).astype(np.complex64)
+        return self.torus.half_spectrum(self._seen(raster, pose))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class _Raster:
         y, x = -self.first
         return np.array([-y, -y, y, y]), np.array([-x, x, x, -x])
 
-    def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats:
+    def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats32:
         """Values on a grid of a shape, whose (i, j, 1) a homography (3, 3) takes to unit coordinates (y, x, 1); 0 outside."""
         (y, x), (down, across) = -self.first / self.step, 1 / self.step
         return spline.read(self.coefficients, np.array([[down, 0, y], [0, across, x], [0, 0, 1]]) @ to_target, shape)

@@ -1,6 +1,6 @@
 """A quintic spline over a raster, read on a grid that a homography lays over it: what drawing a target comes to.
 
-Compiled, for there is nothing to vectorise by: scipy's `map_coordinates` gives the same to 1e-11 in seven times the time.
+Compiled, in single precision: scipy's `map_coordinates` gives the same to 6e-7 of white in eight times the time.
 """
 
 import math
@@ -19,6 +19,8 @@ POLES = (
 REACH = 45  # samples, after which the larger pole has fallen below 1e-16
 
 AT_ONCE = 512  # columns that are filtered together
+
+FAST = {"contract", "reassoc", "nsz"}
 
 
 def coefficients(raster: Floats) -> Floats:
@@ -45,55 +47,66 @@ def filter_columns(spline: Floats | Floats32) -> None:
         spline[:, first : first + AT_ONCE] = some
 
 
-def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats:
+def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats32:
     """(rows, columns) of a shape, [i, j] the spline's value at the raster's place `onto` (3, 3) @ (i, j, 1); 0 near and beyond
-    its borders, where the spline has no six samples.
-
-    spline: from `coefficients`, in either precision; sums are in double.
+    its borders, where the spline has no six samples. spline: from `coefficients`, in either precision.
     """
-    values = np.zeros(shape)
+    values = np.zeros(shape, np.float32)
     _read(spline, np.ascontiguousarray(onto, dtype=float), values)
     return values
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _read(spline: Floats | Floats32, onto: Floats, values: Floats) -> None:
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
+    """Row by row: places, then weights, then sums, each of which the compiler makes several pixels of at once."""
     rows, columns = spline.shape
+    many = values.shape[1]
+    row, column = np.empty(many, np.int32), np.empty(many, np.int32)
+    below, right = np.empty(many, np.float32), np.empty(many, np.float32)
+    down, across = np.empty((6, many), np.float32), np.empty((6, many), np.float32)
     for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
+        for j in range(many):
             w = 1 / (onto[2, 0] * i + onto[2, 1] * j + onto[2, 2])
             y = (onto[0, 0] * i + onto[0, 1] * j + onto[0, 2]) * w
             x = (onto[1, 0] * i + onto[1, 1] * j + onto[1, 2]) * w
-            if not (2 <= y < rows - 3 and 2 <= x < columns - 3):
+            inside = (y >= 2) & (y < rows - 3) & (x >= 2) & (x < columns - 3)
+            whole_y, whole_x = np.floor(y), np.floor(x)
+            below[j], right[j] = y - whole_y, x - whole_x
+            row[j] = np.int32(whole_y) - 2 if inside else -1
+            column[j] = np.int32(whole_x) - 2 if inside else -1
+        _weigh(below, down)
+        _weigh(right, across)
+        for j in range(many):
+            top, left = row[j], column[j]
+            if top < 0:
                 continue
-            row, column = math.floor(y) - 2, math.floor(x) - 2
-            down, across = _weights(y - row - 2), _weights(x - column - 2)
-            total = 0.0
+            a = b = c = d = e = f = np.float32(0)
             for k in range(6):
-                line = spline[row + k]
-                total += down[k] * (
-                    across[0] * line[column]
-                    + across[1] * line[column + 1]
-                    + across[2] * line[column + 2]
-                    + across[3] * line[column + 3]
-                    + across[4] * line[column + 4]
-                    + across[5] * line[column + 5]
-                )
-            values[i, j] = total
+                line, weight = spline[top + k], down[k, j]
+                a += weight * line[left]
+                b += weight * line[left + 1]
+                c += weight * line[left + 2]
+                d += weight * line[left + 3]
+                e += weight * line[left + 4]
+                f += weight * line[left + 5]
+            one, two, three = a * across[0, j], b * across[1, j], c * across[2, j]
+            values[i, j] = one + two + three + d * across[3, j] + e * across[4, j] + f * across[5, j]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _weights(t: float) -> tuple[float, float, float, float, float, float]:
-    """Of the six samples around a place, t (0..1) past the third: the quintic B-spline's pieces."""
-    s = 1 - t
-    return (
-        s**5 / 120,
-        (1 + 5 * s * (1 + s * (2 + s * (2 + s * (1 - s))))) / 120,
-        (66 - t**2 * (60 - t**2 * (30 - 10 * t))) / 120,
-        (66 - s**2 * (60 - s**2 * (30 - 10 * s))) / 120,
-        (1 + 5 * t * (1 + t * (2 + t * (2 + t * (1 - t))))) / 120,
-        t**5 / 120,
-    )
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _weigh(places: Floats32, weights: Floats32) -> None:
+    """Weights (6, n) of the six samples around each of n places (0..1) past the third: the quintic B-spline's pieces."""
+    one, two, half, quarter = np.float32(1), np.float32(2), np.float32(1 / 2), np.float32(1 / 4)
+    least, slope, middle, last = np.float32(1 / 120), np.float32(1 / 24), np.float32(11 / 20), np.float32(1 / 12)
+    for j in range(places.size):
+        t = places[j]
+        s = one - t
+        weights[0, j] = least * s**5
+        weights[1, j] = least + slope * s * (one + s * (two + s * (two + s * (one - s))))
+        weights[2, j] = middle - t**2 * (half - t**2 * (quarter - last * t))
+        weights[3, j] = middle - s**2 * (half - s**2 * (quarter - last * s))
+        weights[4, j] = least + slope * t * (one + t * (two + t * (two + t * (one - t))))
+        weights[5, j] = least * t**5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

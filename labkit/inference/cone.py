@@ -78,11 +78,11 @@ class Measured:
 class Freed:
     """Where a fit ends once its cone is free, and what of the camera is.
 
-    problem: at the shape of the last expansion; optics: of where it ends; covariance: (modes, modes) of the modes, the shape's
-    prior error in it; measured: without that prior; poor: the same if residuals are not noise alone.
+    expansion: the last, which the last step began at; optics: of where it ends; covariance: (modes, modes) of the modes, the
+    shape's prior error in it; measured: without that prior; poor: the same if residuals are not noise alone.
     """
 
-    problem: Problem
+    expansion: Expansion
     solution: Solution
     optics: Optics
     covariance: Floats
@@ -169,6 +169,25 @@ class Expansion:
         """Relative images (pixels,) of the frames after a short step (p,)."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
+    def with_parts(self, optics: Optics) -> Expansion:
+        """The same with more parts, behind those that it has, or with a width of the spectrum. They do nothing there, so that
+        all that is at hand stays right."""
+        problem, state = replace(self.problem, model=self.problem.model.shaped(optics)), self.state
+        have, old = len(self.optics.parts), len(self.optics.shape_labels)
+        numbers, width = sum(len(part.labels) for part in optics.parts[have:]), self.optics.spectrum.variance
+        wide = width is None and optics.spectrum.variance is not None
+        more = problem.model.by_parts(
+            state.waves, problem.draw(state), [f.used for f in problem.frames], first=have, by_width=wide
+        )
+        cone = state.waves.size + old
+        parts = cone if width is None else cone - 1
+        at = [parts] * numbers + [cone] * wide
+        evaluations = [
+            replace(each, by_waves=np.insert(each.by_waves, at, rows, axis=0))
+            for each, rows in zip(self.evaluations, more, strict=True)
+        ]
+        return _expansion(problem, state, evaluations)
+
     def measured(self) -> Measured:
         """The Gaussian of modes, shape and scale."""
         step, covariance = self.newton(self.optics.usual_shape**-2)
@@ -243,7 +262,7 @@ def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, 
         settled,
     )
     return Freed(
-        problem,
+        expansion,
         solution,
         expansion.optics_after(step),
         covariance[:modes, :modes],
@@ -286,7 +305,15 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
     """The log-likelihood about a state, the shape free. exact: as in `ForwardModel.evaluate`."""
     state, used = start.state, [f.used for f in problem.frames]
     drawing = start.drawing or problem.draw(state)
-    evaluations = problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative)
+    return _expansion(
+        problem,
+        state,
+        problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative),
+    )
+
+
+def _expansion(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Expansion:
+    """From derivatives by modes, shape and pose."""
     gradient, information = _assembled(problem, state, evaluations)
     here, picked = _picked(problem, state, len(gradient))
     return Expansion(problem, state, gradient, information, here, picked, tuple(evaluations))

@@ -1,6 +1,6 @@
 """From frames and a rough pose to the wavefront: search, judge, and what became of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter, process_time
 
@@ -13,6 +13,7 @@ from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
+from labkit.inference.missing_parts import Call, calls, lacking
 from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.search import Record, Search
 from labkit.inference.sketch import Sketches
@@ -40,7 +41,8 @@ class WavefrontFit:
     starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
     pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted. settled:
     whether many starts came back to it. left: of the data, by frequency (`residual_spectrum`); left_without: before missing
-    parts of the camera were taken in, if any were.
+    parts of the camera were taken in, if any were. calls: what the frames say of parts that the model lacks, by name, if that
+    was wanted.
     """
 
     noll: tuple[int, ...]
@@ -55,11 +57,12 @@ class WavefrontFit:
     starts: int
     others: tuple[Other, ...]
     relative: tuple[Floats, ...]
-    seconds: float
+    seconds: float = 0.0
     cut_short: bool = False
     settled: bool = False
     left: Floats = field(default_factory=lambda: np.empty(0))
     left_without: Floats | None = None
+    calls: Mapping[str, Call] = field(default_factory=dict)
 
     @property
     def waves(self) -> Floats:
@@ -108,6 +111,7 @@ def fit_wavefront(
     max_starts: int = 40,
     patience_s: float = np.inf,
     missing: tuple[Part, ...] = (),
+    asked: bool = False,
     alone: bool = True,
     progress: Callable[[str], None] = lambda step: None,
 ) -> WavefrontFit:
@@ -117,8 +121,8 @@ def fit_wavefront(
     0: exact. starts: wavefronts (modes,) that other frames of the lens predict; alike: such whose first mode, defocus, is not
     known. rng: for further starts, made while no optimum is accepted. max_starts: of the whole likelihood far from focus,
     before the best is returned, rejected; patience_s: of processor time, after which no further start is made.
-    missing: parts of the camera, to be tried where the model does not explain the frames without them. alone: whether no
-    frames of other ranges will tell a wrong optimum.
+    missing: parts of the camera, to be tried where the model does not explain the frames without them. asked: whether the
+    end is to say which parts it lacks. alone: whether no frames of other ranges will tell a wrong optimum.
     What the frames do not determine has huge errors and is rejected.
     """
     began, ends_at = perf_counter(), process_time() + patience_s
@@ -130,10 +134,19 @@ def fit_wavefront(
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, ends_at, missing, alone, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
-    return _as_fit(whole, record, perf_counter() - began, search.late and not (record.accepted or record.settled))
+    said = _said(record, f_number_std) if asked else {}
+    cut_short = search.late and not (record.accepted or record.settled)
+    return replace(_as_fit(whole, record), calls=said, cut_short=cut_short, seconds=perf_counter() - began)
 
 
-def _as_fit(problem: Problem, record: Record, seconds: float, cut_short: bool) -> WavefrontFit:
+def _said(record: Record, f_number_std: float) -> dict[str, Call]:
+    """By the best of a search, of what its model lacks."""
+    assert record.best is not None
+    expansion = record.best.freed.expansion
+    return calls(expansion, lacking(expansion.optics), f_number_std)
+
+
+def _as_fit(problem: Problem, record: Record) -> WavefrontFit:
     """The best of a search, and what else it came across."""
     assert record.best is not None
     freed, optima = record.best.freed, sorted(record.optima, key=lambda optimum: optimum[1])
@@ -151,11 +164,9 @@ def _as_fit(problem: Problem, record: Record, seconds: float, cut_short: bool) -
         record.starts,
         tuple(Other(waves, misfit - optima[0][1]) for waves, misfit in optima[1:]),
         tuple(record.best.relative),
-        seconds,
-        cut_short,
-        record.settled,
-        residual_spectrum(problem.frames, record.best.relative, solution.state.detectors()),
-        record.best.without,
+        settled=record.settled,
+        left=residual_spectrum(problem.frames, record.best.relative, solution.state.detectors()),
+        left_without=record.best.without,
     )
 
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
-from labkit.inference.cone import expand
-from labkit.inference.fisher_scoring import Problem, Start, State
+from labkit.inference.cone import Expansion
 from labkit.inference.identifiability import inverse
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
@@ -68,20 +67,21 @@ def lacking(optics: Optics) -> list[str]:
     return [*names, SPECTRUM] if optics.spectrum == Spectrum() else names
 
 
-def calls(problem: Problem, state: State, names: Sequence[str], f_number_std: float) -> dict[str, Call]:
-    """What the frames of a problem, at its optimum, say of parts that its model lacks. f_number_std: relative, of its cone."""
-    optics = problem.model.optics
-    own, without = optics.shape.size, optics
+def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, Call]:
+    """What frames say of parts that their model lacks, by the likelihood about its optimum without them.
+
+    f_number_std: relative, of the cone.
+    """
+    without = optics = expansion.optics
     for name in names:
         optics = with_part(optics, name)
-    expansion = expand(replace(problem, model=problem.model.shaped(optics)), Start(state))
-    first = expansion.shape.start
-    added = _added(without, optics, names)
-    kept = np.setdiff1d(np.arange(len(expansion.gradient)), first + np.concatenate([*added.values()]))
-    information, gradient = expansion.information.copy(), expansion.gradient
-    cone = expansion.shape.stop - 1
+    wider = expansion.with_parts(optics)
+    first, added = wider.shape.start, _added(without, optics, names)
+    kept = np.setdiff1d(np.arange(len(wider.gradient)), first + np.concatenate([*added.values()]))
+    information, gradient = wider.information.copy(), wider.gradient
+    cone = wider.shape.stop - 1
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
-    others = np.arange(first, first + own - 1)  # parts that are there already: as usual, as in a climb
+    others = np.arange(first, first + without.shape.size - 1)  # parts that are there already: as usual, as in a climb
     information[others, others] += without.usual_shape[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
     result = {}

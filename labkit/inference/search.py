@@ -235,7 +235,7 @@ class Search:
         if not freed.solution.converged:
             near = maximize(problem, state, exact=False)
             freed = free_cone(problem, near.begun or Start(near.state), self.f_number_std)
-        return Outcome(freed, judge(freed.problem, freed.solution.state, freed.solution.relative))
+        return Outcome(freed, judge(freed.expansion.problem, freed.solution.state, freed.solution.relative))
 
     def _with_missing(self, plain: Outcome) -> Outcome:
         """The maximum with the missing parts free, if it then is believed. It is sought where slopes promise what is needed."""
@@ -245,7 +245,7 @@ class Search:
         missing = tuple(part for part in self.missing if part.name not in {one.name for one in have})
         if not missing:
             return plain
-        promised = calls(plain.freed.problem, state, [part.name for part in missing], self.f_number_std)
+        promised = calls(plain.freed.expansion, [part.name for part in missing], self.f_number_std)
         if max(call.gain for call in promised.values()) < CALLED_FOR:
             return plain
         problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *missing))))

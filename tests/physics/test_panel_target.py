@@ -88,8 +88,8 @@ def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
         up, down = (model.shaped(optics.shaped(optics.shape + sign * step)) for sign in (1, -1))
         means = [each.means(TRUTH.waves, each.draw([POSE]), used)[0] for each in (up, down)]
         difference = (means[0] - means[1]) / 2e-2
-        # measured: 3.5e-5 of the largest, which single precision of drawings makes: pictures err by 1e-8 of white RMS
-        assert np.std(slopes[k] - difference) < 7e-5 * np.abs(difference).max()
+        # measured: 1.2e-4 of the largest, which single precision of drawings makes: pictures err by 2e-8 of white RMS
+        assert np.std(slopes[k] - difference) < 2.4e-4 * np.abs(difference).max()
 
 
 @pytest.mark.parametrize("wrong", [{"place": 3}, {"aperture": (0.0, 0.9)}, {"surround": 1.0}])

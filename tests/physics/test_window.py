@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal.windows
 
-from labkit.imaging.window import STRAYED, WIDEST, rim_rays_airy, window_for
+from labkit.imaging.window import FADING, STRAYED, WIDEST, fading, rim_rays_airy, window_for
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
 
@@ -39,3 +40,8 @@ def test_rays_from_the_rim_of_a_defocused_lens_arrive_on_the_geometric_disc() ->
 
 def test_no_window_is_wider_than_memory_allows() -> None:
     assert window_for((4,), np.array([50.0])) == WIDEST
+
+
+@pytest.mark.parametrize("size", [48, 121])
+def test_a_window_fades_out_as_tukeys(size: int) -> None:
+    np.testing.assert_allclose(fading(size), scipy.signal.windows.tukey(size, FADING), atol=1e-15)

@@ -75,7 +75,7 @@ def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardMod
     assert wide.window_airy > 1.5 * model.window_airy
     problem = photographed(wide, thrown)
     ends = [free_cone(replace(problem, model=each), Start(thrown), 0.03) for each in (model, wide)]
-    assert ends[0].problem.model.window_airy == pytest.approx(wide.window_airy)
+    assert ends[0].expansion.problem.model.window_airy == pytest.approx(wide.window_airy)
     narrow = maximize(replace(problem, model=model), thrown).state.waves
     right, widened, std = (
         ends[1].solution.state.waves,

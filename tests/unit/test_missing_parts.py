@@ -32,7 +32,7 @@ def fitted(of: Problem) -> Freed:
 
 def asked(of: Problem) -> dict[str, Call]:
     freed = fitted(of)
-    return calls(freed.problem, freed.solution.state, lacking(freed.optics), 0.03)
+    return calls(freed.expansion, lacking(freed.optics), 0.03)
 
 
 def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
