@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from labkit.analysis.local_fits import LocalFit, Task, fit_task
 from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, Observation, cut_around, sees_target_only
@@ -61,7 +62,8 @@ def fit_image(
     corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
     observation = _observation(images, good, target, corners, pattern, channel, _noise(images, gain, read_noise))
     task = Task(optics, target, observation)
-    return as_wavefront(LocalFit(task, canonical(fit_task(task))))
+    with threadpool_limits(1):  # several for matrices of this size take twice the time
+        return as_wavefront(LocalFit(task, canonical(fit_task(task))))
 
 
 def _observation(
