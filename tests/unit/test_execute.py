@@ -173,6 +173,36 @@ def test_workers_go_on_with_the_next_tasks_after_one_was_lost() -> None:
         assert sorted(run(kill_at, [3, 4])) == [(0, 3), (1, 4)]
 
 
+def test_processes_begin_before_there_is_work_for_them() -> None:
+    before = set(active_children())
+    with Workers(2) as run:
+        run.warm_up("math")
+        begun = set(active_children()) - before
+        assert len(begun) == 2
+        assert sorted(run(factorial, [5, 6, 7])) == [(0, 120), (1, 720), (2, 5040)]
+        assert set(active_children()) - before == begun
+    assert set(active_children()) == before
+
+
+def test_processes_that_are_killed_before_there_is_work_are_begun_anew() -> None:
+    before = set(active_children())
+    with Workers(2) as run:
+        run.warm_up("math")
+        begun = set(active_children()) - before
+        for process in begun:
+            process.kill()
+            process.join()
+        time.sleep(0.3)  # until the pool has seen it
+        assert sorted(run(factorial, [5, 6])) == [(0, 120), (1, 720)]
+
+
+def test_one_worker_needs_no_warming_up() -> None:
+    before = set(active_children())
+    with Workers(1) as run:
+        run.warm_up("math")
+        assert set(active_children()) == before
+
+
 def test_a_full_folder_for_temporary_files_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def full(path: Path, content: bytes) -> int:
         raise OSError(28, "No space left on device")
