@@ -60,7 +60,7 @@ class Blur:
             )
         pixel = np.sinc(torus.row_frequency * self.active_um), np.sinc(torus.column_frequency * self.active_um)
         shift = torus.shift(pupil.size // 2 * pupil.spacing_um)
-        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts)]
+        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts) if any(part.values)]
         airy_um = pupil.wavelength_um * pupil.f_number
         perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
         for name, value in (
