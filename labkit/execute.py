@@ -11,12 +11,13 @@ import os
 import pickle
 import shutil
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
 from concurrent.futures import wait as first_done
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import partial
 from importlib import import_module
@@ -108,7 +109,7 @@ class Workers:
     def warm_up(self, module: str) -> None:
         """Begin the processes, each with a module imported, while there is nothing yet for them to do: that takes a second."""
         if self._count > 1:
-            with _interrupt_held():
+            with _interrupt_held(), _main_hidden():
                 for _ in range(self._count):
                     self._processes().submit(_import, module)
 
@@ -195,7 +196,8 @@ class Workers:
         return stored
 
     def _submitted(self, function: Callable[[Task], Result], stored: Mapping[int, Path]) -> dict[Future[Result], int]:
-        with _interrupt_held():
+        of_main = getattr(function, "__module__", None) == "__main__"
+        with _interrupt_held(), nullcontext() if of_main else _main_hidden():
             try:
                 return {self._processes().submit(_run_stored, function, path): index for index, path in stored.items()}
             except BrokenProcessPool:  # killed before there was anything to do
@@ -292,6 +294,19 @@ def _saying(heard: Callable[[str], None] | None) -> Iterator[None]:
         yield
     finally:
         _say.reset(token)
+
+
+@contextmanager
+def _main_hidden() -> Iterator[None]:
+    """Processes that are begun until the end do not run the script that began them anew, as Python has them do: it would
+    have to keep its work behind `if __name__ == "__main__"`, and nothing in it is needed."""
+    main = vars(sys.modules["__main__"])
+    kept: dict[str, object] = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    main.update(dict.fromkeys(kept))
+    try:
+        yield
+    finally:
+        main.update(kept)
 
 
 @contextmanager

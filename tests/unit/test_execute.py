@@ -26,6 +26,12 @@ if __name__ == "__main__":
     next(results)
 """
 
+PLAIN = """
+from math import factorial
+from labkit.execute import run_all
+print(sorted(run_all(factorial, [5, 6, 7], 2)), __name__, __file__)
+"""
+
 
 def kill_the_first_time(task: tuple[Path, int]) -> int:
     """The process at work is killed, unless this was tried before."""
@@ -128,7 +134,7 @@ def test_workers_end_with_their_parent_however_it_dies_and_leave_no_files(
 
 
 def test_tasks_under_way_when_a_worker_is_killed_are_tried_again(tmp_path: Path) -> None:
-    tasks = [(tmp_path / str(k), k) for k in range(2)] + [(tmp_path, k) for k in range(2, 6)]
+    tasks = [(tmp_path / "tried", 0), *((tmp_path, k) for k in range(1, 6))]
     assert sorted(run_all(kill_the_first_time, tasks, 2)) == [(k, k) for k in range(6)]
 
 
@@ -194,6 +200,13 @@ def test_processes_that_are_killed_before_there_is_work_are_begun_anew() -> None
             process.join()
         time.sleep(0.3)  # until the pool has seen it
         assert sorted(run(factorial, [5, 6])) == [(0, 120), (1, 720)]
+
+
+def test_a_script_needs_no_guard_of_its_main_part(tmp_path: Path) -> None:
+    script = tmp_path / "plain.py"
+    script.write_text(PLAIN, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == f"[(0, 120), (1, 720), (2, 5040)] __main__ {script}\n"
 
 
 def test_one_worker_needs_no_warming_up() -> None:
