@@ -152,8 +152,8 @@ def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
     return Uncertain(cone, cone * float(np.hypot(stated.std / lens.f_number, pupils)))
 
 
-def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> Problem:
-    """A task's frames and a model of them about a state, of optics that a fit ended with. spare: as of `ForwardModel`."""
+def problem_at(task: Task, optics: Optics, state: State) -> Problem:
+    """A task's frames and a model of them about a state, of optics that a fit ended with."""
     observation = task.observation
     model = ForwardModel.build(
         optics,
@@ -161,7 +161,6 @@ def problem_at(task: Task, optics: Optics, state: State, spare: float = 0.0) -> 
         observation.shape,
         state.poses[0],
         window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
-        spare=spare,
         shine=observation.frames[0].shine,
     )
     return Problem(model, observation.frames, observation.noise)

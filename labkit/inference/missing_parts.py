@@ -72,6 +72,8 @@ def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> di
 
     f_number_std: relative, of the cone.
     """
+    if not names:
+        return {}
     without = optics = expansion.optics
     for name in names:
         optics = with_part(optics, name)

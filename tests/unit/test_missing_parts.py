@@ -55,6 +55,10 @@ def test_a_plain_camera_calls_for_nothing() -> None:
     assert {name: call.gain for name, call in asked(problem()).items() if call.gain > 7} == {}
 
 
+def test_a_model_that_has_everything_calls_for_nothing() -> None:
+    assert calls(fitted(problem()).expansion, [], 0.03) == {}
+
+
 def test_what_a_plan_gives_is_not_asked_for() -> None:
     assert lacking(replace(OPTICS, given=(LowPass(0.3, 0.3),))) == [name for name in EVERY if name != "low_pass_filter"]
     assert lacking(replace(OPTICS, spectrum=Spectrum.of_width(1e-3))) == [*KNOWN]
