@@ -14,7 +14,7 @@ from labkit.imaging.parts import Part
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import Spectrum
-from labkit.types import AnyComplexes, Complexes, Complexes64, Floats, Floats32
+from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats, Floats32
 
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
@@ -165,14 +165,13 @@ class Blur:
         """Half planes of its derivatives by the numbers of each part, from one on, in single precision."""
         if not self.parts[first:]:
             return
-        active = {k: part.transfer(*self._per_pixel) for k, part in enumerate(self.parts) if any(part.values)}
-        bare = self._bare(waves, np.float32)
-        for part in self.given:
-            bare = _times(bare, part.transfer(*self._per_pixel))
+        places = [frequency.astype(np.float32) for frequency in self._per_pixel]
+        active = {k: part.transfer(*places) for k, part in enumerate(self.parts) if any(part.values)}
+        bare = _times(self._bare(waves, np.float32), *(part.transfer(*places) for part in self.given))
         for k, part in enumerate(self.parts[first:], first):
             others = _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k))
-            for slope in part.slopes(*self._per_pixel):
-                yield np.asarray(others * slope.astype(np.float32))
+            for slope in part.slopes(*places):
+                yield np.asarray(others * slope.astype(np.float32, copy=False))
 
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
         """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
@@ -203,7 +202,7 @@ class Blur:
         return by_row, by_column
 
 
-def _times(transfer: AnyArray, *factors: Floats | AnyComplexes) -> AnyArray:
+def _times(transfer: AnyArray, *factors: AnyFloats | AnyComplexes) -> AnyArray:
     """A half plane, which is changed, times others, or times such of one line: a half plane of a large target is 70 MB."""
     for factor in factors:
         precision = transfer.dtype if np.iscomplexobj(factor) else transfer.real.dtype

@@ -1,6 +1,7 @@
 """The halo on a torus: the guard band that a PSF's window needs, and what light from beyond it adds to a picture."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,18 +20,23 @@ ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 def perfect_lens(torus: Torus, airy_um: float) -> Floats:
     """Half plane of the transfer function of a perfect lens. airy_um: lambda N."""
-    return diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * airy_um)
+    return _symmetric(torus, lambda frequency: diffraction_mtf(frequency * airy_um))
 
 
 def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
     """Half plane of its derivative by ln of lambda N."""
-    slope = np.hypot(torus.row_frequency * airy_um, torus.column_frequency * airy_um)
-    np.minimum(slope, 1.0, out=slope)
-    root = np.square(slope)
-    np.sqrt(np.subtract(1.0, root, out=root), out=root)
-    slope *= root
-    slope *= -4 / np.pi
-    return slope
+
+    def slope(frequency: Floats) -> Floats:
+        nu = np.minimum(frequency * airy_um, 1.0)
+        return np.asarray(-4 / np.pi * nu * np.sqrt(1 - nu**2))
+
+    return _symmetric(torus, slope)
+
+
+def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
+    """Half plane of a function of the distance from frequency 0, which columns of opposite frequency share."""
+    columns, places = np.unique(np.abs(torus.column_frequency), return_inverse=True)
+    return np.take(function(np.hypot(torus.row_frequency, columns)), places.ravel(), axis=1)
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from labkit.panel_target import USUAL_APERTURE
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 LEAST = 0.02
 """An aperture that a step would make smaller than this is drawn as this: it has to be above 0."""
@@ -42,9 +42,9 @@ class Aperture:
         across, down = values
         return replace(self, across=float(across), down=float(down))
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
         return np.ones(np.broadcast_shapes(rows.shape, columns.shape))
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         none = np.zeros(np.broadcast_shapes(rows.shape, columns.shape))
         return none, none

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class Diffusion:
         (variance,) = values
         return replace(self, variance=float(variance))
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
         return np.asarray(np.exp(-2 * np.pi**2 * self.variance * (rows**2 + columns**2)))
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         return (np.asarray(-2 * np.pi**2 * (rows**2 + columns**2) * self.transfer(rows, columns)),)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,33 +39,33 @@ class LowPass:
         rows, columns = values
         return replace(self, rows=float(rows), columns=float(columns))
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
         along, across = self._axes(rows, columns)
         return np.asarray(_split(self.rows, along) * _split(self.columns, across))
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         along, across = self._axes(rows, columns)
         return (
             np.asarray(_split_slope(self.rows, along) * _split(self.columns, across)),
             np.asarray(_split(self.rows, along) * _split_slope(self.columns, across)),
         )
 
-    def _axes(self, rows: Floats, columns: Floats) -> tuple[Floats, Floats]:
+    def _axes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, AnyFloats]:
         """Frequencies along the two plates."""
         if not self.turned:
             return rows, columns
-        return (rows + columns) / np.sqrt(2), (rows - columns) / np.sqrt(2)
+        return (rows + columns) / math.sqrt(2), (rows - columns) / math.sqrt(2)
 
 
-def _split(square: float, frequency: Floats) -> Floats:
+def _split(square: float, frequency: AnyFloats) -> AnyFloats:
     """cos(pi s w) of s^2."""
-    angle = np.pi * np.sqrt(abs(square)) * frequency
+    angle = np.pi * math.sqrt(abs(square)) * frequency
     return np.asarray(np.cos(angle) if square >= 0 else np.cosh(angle))
 
 
-def _split_slope(square: float, frequency: Floats) -> Floats:
+def _split_slope(square: float, frequency: AnyFloats) -> AnyFloats:
     """Its derivative by s^2, -(pi w)^2 / 2 times the sine over its angle."""
-    angle = np.pi * np.sqrt(abs(square)) * frequency
+    angle = np.pi * math.sqrt(abs(square)) * frequency
     tiny = np.abs(angle) < 1e-4
     safe = np.where(tiny, 1.0, angle)
     ratio = np.where(tiny, 1.0, (np.sin(safe) if square >= 0 else np.sinh(safe)) / safe)

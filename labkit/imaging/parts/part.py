@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar, Protocol, Self
 
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 
 class Part(Protocol):
@@ -32,10 +32,11 @@ class Part(Protocol):
         """The same part of other numbers."""
         ...
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
-        """The transfer function at frequencies along rows (m, 1) and along columns (1, n), cycles a pixel: (m, n)."""
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
+        """The transfer function at frequencies along rows (m, 1) and along columns (1, n), cycles a pixel: (m, n), in
+        their precision."""
         ...
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         """Its derivatives (m, n) by each of its numbers."""
         ...

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +37,10 @@ class Smear:
         rows, columns, across = values
         return replace(self, rows=float(rows), columns=float(columns), across=float(across))
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
         moment = self.rows * rows**2 + self.columns * columns**2 + 2 * self.across * rows * columns
         return np.asarray(np.exp(-2 * np.pi**2 * moment))
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         transfer = -2 * np.pi**2 * self.transfer(rows, columns)
         return rows**2 * transfer, columns**2 * transfer, 2 * rows * columns * transfer

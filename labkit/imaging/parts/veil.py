@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from labkit.types import Floats
+from labkit.types import AnyFloats
 
 SCALE_PX = 12.0
 """Standard deviation of the veil. Ambient light takes what is much broader than a picture, the lens what is narrower."""
@@ -36,8 +36,8 @@ class Veil:
         (share,) = values
         return replace(self, share=float(share))
 
-    def transfer(self, rows: Floats, columns: Floats) -> Floats:
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
         return 1 + self.share * self.slopes(rows, columns)[0]
 
-    def slopes(self, rows: Floats, columns: Floats) -> tuple[Floats, ...]:
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
         return (np.asarray(np.exp(-2 * np.pi**2 * self.scale_px**2 * (rows**2 + columns**2)) - 1),)
