@@ -16,9 +16,10 @@ from labkit.analysis.psf_of_session import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
 from labkit.restoration.baselines import Method, baseline
-from labkit.restoration.blind import fitted_defocus
+from labkit.restoration.blind import Defocus, fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
+from labkit.restoration.noise import own_noise
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.strength import Choice
 from labkit.restoration.tiles import Picture, memory_bytes, restore_job
@@ -138,8 +139,13 @@ def _restore(
     job = _job(shots, _with_lateral_colour(colours, results, range_mm), wanted, origin)
     if (clipped := max(shot.clipped for shot in shots)) > 0:
         notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
+    if wanted.force:
+        job = _with_own_noise(job, notes)
+    fitted: dict[str, Any] = {}
     if wanted.fit_defocus:
-        job = fitted_defocus(job, progress)
+        job, defocus = fitted_defocus(job, progress)
+        fitted = {"fitted_defocus_waves": defocus.waves, "fitted_defocus_std_waves": defocus.std}
+        notes += _doubts(defocus)
     tile = _tile(job, wanted)
     workers = _workers(job, tile, wanted)
     say(_will_take(job, tile, workers))
@@ -152,9 +158,32 @@ def _restore(
     else:
         scene, more = baseline(job, wanted.method), {"lambda": None, "method": wanted.method}
     more |= {"seconds": round(perf_counter() - began, 2), "frames": len(shots), "white_counts": white, "notes": notes}
-    about = _where(job, names, origin, range_mm) | more
+    about = _where(job, names, origin, range_mm) | fitted | more
     output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
+
+
+def _doubts(defocus: Defocus) -> list[str]:
+    if defocus.told:
+        return []
+    return [
+        f"the photograph's own defocus, {abs(defocus.waves):.2f} ± {defocus.std:.2f} waves, is not told from best focus: it is "
+        "restored as if taken there; where its range is known, give it with --range"
+    ]
+
+
+def _with_own_noise(job: Job, notes: list[str]) -> Job:
+    """The job with the first photograph's noise, by itself, where that tells it: another camera's is not the session's."""
+    colours = []
+    for colour in job.colours:
+        if (noise := own_noise(job.photographs[0], colour, job.period)) is not None:
+            notes.append(
+                f"{colour.name}: the noise is the photograph's own, {noise[0]:.2g} counts an electron; the session's camera has "
+                f"{colour.gain:.2g}"
+            )
+            colour = replace(colour, gain=noise[0], read_variance=noise[1])
+        colours.append(colour)
+    return replace(job, colours=tuple(colours))
 
 
 def _where(job: Job, names: Sequence[str], origin: tuple[int, int], range_mm: float | None) -> dict[str, Any]:
