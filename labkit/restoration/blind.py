@@ -12,7 +12,7 @@ from labkit.restoration.tiles import CHOSEN_ON, areas_of
 from labkit.types import Floats, Progress, no_progress
 
 SPAN_WAVES, COARSE = 1.6, 0.1  # of the search, from best focus on; its step, then a quarter of it
-PARTS, PART_PX = 6, 48  # whose likelihoods are multiplied: the richest in contrast, as large at most
+PARTS, LEAST_PARTS, PART_PX = 6, 3, 32  # whose likelihoods are multiplied: the richest in contrast
 SURE = 3.0  # standard errors from best focus
 SCENES = 0.1  # waves, by which scenes' own blur and spectra make it err: RMS of the study's pictures but brick and moon, 0.08
 
@@ -71,8 +71,7 @@ def moved(job: Job, by_waves: float) -> Job:
 def _unlikely(job: Job) -> Floats:
     """(parts,) of a job."""
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    side = min(PART_PX, min(job.shape) // 2) // job.period * job.period
-    views = [coarse.views(area) for area in areas_of(job, side)[:PARTS]]
+    views = [coarse.views(area) for area in areas_of(job, PART_PX)[:PARTS]]
     return np.array([unlikeliness(view, job.coupling) for view in views if view is not None])
 
 
@@ -80,5 +79,7 @@ def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:
     """The place of least summed score, and its standard error: by leaving out one part after the other, and by scenes. B. Efron and C. Stein, Ann. Statist. 9, 586 (1981)."""
     total, count = scores.sum(axis=1), scores.shape[1]
     without = places[np.argmin(total[:, None] - scores, axis=0)]
+    if count < LEAST_PARTS:
+        return float(places[np.argmin(total)]), SPAN_WAVES
     spread = (count - 1) * float(np.var(without))
     return float(places[np.argmin(total)]), float(np.hypot(np.sqrt(spread), SCENES))

@@ -44,9 +44,9 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
-    follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges leave
-    residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic, bends most among strengths
-    that leave a tenth to ten times the noise.
+    follows most of the noise. Never weaker than cross-validation has it, but for residuals above the noise: several sharp frames
+    of a scene with edges leave residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic,
+    bends most among strengths that leave a tenth to ten times the noise.
     """
     trials = [Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)
@@ -64,17 +64,14 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
     return Strength(unit * 10 ** float(decade), how)
 
 
-def _score(trials: Sequence[Trial], stiffness: float) -> float:
-    """Of generalised cross-validation, its logarithm."""
-    data = sum(trial.views.data for trial in trials)
-    squares, left = np.sum([trial.sums(stiffness) for trial in trials], axis=0)
-    return float(np.log(squares / data) - 2 * np.log(max(left, 1e-6 * data) / data))
-
-
 def _cross_validated(trials: Sequence[Trial], unit: float, from_decade: float) -> float:
-    """The decade from there on, up the strengths, to where the score rises."""
-    decade, here = from_decade, _score(trials, unit * 10**from_decade)
-    while decade < MOST and (there := _score(trials, unit * 10 ** (decade + STRIDE))) < here:
+    """The decade from there on, up the strengths, to where the score rises, or residuals reach the noise."""
+    data, decade, here = sum(trial.views.data for trial in trials), from_decade, np.inf
+    while decade < MOST:
+        squares, left = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
+        there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
+        if there >= here or squares > data:
+            return max(decade - STRIDE, from_decade)
         decade, here = decade + STRIDE, there
     return decade
 
@@ -145,6 +142,14 @@ class Trial:
         kriging = self.kriging(stiffness)
         squares = float(np.sum(self.apart * kriging.solve(self.apart, tolerance=LOOSE)))
         return 0.5 * (squares + kriging.log_determinant())
+
+    def contrast_of_one(self) -> float:
+        """Variance over squared mean of scenes whose penalty has a stiffness of 1: inversely as much of another."""
+        grid, levels = self.views.grid, np.ones(self.views.components)
+        for view in self.views:
+            levels[view.component] = max(float(np.mean(view.counts[view.used] / view.light[view.used])), 1.0)
+        between = [self.soft.stiffness.between(c, c) for c in range(self.views.components)]
+        return max(float(np.sum(grid.share * b)) / level**2 for b, level in zip(between, levels, strict=True))
 
     def corner(self, stiffness: float) -> tuple[float, float]:
         """Squared residuals, and roughness: f^T K f is that of the planes by way of the scene."""
