@@ -76,7 +76,10 @@ def _unlikely(job: Job) -> Floats:
 
 
 def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:
-    """The place of least summed score, and its standard error: by leaving out one part after the other, and by scenes. B. Efron and C. Stein, Ann. Statist. 9, 586 (1981)."""
+    """The place of least summed score, and its standard error: by leaving out one part after the other, and by scenes.
+
+    B. Efron and C. Stein, Ann. Statist. 9, 586 (1981).
+    """
     total, count = scores.sum(axis=1), scores.shape[1]
     without = places[np.argmin(total[:, None] - scores, axis=0)]
     if count < LEAST_PARTS:

@@ -97,7 +97,7 @@ class Kriging:
         """Of what `apply` does over that of the variances alone: all frequencies', as many as there are used counts."""
         logs, columns = np.linalg.slogdet(self._blocks())[1], self.grid.cells.pixels[1]
         twice = np.where((np.arange(logs.shape[1]) * 2) % columns == 0, 1.0, 2.0)  # half a plane stands for all of it
-        mean = float(np.sum(twice * logs)) / (twice.sum() * len(logs)) - float(np.sum(np.log(self._typical())))
+        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs))) - float(np.sum(np.log(self._typical())))
         return mean * float(self.used.sum()) / len(self.views)
 
     def stiffer(self, factor: float) -> Kriging:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from scipy.special import chdtri
 
 from labkit.restoration.job import Colour, Photograph
-from labkit.types import Floats
+from labkit.types import Bools, Floats
 
 STRIDE, SIDE = 3, 4  # between differences that share no count, and differences to a square's side
 QUIET = 0.1  # share of a brightness's squares that show noise alone
@@ -39,7 +39,7 @@ def own_noise(photograph: Photograph, colour: Colour, period: int) -> tuple[floa
     return (gain, max(floor, LEAST_VARIANCE)) if gain > 0 else None
 
 
-def _squares(counts: Floats, used: np.ndarray) -> Floats:
+def _squares(counts: Floats, used: Bools) -> Floats:
     """(2, squares): mean level, and variance by second differences along both axes, of one plane."""
     kernel = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)) / 6  # of unit noise unit noise
     rows, columns = (side // (STRIDE * SIDE) * SIDE for side in counts.shape)

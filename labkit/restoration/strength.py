@@ -44,9 +44,9 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
-    follows most of the noise. Never weaker than cross-validation has it, but for residuals above the noise: several sharp frames
-    of a scene with edges leave residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic,
-    bends most among strengths that leave a tenth to ten times the noise.
+    follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges, or a lens
+    that is not the photograph's, leave residuals that no strength explains. "l-curve": where misfit against roughness, both
+    logarithmic, bends most among strengths that leave a tenth to ten times the noise.
     """
     trials = [Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)
@@ -65,12 +65,12 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
 
 def _cross_validated(trials: Sequence[Trial], unit: float, from_decade: float) -> float:
-    """The decade from there on, up the strengths, to where the score rises, or residuals reach the noise."""
+    """The decade from there on, up the strengths, to where the score rises."""
     data, decade, here = sum(trial.views.data for trial in trials), from_decade, np.inf
     while decade < MOST:
         squares, left = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
         there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
-        if there >= here or squares > data:
+        if there >= here:
             return max(decade - STRIDE, from_decade)
         decade, here = decade + STRIDE, there
     return decade

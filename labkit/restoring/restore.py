@@ -16,7 +16,7 @@ from labkit.analysis.psf_of_session import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
 from labkit.restoration.baselines import Method, baseline
-from labkit.restoration.blind import Defocus, fitted_defocus
+from labkit.restoration.blind import SPAN_WAVES, Defocus, fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
 from labkit.restoration.noise import own_noise
@@ -144,6 +144,7 @@ def _restore(
     fitted: dict[str, Any] = {}
     if wanted.fit_defocus:
         job, defocus = fitted_defocus(job, progress)
+        job = replace(job, guard_px=_guard(job.colours))
         fitted = {"fitted_defocus_waves": defocus.waves, "fitted_defocus_std_waves": defocus.std}
         notes += _doubts(defocus)
     tile = _tile(job, wanted)
@@ -178,7 +179,7 @@ def _with_own_noise(job: Job, notes: list[str]) -> Job:
     for colour in job.colours:
         if (noise := own_noise(job.photographs[0], colour, job.period)) is not None:
             notes.append(
-                f"{colour.name}: the noise is the photograph's own, {noise[0]:.2g} counts an electron; the session's camera has "
+                f"{colour.name}: the noise is the photograph's own, {noise[0]:.2g} counts an electron; the session's has "
                 f"{colour.gain:.2g}"
             )
             colour = replace(colour, gain=noise[0], read_variance=noise[1])
@@ -288,7 +289,8 @@ def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted, origi
         photographs.append(with_motion(shot, registered(first, shot.photograph, period)))
     at = np.array([origin[0], origin[1]], float)
     colours = [replace(c, motion=_begun_at(c.motion, at)) for c in colours]
-    job = Job(tuple(photographs), tuple(colours), period, 1, _guard(colours), np.eye(len(colours)))
+    guard_px = _guard(colours, SPAN_WAVES if wanted.fit_defocus else 0.0)
+    job = Job(tuple(photographs), tuple(colours), period, 1, guard_px, np.eye(len(colours)))
     job = job.of_samples(wanted.samples or job.nyquist_samples)
     return refined(replace(job, coupling=colour_coupling(job)) if len(colours) > 1 else job)
 
@@ -300,12 +302,14 @@ def _begun_at(motion: Floats, origin: Floats) -> Floats:
     return moved
 
 
-def _guard(colours: Sequence[Colour]) -> int:
-    """From how far light reaches a pixel, but for the halo's last share, pixels."""
+def _guard(colours: Sequence[Colour], least_waves: float = 0.0) -> int:
+    """From how far light reaches a pixel, but for the halo's last share, pixels; by so many waves at least."""
     reach = 0.0
     for colour in colours:
         optics = colour.optics
-        blur_um = PER_BLUR * optics.f_number * float(np.linalg.norm(colour.waves)) * optics.reference_um
+        blur_um = (
+            PER_BLUR * optics.f_number * max(float(np.linalg.norm(colour.waves)), least_waves) * optics.reference_um
+        )
         reach = max(reach, (blur_um / 2 + GUARD_AIRY * optics.airy_um / 2) / optics.pitch_um)
     return max(LEAST_GUARD_PX, math.ceil(reach))
 
