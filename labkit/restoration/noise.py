@@ -48,7 +48,7 @@ def _squares(counts: Floats, used: Bools) -> Floats:
     apart = np.einsum("iajb,ab->ij", counts[cut].reshape(cells), kernel)
     whole = (rows // SIDE, SIDE, columns // SIDE, SIDE)
     level = counts[cut].reshape(cells).mean(axis=(1, 3)).reshape(whole).mean(axis=(1, 3))
-    there = used[cut].reshape(cells).all(axis=(1, 3)).reshape(whole).all(axis=(1, 3))
+    there = np.all(np.all(used[cut].reshape(cells), axis=(1, 3)).reshape(whole), axis=(1, 3))
     return np.array([level[there], (apart**2).reshape(whole).mean(axis=(1, 3))[there]])
 
 

@@ -16,10 +16,9 @@ from labkit.analysis.psf_of_session import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
 from labkit.restoration.baselines import Method, baseline
-from labkit.restoration.blind import SPAN_WAVES, Defocus, fitted_defocus
+from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
-from labkit.restoration.noise import own_noise
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.strength import Choice
 from labkit.restoration.tiles import Picture, memory_bytes, restore_job
@@ -34,6 +33,7 @@ from labkit.restoring.photographs import (
     refuse_other_camera,
     with_motion,
 )
+from labkit.restoring.unknowns import doubts, with_own_noise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress
@@ -140,13 +140,13 @@ def _restore(
     if (clipped := max(shot.clipped for shot in shots)) > 0:
         notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
     if wanted.force:
-        job = _with_own_noise(job, notes)
+        job = with_own_noise(job, notes)
     fitted: dict[str, Any] = {}
     if wanted.fit_defocus:
         job, defocus = fitted_defocus(job, progress)
         job = replace(job, guard_px=_guard(job.colours))
         fitted = {"fitted_defocus_waves": defocus.waves, "fitted_defocus_std_waves": defocus.std}
-        notes += _doubts(defocus)
+        notes += doubts(defocus)
     tile = _tile(job, wanted)
     workers = _workers(job, tile, wanted)
     say(_will_take(job, tile, workers))
@@ -162,29 +162,6 @@ def _restore(
     about = _where(job, names, origin, range_mm) | fitted | more
     output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
-
-
-def _doubts(defocus: Defocus) -> list[str]:
-    if defocus.told:
-        return []
-    return [
-        f"the photograph's own defocus, {abs(defocus.waves):.2f} ± {defocus.std:.2f} waves, is not told from best focus: it is "
-        "restored as if taken there; where its range is known, give it with --range"
-    ]
-
-
-def _with_own_noise(job: Job, notes: list[str]) -> Job:
-    """The job with the first photograph's noise, by itself, where that tells it: another camera's is not the session's."""
-    colours = []
-    for colour in job.colours:
-        if (noise := own_noise(job.photographs[0], colour, job.period)) is not None:
-            notes.append(
-                f"{colour.name}: the noise is the photograph's own, {noise[0]:.2g} counts an electron; the session's has "
-                f"{colour.gain:.2g}"
-            )
-            colour = replace(colour, gain=noise[0], read_variance=noise[1])
-        colours.append(colour)
-    return replace(job, colours=tuple(colours))
 
 
 def _where(job: Job, names: Sequence[str], origin: tuple[int, int], range_mm: float | None) -> dict[str, Any]:
