@@ -27,13 +27,14 @@ class Stiffness:
     """A quadratic penalty, half of f^T (rough M Q + pull) f, diagonal in frequency.
 
     coupling: M, (components, components). rough: what w^2, (radians a pixel)^2, is multiplied by; pull: to where the
-    scene is, so that nothing is without a penalty. Raises ValueError unless both are above 0.
+    scene is, so that nothing is without a penalty. power: of w^2, 1 in (K.11). Raises ValueError unless both are above 0.
     """
 
     grid: SceneGrid
     coupling: Floats
     rough: float
     pull: float
+    power: float = 1.0
     turn: Floats = field(init=False, repr=False)
     give: Floats = field(init=False, repr=False)
     _give: Floats32 = field(init=False, repr=False)
@@ -42,7 +43,7 @@ class Stiffness:
         if not (self.rough > 0 and self.pull > 0):
             raise ValueError(f"rough {self.rough:g}, pull {self.pull:g}: numbers above 0 are needed")
         weights, turn = np.linalg.eigh(self.coupling)
-        squared = self.grid.squared_frequency.astype(np.float64)
+        squared = self.grid.squared_frequency.astype(np.float64) ** self.power
         give = np.array([1 / (self.rough * weight * squared + self.pull) for weight in weights])
         object.__setattr__(self, "turn", turn)
         object.__setattr__(self, "give", give)
@@ -78,12 +79,26 @@ class Kriging:
 
     def _invert(self) -> None:
         """What `apply` does, inverted, were all counts there and equally good."""
-        typical = [float(np.median(v[u])) for v, u in zip(self.variance, self.used, strict=True)]
-        blocks = np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(typical)
+        blocks = self._blocks()
         self.nearly: Complexes = np.asarray(
-            np.moveaxis(np.linalg.inv(blocks) if len(typical) > 1 else 1 / blocks, (2, 3), (0, 1)), complex
+            np.moveaxis(np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks, (2, 3), (0, 1)), complex
         )
         self._roughly = self.nearly.astype(np.complex64)  # a preconditioner need be no more exact
+
+    def _blocks(self) -> Complexes:
+        """(rows, columns // 2 + 1, views, views) of what `apply` does by frequency, were all counts as good as the median."""
+        return np.asarray(np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(self._typical()))
+
+    def _typical(self) -> Floats:
+        """(views,) median variances."""
+        return np.array([np.median(v[u]) for v, u in zip(self.variance, self.used, strict=True)])
+
+    def log_determinant(self) -> float:
+        """Of what `apply` does over that of the variances alone: all frequencies', as many as there are used counts."""
+        logs, columns = np.linalg.slogdet(self._blocks())[1], self.grid.cells.pixels[1]
+        twice = np.where((np.arange(logs.shape[1]) * 2) % columns == 0, 1.0, 2.0)  # half a plane stands for all of it
+        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs))) - float(np.sum(np.log(self._typical())))
+        return mean * float(self.used.sum()) / len(self.views)
 
     def stiffer(self, factor: float) -> Kriging:
         """The same of a penalty so many times as stiff; its `scene` is still that of this one."""

@@ -26,7 +26,6 @@ LEAST, MOST = (
 )  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
 EXACT, STRIDE = 0.02, 0.25  # decades
-SCORED = (-3.5, -3.0, -2.5, -2.0)  # decades at which a lens is scored: weaker ones follow any data
 BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
 
@@ -45,11 +44,11 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
     (P. Hall and D. Titterington, J. R. Statist. Soc. B 49, 184 (1987)), not to that number: with 15 unknowns a count the scene
-    follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges leave
-    residuals that no strength explains. "l-curve": where misfit against roughness, both logarithmic, bends most among strengths
-    that leave a tenth to ten times the noise.
+    follows most of the noise. Never weaker than cross-validation has it: several sharp frames of a scene with edges, or a lens
+    that is not the photograph's, leave residuals that no strength explains. "l-curve": where misfit against roughness, both
+    logarithmic, bends most among strengths that leave a tenth to ten times the noise.
     """
-    trials = [_Trial(views, coupling, rng) for views in parts]
+    trials = [Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)
     if how == "discrepancy":
         excess = _excess_of(trials, unit)
@@ -65,32 +64,19 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
     return Strength(unit * 10 ** float(decade), how)
 
 
-def generalised_misfit(parts: Sequence[Views], coupling: Floats, rng: np.random.Generator) -> float:
-    """The least, over strengths, of generalised cross-validation's score of a lens; logarithm, for each count.
-
-    G. Golub, M. Heath and G. Wahba, Technometrics 21, 215 (1979). rng: draws a trace's signs.
-    """
-    trials = [_Trial(views, coupling, rng) for views in parts]
-    unit = max(trial.unit for trial in trials)
-    return min(_score(trials, unit * 10**decade) for decade in SCORED)
-
-
-def _score(trials: Sequence[_Trial], stiffness: float) -> float:
-    """Of generalised cross-validation, its logarithm."""
-    data = sum(trial.views.data for trial in trials)
-    squares, left = np.sum([trial.sums(stiffness) for trial in trials], axis=0)
-    return float(np.log(squares / data) - 2 * np.log(max(left, 1e-6 * data) / data))
-
-
-def _cross_validated(trials: Sequence[_Trial], unit: float, from_decade: float) -> float:
+def _cross_validated(trials: Sequence[Trial], unit: float, from_decade: float) -> float:
     """The decade from there on, up the strengths, to where the score rises."""
-    decade, here = from_decade, _score(trials, unit * 10**from_decade)
-    while decade < MOST and (there := _score(trials, unit * 10 ** (decade + STRIDE))) < here:
+    data, decade, here = sum(trial.views.data for trial in trials), from_decade, np.inf
+    while decade < MOST:
+        squares, left = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
+        there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
+        if there >= here:
+            return max(decade - STRIDE, from_decade)
         decade, here = decade + STRIDE, there
     return decade
 
 
-def _excess_of(trials: Sequence[_Trial], unit: float) -> Callable[[float], float]:
+def _excess_of(trials: Sequence[Trial], unit: float) -> Callable[[float], float]:
     def excess(decade: float) -> float:
         return sum(trial.excess(unit * 10**decade) for trial in trials)
 
@@ -120,10 +106,10 @@ def _bend(points: Floats) -> int:
     return int(np.argmax(bent[1:-1])) + 1
 
 
-class _Trial:
-    """One part of the photograph, solved for any stiffness."""
+class Trial:
+    """One part of the photograph, solved for any stiffness. power: as `Stiffness` has it."""
 
-    def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator) -> None:
+    def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0) -> None:
         self.views = views
         self.weights = [_weight(view) for view in views]
         levels = [float(np.mean(view.counts[view.used] / view.light[view.used])) for view in views]
@@ -132,8 +118,8 @@ class _Trial:
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2
         soft = 1 / views.grid.samples**2
-        pull = soft * (2 * np.pi / LONGEST_PX) ** 2
-        self.soft = Kriging(views, Stiffness(views.grid, coupling, soft, pull), self.weights)
+        pull = soft * (2 * np.pi / LONGEST_PX) ** (2 * power)
+        self.soft = Kriging(views, Stiffness(views.grid, coupling, soft, pull, power), self.weights)
 
     def kriging(self, stiffness: float) -> Kriging:
         return self.soft.stiffer(stiffness)
@@ -150,6 +136,20 @@ class _Trial:
         signs = np.where(kriging.used, kriging.variance * self.signs, 0.0)
         left = float(np.sum(self.signs * kriging.solve(signs, tolerance=LOOSE)))
         return float(np.sum(kriging.variance * planes**2)), left
+
+    def unlikely(self, stiffness: float) -> float:
+        """Minus the log-likelihood of the counts, but for a constant, over all scenes that the penalty is the spectrum of."""
+        kriging = self.kriging(stiffness)
+        squares = float(np.sum(self.apart * kriging.solve(self.apart, tolerance=LOOSE)))
+        return 0.5 * (squares + kriging.log_determinant())
+
+    def contrast_of_one(self) -> float:
+        """Variance over squared mean of scenes whose penalty has a stiffness of 1: inversely as much of another."""
+        grid, levels = self.views.grid, np.ones(self.views.components)
+        for view in self.views:
+            levels[view.component] = max(float(np.mean(view.counts[view.used] / view.light[view.used])), 1.0)
+        between = [self.soft.stiffness.between(c, c) for c in range(self.views.components)]
+        return max(float(np.sum(grid.share * b)) / level**2 for b, level in zip(between, levels, strict=True))
 
     def corner(self, stiffness: float) -> tuple[float, float]:
         """Squared residuals, and roughness: f^T K f is that of the planes by way of the scene."""

@@ -203,18 +203,22 @@ def parts_of(job: Job) -> list[Views]:
     On samples fine enough for the lens: what a coarser grid cannot hold of the scene would pass for noise.
     """
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    side = PART_PX // job.period * job.period
-    areas = [
-        (slice(r, min(r + side, job.shape[0])), slice(c, min(c + side, job.shape[1])))
-        for r in range(0, max(job.shape[0] - side // 2, 1), side)
-        for c in range(0, max(job.shape[1] - side // 2, 1), side)
-    ]
-    areas.sort(key=lambda area: -_contrast(job, area))
+    areas = areas_of(job, PART_PX // job.period * job.period)
     chosen = dict.fromkeys(k * (len(areas) - 1) // (PARTS - 1) for k in range(min(PARTS, len(areas))))
     views = [coarse.views(areas[k]) for k in chosen]
     if not (found := [view for view in views if view is not None]):
         raise ValueError("no part of the photograph has usable counts of every colour")
     return found
+
+
+def areas_of(job: Job, side: int) -> list[Area]:
+    """Squares of a photograph, the richest in contrast first."""
+    areas = [
+        (slice(r, min(r + side, job.shape[0])), slice(c, min(c + side, job.shape[1])))
+        for r in range(0, max(job.shape[0] - side // 2, 1), side)
+        for c in range(0, max(job.shape[1] - side // 2, 1), side)
+    ]
+    return sorted(areas, key=lambda area: -_contrast(job, area))
 
 
 def _contrast(job: Job, area: Area) -> float:

@@ -16,7 +16,7 @@ from labkit.analysis.psf_of_session import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
 from labkit.restoration.baselines import Method, baseline
-from labkit.restoration.blind import fitted_defocus
+from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
 from labkit.restoration.registration import refined, registered
@@ -33,6 +33,7 @@ from labkit.restoring.photographs import (
     refuse_other_camera,
     with_motion,
 )
+from labkit.restoring.unknowns import doubts, with_own_noise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress
@@ -138,8 +139,14 @@ def _restore(
     job = _job(shots, _with_lateral_colour(colours, results, range_mm), wanted, origin)
     if (clipped := max(shot.clipped for shot in shots)) > 0:
         notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
+    if wanted.force:
+        job = with_own_noise(job, notes)
+    fitted: dict[str, Any] = {}
     if wanted.fit_defocus:
-        job = fitted_defocus(job, progress)
+        job, defocus = fitted_defocus(job, progress)
+        job = replace(job, guard_px=_guard(job.colours))
+        fitted = {"fitted_defocus_waves": defocus.waves, "fitted_defocus_std_waves": defocus.std}
+        notes += doubts(defocus)
     tile = _tile(job, wanted)
     workers = _workers(job, tile, wanted)
     say(_will_take(job, tile, workers))
@@ -152,7 +159,7 @@ def _restore(
     else:
         scene, more = baseline(job, wanted.method), {"lambda": None, "method": wanted.method}
     more |= {"seconds": round(perf_counter() - began, 2), "frames": len(shots), "white_counts": white, "notes": notes}
-    about = _where(job, names, origin, range_mm) | more
+    about = _where(job, names, origin, range_mm) | fitted | more
     output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
 
@@ -259,7 +266,8 @@ def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted, origi
         photographs.append(with_motion(shot, registered(first, shot.photograph, period)))
     at = np.array([origin[0], origin[1]], float)
     colours = [replace(c, motion=_begun_at(c.motion, at)) for c in colours]
-    job = Job(tuple(photographs), tuple(colours), period, 1, _guard(colours), np.eye(len(colours)))
+    guard_px = _guard(colours, SPAN_WAVES if wanted.fit_defocus else 0.0)
+    job = Job(tuple(photographs), tuple(colours), period, 1, guard_px, np.eye(len(colours)))
     job = job.of_samples(wanted.samples or job.nyquist_samples)
     return refined(replace(job, coupling=colour_coupling(job)) if len(colours) > 1 else job)
 
@@ -271,12 +279,14 @@ def _begun_at(motion: Floats, origin: Floats) -> Floats:
     return moved
 
 
-def _guard(colours: Sequence[Colour]) -> int:
-    """From how far light reaches a pixel, but for the halo's last share, pixels."""
+def _guard(colours: Sequence[Colour], least_waves: float = 0.0) -> int:
+    """From how far light reaches a pixel, but for the halo's last share, pixels; by so many waves at least."""
     reach = 0.0
     for colour in colours:
         optics = colour.optics
-        blur_um = PER_BLUR * optics.f_number * float(np.linalg.norm(colour.waves)) * optics.reference_um
+        blur_um = (
+            PER_BLUR * optics.f_number * max(float(np.linalg.norm(colour.waves)), least_waves) * optics.reference_um
+        )
         reach = max(reach, (blur_um / 2 + GUARD_AIRY * optics.airy_um / 2) / optics.pitch_um)
     return max(LEAST_GUARD_PX, math.ceil(reach))
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from labkit.restoration.baselines import interpolated, psf_of, richardson_lucy
-from labkit.restoration.blind import fitted_defocus, moved
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.tiles import Picture, restore_job, tiles
 from tests.physics.restoration_samples import FRAME, GAIN, WHITE, exposed, job, world
@@ -97,12 +96,6 @@ def test_four_frames_show_a_tenth_more_than_one(one: Picture) -> None:
     ]
     four = restore_job(replace(taken, photographs=tuple(known)), "discrepancy", FRAME, 0)
     assert rmse(four.scene[0]) < 0.9 * rmse(one.scene[0])
-
-
-def test_the_defocus_of_a_photograph_is_found() -> None:
-    taken = moved(job(exposed(world().mean())), -0.2)  # the session's lens was focused otherwise
-    found = fitted_defocus(taken).colours[0].waves[0]
-    assert found == pytest.approx(0.35, abs=0.06)
 
 
 def test_clipped_pixels_are_left_out_and_what_they_hide_is_not_restored(one: Picture) -> None:

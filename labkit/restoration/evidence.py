@@ -1,0 +1,44 @@
+"""How likely counts are through a lens whatever the scene: the likelihood integrated over scenes, not at the best one.
+
+The best scene explains counts through nearly any lens, and the sharper the more blur is supposed; of all scenes together few
+look like the counts through a wrong one (A. Levin et al., IEEE Trans. Pattern Anal. Mach. Intell. 33, 2354 (2011)).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labkit.restoration.strength import Trial
+from labkit.restoration.views import Views
+from labkit.types import Floats
+
+POWERS = (1.0, 1.5, 2.0)  # of w^2 that a scene's spectrum falls with: many edges, few edges, none
+CONTRAST = 2.0  # standard deviation over mean of a scene, at most: what is nowhere below 0 has little more
+BEGIN, STEP, MOST = -3.0, 0.5, 1.0  # decades of the stiffness about the unit of `Trial`
+
+
+def unlikeliness(views: Views, coupling: Floats) -> float:
+    """Minus the log-likelihood of counts, but for a constant: of random scenes as contrasty and as smooth as suits best.
+
+    Not more contrasty than light can be: any blur of a few tens of pixels looks likely where scenes may be a thousand times as
+    contrasty as their pictures.
+    """
+    return min(_least(Trial(views, coupling, np.random.default_rng(1), power)) for power in POWERS)
+
+
+def _least(trial: Trial) -> float:
+    """Downhill by steps of the stiffness, then of the parabola through the lowest three."""
+    lowest = np.log10(trial.contrast_of_one() / CONTRAST**2 / trial.unit)
+
+    def unlikely(decade: float) -> float:
+        return trial.unlikely(trial.unit * 10**decade)
+
+    at = max(BEGIN, lowest)
+    here, below, above = (unlikely(at + k * STEP) for k in (0, -1, 1))
+    while below < here and at - STEP > lowest:
+        at, here, above, below = at - STEP, below, here, unlikely(at - 2 * STEP)
+    while above < here and at < MOST:
+        at, here, below, above = at + STEP, above, here, unlikely(at + 2 * STEP)
+    bend = below - 2 * here + above
+    inside = bend > 0 and here <= min(below, above)
+    return here - (above - below) ** 2 / (8 * bend) if inside else min(here, above)
