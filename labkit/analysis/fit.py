@@ -9,7 +9,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from labkit.analysis.joint import Joint, climb
+from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S, fit_task
@@ -79,7 +79,7 @@ def fit(
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
         assumed += _panel_lacking(plan, target, observations)
         run = KeptFits(processes, folder / FOLDER)
-        fits = fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain)
+        fits = refined(fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain), run)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
         change = find_change(fits, Stated.of(plan))
     common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit, fit_lens
-from labkit.analysis.local_fits import Task, problem_at
+from labkit.analysis.local_fits import LocalFit, Task, problem_at
 from labkit.analysis.session_fits import SessionFits
+from labkit.errors import LostTasksError
 from labkit.execute import Run
 from labkit.imaging.model import Optics
 from labkit.inference.cone import Measured, expand
@@ -62,29 +63,55 @@ def climb(session: SessionFits, run: Run, progress: Progress) -> Joint:
     if session.lens is None:
         raise ValueError("the fits have no lens in common: there is nothing to climb together")
     first = lens = session.lens
-    fits = [session.fits[k] for k in session.members]
-    states, optics, likelihoods = [f.fit.state for f in fits], [f.fit.optics for f in fits], list[float]()
+    places, likelihoods = [(f.fit.state, f.fit.optics) for f in _members(session)], list[float]()
     for done in range(ROUNDS):
         progress(done, ROUNDS, "climbing jointly")
-        values = lens.model.predicted(lens.theta)
-        legs = [
-            Leg(fit.task, state, of, value, bool(member.measured.model.size))
-            for fit, state, of, value, member in zip(fits, states, optics, values, first.model.members, strict=True)
-        ]
-        reached = _all_reached(legs, run)
-        states, optics = [r.state for r in reached], [r.optics for r in reached]
+        before, reached = lens, _all_reached(session, lens, places, run)
+        places = [(r.state, r.optics) for r in reached]
         likelihoods.append(sum(r.log_likelihood for r in reached) - 0.5 * _prior_chi2(lens))
-        members = [replace(m, measured=r.measured) for m, r in zip(lens.model.members, reached, strict=True)]
-        before = lens
-        lens = fit_lens(members, first.model.stated, shared=first.model.shared, paraxial=first.model.paraxial)
+        lens = _lens_of(reached, first)
         if max(_differences(lens, before).values()) < SETTLED_STDS:
             break
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def _all_reached(legs: Sequence[Leg], run: Run) -> list[Reached]:
+def refined(session: SessionFits, run: Run) -> SessionFits:
+    """With the lens after the climb's first step, where parts of the camera were fitted.
+
+    In squares of a filter's spread a likelihood is less of a parabola than in all else, and the session's spread lies beyond
+    what some fits alone make of it.
+    """
+    if session.lens is None or not any(f.fit.optics.parts for f in _members(session)):
+        return session
+    places = [(f.fit.state, f.fit.optics) for f in _members(session)]
+    try:
+        reached = _all_reached(session, session.lens, places, run)
+    except LostTasksError:  # for lack of memory: the two levels' end stays
+        return session
+    return replace(session, lens=_lens_of(reached, session.lens))
+
+
+def _members(session: SessionFits) -> list[LocalFit]:
+    return [session.fits[k] for k in session.members]
+
+
+def _all_reached(
+    session: SessionFits, lens: LensFit, places: Sequence[tuple[State, Optics]], run: Run
+) -> list[Reached]:
+    """From where members stand, at a lens's values for them."""
+    members, values = lens.model.members, lens.model.predicted(lens.theta)
+    legs = [
+        Leg(fit.task, state, optics, value, bool(member.measured.model.size))
+        for fit, (state, optics), value, member in zip(_members(session), places, values, members, strict=True)
+    ]
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
+
+
+def _lens_of(reached: Sequence[Reached], like: LensFit) -> LensFit:
+    """By the laws of another, of the same members where they have got to."""
+    members = [replace(m, measured=r.measured) for m, r in zip(like.model.members, reached, strict=True)]
+    return fit_lens(members, like.model.stated, shared=like.model.shared, paraxial=like.model.paraxial)
 
 
 def reach(leg: Leg) -> Reached:
