@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.claims import limit
+from labkit.cli import run
 from tests.golden.measure import import_and_fit, resampled
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
@@ -98,6 +99,15 @@ def test_the_camera_is_found_and_none_is_invented(golden: Golden) -> None:
     for number in found.values():
         error = number["value"] - golden.truth["model_parts"]["low_pass_filter.spread_px"]
         assert abs(error) < limit(golden.claim, "spread_px")
+
+
+def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(golden: Golden) -> None:
+    if golden.claim != "golden_dslr":  # without parts: tests/system/test_golden_small.py
+        return
+    session = golden.folder.parents[1]
+    assert run(["fit", str(session), "--joint", "--name", "joint", "--quiet"]) == 0
+    joint = json.loads((session / "results/joint/results.json").read_text())["joint"]
+    assert max(joint.values()) < 0.1  # standard errors: 0.05 measured; 0.7 by fits expanded where each ended
 
 
 def test_noise_is_right(golden: Golden) -> None:
