@@ -18,6 +18,9 @@ ALIKE = 4.0
 """Log-likelihood by which one part must be called for more than another that is more common: by one number more it gains as
 much by chance once in 200 times."""
 
+BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
+"""Parts that blur alike to first order, the most common first."""
+
 DROPPED = 8.0
 """Log-likelihood that a part must be worth; below, it is taken out again."""
 
@@ -47,6 +50,14 @@ def called_for(summed: Mapping[str, Call]) -> str | None:
     gains = {name: call.gain for name, call in summed.items()}
     best = max(gains.values(), default=0.0)
     return next((name for name, gain in gains.items() if gain > max(best - ALIKE, CALLED_FOR)), None)
+
+
+def commoner(name: str, optics: Optics) -> list[str]:
+    """Parts that blur much like another, are more common, and that optics lack; the most common first."""
+    if name not in BLURS:
+        return []
+    missing = lacking(optics)
+    return [other for other in BLURS[: BLURS.index(name)] if other in missing]
 
 
 def worth(fits: Sequence[Measured]) -> dict[str, float]:

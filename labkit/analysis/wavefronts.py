@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from labkit.analysis.diagnosis import called_for, idle, lacks, together, worth
+from labkit.analysis.diagnosis import ALIKE, called_for, commoner, idle, lacks, together, worth
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import (
@@ -43,6 +43,7 @@ SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is ex
 RECONCILE_S = 4.0  # for a search that another fit's modes are given to: what they lead to shows at once
 MOST_WIDENING = 5.0  # of a lens that fits vouch for whose residuals were all rejected
 SAME_OPTIMUM = 5.0  # log-likelihoods that differ by less
+TELLING = 3  # fits by which two parts that blur alike are told apart
 NAMED = 3  # of the fits that are under way
 
 
@@ -184,6 +185,8 @@ class _Chain:
             summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
             name = called_for(summed)
             better = name is not None and self.diagnose and self._better_with(name, places)
+            if better and name is not None and self._has(name, places):
+                name = self._commoner(name, places)
             taken = [each for each in summed if better and each == name and self._has(each, places)]
             self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
             self.missing = None if better else name
@@ -222,6 +225,22 @@ class _Chain:
                 return True
         self.fits = before
         return False
+
+    def _commoner(self, name: str, places: Sequence[int]) -> str:
+        """The part that was taken in, or a more common one that blurs like it and explains as much: then it takes its place.
+
+        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide.
+        """
+        telling = sorted(places, key=lambda k: -worth([self.fits[k].fit.measured]).get(name, 0.0))[:TELLING]
+        least, before = sum(self.fits[k].fit.objective for k in telling) - ALIKE, dict(self.fits)
+        for other in commoner(name, self.fits[places[0]].fit.optics):
+            optics = {k: with_part(without_parts(f.fit.optics, [name]), other) for k, f in before.items()}
+            self._again(telling, optics)
+            if sum(self.fits[k].fit.objective for k in telling) > least:
+                self._again([k for k in before if k not in telling], optics)
+                return other
+            self.fits = dict(before)
+        return name
 
     def _drop_idle(self, places: Sequence[int], kept: Sequence[str] = ()) -> bool:
         """Take parts out of all fits that do nothing in these, but for some and the plan's own; whether there were any."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.analysis.local_fits import Task
+from labkit.analysis.local_fits import LocalFit, Task
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.wavefronts import fit_session
 from labkit.inference.fit import WavefrontFit
@@ -19,6 +19,11 @@ from tests.unit.test_wavefronts import TARGET, as_found, observations
 
 PLAN = Plan.from_tables({**PORTRAIT, "fit": {"zernike_noll": [4, 4]}})
 CALL = Call(np.array([20.0]), np.eye(1))  # a gain of 200 is promised
+
+
+def weaker(call: Call) -> Call:
+    """By another, with a gain smaller by a tenth."""
+    return Call(0.9**0.5 * call.slope, call.information)
 
 
 def with_parts(fit: WavefrontFit, task: Task, square: float) -> WavefrontFit:
@@ -40,12 +45,16 @@ def session(objective: Callable[[Task, bool], float], square: float, plan: Plan 
         for index, task in enumerate(tasks):
             reached = objective(task, tuple(task.starts) != () and task.missing == ())
             found = with_parts(as_found(task, True), task, square)
-            calls = (
-                {} if task.optics.parts else {"smear": CALL if reached <= 0 else Call(0 * CALL.slope, CALL.information)}
-            )
+            call = CALL if reached <= 0 else Call(0 * CALL.slope, CALL.information)
+            calls = {} if task.optics.parts else {"low_pass_filter": weaker(call), "smear": call}
             yield index, replace(found, objective=reached, calls=calls)
 
     return fit_session(observations()[::3], plan, TARGET, run, lambda done, of, what: None)
+
+
+def names(of: Task | LocalFit) -> list[str]:
+    """Of the parts of its optics."""
+    return [part.name for part in (of.optics if isinstance(of, Task) else of.fit.optics).parts]
 
 
 def adopted(fits: SessionFits) -> list[str]:
@@ -61,9 +70,20 @@ def test_a_part_that_only_led_to_a_better_optimum_is_not_taken_in() -> None:
 
 
 def test_a_part_that_the_fits_need_is_taken_in() -> None:
-    fits = session(lambda task, again: 100.0 if task.optics.parts else 0.0, square=0.5)
+    fits = session(
+        lambda task, again: 100.0 * names(task).count("smear") + 90.0 * ("low_pass_filter" in names(task)), square=0.5
+    )
     assert adopted(fits) == ["smear"]
-    assert all(local.fit.optics.parts[0].name == "smear" for local in fits.fits)
+    assert [names(local) for local in fits.fits] == [["smear"]] * 2
+
+
+def test_a_more_common_part_takes_the_place_of_one_that_explains_no_more() -> None:
+    """Slopes called for a smear; with it, or with a filter, all is explained alike."""
+    fits = session(
+        lambda task, again: 100.0 * ("smear" in names(task)) + 99.0 * ("low_pass_filter" in names(task)), square=0.5
+    )
+    assert adopted(fits) == ["low_pass_filter"]
+    assert [names(local) for local in fits.fits] == [["low_pass_filter"]] * 2
 
 
 def test_a_part_whose_numbers_are_within_their_errors_is_not_taken_in() -> None:

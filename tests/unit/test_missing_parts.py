@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.analysis.diagnosis import called_for, idle, lacks, together, worth
+from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, together, worth
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import Diffusion, LowPass, Part
 from labkit.inference.cone import SPARE, Freed, Measured, free_cone
@@ -88,6 +88,12 @@ def test_of_parts_that_gain_as_much_the_more_common_is_taken() -> None:
     assert called_for({"low_pass_filter": call(90.0), "smear": call(100.0)}) == "smear"
     assert called_for({"low_pass_filter": call(9.0), "smear": call(5.0)}) is None
     assert called_for({"veil": call(1000.0, -1.0)}) is None  # a camera that swallows stray light
+
+
+def test_of_parts_that_blur_alike_the_commoner_ones_are_known() -> None:
+    assert commoner("smear", OPTICS) == ["low_pass_filter", "diffusion"]
+    assert commoner("smear", with_part(OPTICS, "low_pass_filter")) == ["diffusion"]
+    assert commoner("low_pass_filter", OPTICS) == commoner("veil", OPTICS) == []
 
 
 def test_a_part_that_has_nothing_left_to_do_is_idle() -> None:
