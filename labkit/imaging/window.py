@@ -43,7 +43,7 @@ def rim_rays_airy(noll: Sequence[int], waves: Floats) -> Floats:
 def fading(size: int) -> Floats:
     """(size,) weights that fade out towards a window's borders along a cosine: J. W. Tukey's.
 
-    They are `scipy.signal.windows.tukey`'s, whose import takes a third of the time that a worker takes to begin.
+    They are `scipy.signal.windows.tukey`'s, whose import takes a quarter of the time that a worker takes to begin.
     """
     inwards = np.minimum(np.arange(size), np.arange(size)[::-1]) / (0.5 * FADING * (size - 1))
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(inwards, 1.0)))

@@ -63,9 +63,7 @@ def test_a_photographs_noise_is_found_beside_its_scene() -> None:
     shot = Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
     noise = own_noise(shot, replace(job(counts).colours[0], places=((0, 1), (1, 0))), 2)
     assert noise is not None
-    assert noise[0] == pytest.approx(
-        GAIN, rel=0.1
-    )  # 4.5 % too small: the darkest of a group's squares are its quietest
+    assert noise[0] == pytest.approx(GAIN, rel=0.09)  # 4.5 % off: the darkest of a group's squares are its quietest
 
 
 def test_too_small_a_photograph_tells_no_noise() -> None:
