@@ -112,8 +112,8 @@ class Trial:
     def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0) -> None:
         self.views = views
         self.weights = [_weight(view) for view in views]
-        levels = [float(np.mean(view.counts[view.used] / view.light[view.used])) for view in views]
-        self.apart = np.array([v.counts - level * v.light for v, level in zip(views, levels, strict=True)])
+        self.levels = _levels(views)
+        self.apart = np.array([view.counts - self.levels[view.component] * view.light for view in views])
         self.signs = rng.choice([-1.0, 1.0], self.apart.shape)
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2
@@ -145,9 +145,7 @@ class Trial:
 
     def contrast_of_one(self) -> float:
         """Variance over squared mean of scenes whose penalty has a stiffness of 1: inversely as much of another."""
-        grid, levels = self.views.grid, np.ones(self.views.components)
-        for view in self.views:
-            levels[view.component] = max(float(np.mean(view.counts[view.used] / view.light[view.used])), 1.0)
+        grid, levels = self.views.grid, np.maximum(self.levels, 1.0)
         between = [self.soft.stiffness.between(c, c) for c in range(self.views.components)]
         return max(float(np.sum(grid.share * b)) / level**2 for b, level in zip(between, levels, strict=True))
 
@@ -157,6 +155,12 @@ class Trial:
         planes = kriging.solve(self.apart)
         rough = float(np.sum(planes * kriging.data_part(planes))) / stiffness
         return float(np.sum(kriging.variance * planes**2)), rough
+
+
+def _levels(views: Views) -> Floats:
+    """(components,) mean of the scene as all of a colour's planes see it: one for each would set shifted frames at odds."""
+    means = [(view.component, float(np.mean(view.counts[view.used] / view.light[view.used]))) for view in views]
+    return np.array([np.mean([mean for component, mean in means if component == c]) for c in range(views.components)])
 
 
 def _weight(view: View) -> Floats:
