@@ -1,4 +1,5 @@
-"""Scenes restored from one colour of a D7000's frames, defocused as at 3.2 m, beside other methods: thesis Figure 4.31."""
+"""Scenes restored from red of a D7000's frames, defocused as at 3.2 m, alone and with the other colours, beside other methods:
+thesis Figure 4.31."""
 
 from __future__ import annotations
 
@@ -18,15 +19,17 @@ from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import Optics
 from labkit.report.style import panels
 from labkit.restoration.baselines import METHODS, interpolated, psf_of
+from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Colour, Job, Photograph
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.tiles import restore_job
 from labkit.types import Floats
 
-PICTURES = ("camera", "coins", "brick", "grass", "moon", "page")  # scikit-image's, which lie on the disk with it
-WAVELENGTH_UM, REFERENCE_UM, F_NUMBER, PITCH_UM = 0.65, 0.45, 2.868, 4.78  # the cone at the sensor, focused at 3 m
+PICTURES = ("camera", "coins", "brick", "grass", "moon", "page", "astronaut", "coffee", "chelsea")
+"""scikit-image's, which lie on the disk with it: six grey ones and three in colour."""
+REFERENCE_UM, F_NUMBER, PITCH_UM = 0.45, 2.868, 4.78  # the cone at the sensor, focused at 3 m
 NOLL = tuple(range(4, 16))
-WAVES = np.array([1.068, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020])
+WAVES = np.array([0.0, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020])
 GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
 FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
 QUICK_SAMPLES = 3
@@ -37,7 +40,29 @@ GRANTED = {"richardson-lucy": (25, 50, 100, 200, 400), "richardson-lucy-blind": 
     "total-variation": (5e-4,),
 }
 """Settings of the others, of which each scene's best is taken by its truth; ours are not chosen so."""
-OURS, DEFOCUS_ONLY, SEVERAL, BLURRED = "full PSF", "defocus alone", "four frames", "interpolated"
+OURS, DEFOCUS_ONLY, BLURRED = "full PSF", "defocus alone", "interpolated"
+SEVERAL, COLOURS = "four frames", "three colours"
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """One colour's pixels in the cell, and the lens in its light. defocus_waves: RMS at the reference wavelength."""
+
+    places: tuple[tuple[int, int], ...]
+    wavelength_um: float
+    defocus_waves: float
+
+    def waves(self) -> Floats:
+        """(modes,) at the reference wavelength."""
+        return np.where(np.array(NOLL) == 4, self.defocus_waves, WAVES)
+
+
+LIGHTS = {
+    "R": Light(((0, 0),), 0.65, 1.068),
+    "G": Light(((0, 1), (1, 0)), 0.55, 1.361),
+    "B": Light(((1, 1),), 0.45, 0.852),
+}
+"""Defocus goes as 1/range - 1/best focus, which is at 3.024, 2.979 and 3.058 m (thesis Figure 4.30)."""
 
 
 @dataclass(frozen=True)
@@ -73,57 +98,90 @@ class Answer:
 
 
 def scene(name: str) -> Floats:
-    """(n, n) radiance 0..1 of a picture's middle, mirrored where it is too small. Raises InputError without scikit-image."""
+    """(3, n, n) radiance 0..1 of a picture's middle, mirrored where it is too small; of a grey one all colours are the same.
+
+    Raises InputError without scikit-image.
+    """
     whole = (np.asarray(getattr(_skimage("data"), name)(), dtype=np.float64) / 255) ** 2.2
+    whole = whole.transpose(2, 0, 1) if whole.ndim == 3 else np.stack(3 * [whole])
     side = SQUARES * TORUS
-    missing = [max(side - n, 0) for n in whole.shape]
-    whole = np.pad(whole, [(m // 2, m - m // 2) for m in missing], mode="reflect")
-    top, left = ((n - side) // 2 for n in whole.shape)
-    return np.asarray(whole[top : top + side, left : left + side])
+    missing = [max(side - n, 0) for n in whole.shape[1:]]
+    whole = np.pad(whole, [(0, 0), *((m // 2, m - m // 2) for m in missing)], mode="reflect")
+    top, left = ((n - side) // 2 for n in whole.shape[1:])
+    return np.asarray(whole[:, top : top + side, left : left + side])
 
 
-def job_of(frames: list[Floats], waves: Floats = WAVES, samples: int = SAMPLES) -> Job:
-    """Red's plane of frames, as the estimator knows the camera; where they stand is registered."""
+def job_of(frames: list[Floats], samples: int = SAMPLES, names: str = "R", defocus_only: bool = False) -> Job:
+    """Some colours of frames, as the estimator knows the camera; where they stand is registered."""
+    lenses = [_lens(name, defocus_only) for name in names]
+    used = np.zeros(frames[0].shape, bool)
+    for lens in lenses:
+        for row, column in lens.places:
+            used[row::2, column::2] = True
+    places = [place for lens in lenses for place in lens.places]
+    shots = [Photograph(counts, used, np.ones(counts.shape)) for counts in frames]
+    shots = [shots[0], *(replace(shot, motion=registered(shots[0], shot, 2, places)) for shot in shots[1:])]
+    job = Job(tuple(shots), tuple(lenses), 2, samples, GUARD, np.eye(len(lenses)))
+    return refined(replace(job, coupling=colour_coupling(job)) if len(lenses) > 1 else job)
+
+
+def _lens(name: str, defocus_only: bool) -> Colour:
+    light = LIGHTS[name]
     optics = Optics(
-        wavelength_um=WAVELENGTH_UM,
+        wavelength_um=light.wavelength_um,
         reference_um=REFERENCE_UM,
         f_number=F_NUMBER,
         pitch_um=PITCH_UM,
         active_um=PITCH_UM,
         noll=NOLL,
     )
-    colour = Colour("R", ((0, 0),), optics, waves, GAIN, READ_NOISE**2)
-    red = np.zeros(frames[0].shape, bool)
-    red[::2, ::2] = True
-    shots = [Photograph(counts, red, np.ones(counts.shape)) for counts in frames]
-    shots = [shots[0], *(replace(shot, motion=registered(shots[0], shot, 2, ((0, 0),))) for shot in shots[1:])]
-    return refined(Job(tuple(shots), (colour,), 2, samples, GUARD, np.eye(1)))
+    waves = np.where(np.array(NOLL) == 4, light.defocus_waves, 0.0) if defocus_only else light.waves()
+    return Colour(name, light.places, optics, waves, GAIN, READ_NOISE**2)
 
 
 def work(task: Task) -> Answer:
-    """Photograph one scene, and restore it in every way."""
-    seed = PICTURES.index(task.picture)
-    rng = np.random.default_rng(seed)
-    camera = Camera(WAVELENGTH_UM, F_NUMBER, PITCH_UM, TORUS, FRAME, 8)
-    world = PictureCamera(scene(task.picture), SQUARES, camera, WAVES * REFERENCE_UM / WAVELENGTH_UM, NOLL)
+    """Photograph one scene, and restore red of it in every way."""
+    rng = np.random.default_rng(PICTURES.index(task.picture))
+    worlds = _worlds(task.picture)
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
-    frames = [_exposed(WHITE * world.mean((down, right)), rng) for down, right in shifts]
+    frames = [_exposed(WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
     made = partial(job_of, samples=task.samples)
-    truth, one = world.truth(task.samples), made(frames[:1])
+    truth, one = worlds["R"].truth(task.samples), made(frames[:1])
     restored, seconds = {BLURRED: interpolated(one, 0) / WHITE}, {BLURRED: 0.0}
     for name in GRANTED:
         began = perf_counter()
         restored[name] = _best(name, one, truth)
         seconds[name] = perf_counter() - began
-    alone = np.where(np.array(NOLL) == 4, WAVES, 0.0)
-    for name, job in ((DEFOCUS_ONLY, made(frames[:1], alone)), (OURS, one), (SEVERAL, made(frames))):
+    ways = {DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True), OURS: lambda: one}
+    ways |= {SEVERAL: lambda: made(frames), COLOURS: lambda: made(frames[:1], names="RGB")}
+    for name, job in ways.items():
         began = perf_counter()
-        found = restore_job(job, "discrepancy", FRAME, 0)
+        found = restore_job(job(), "discrepancy", FRAME, 0)
         restored[name], seconds[name] = found.scene[0] / WHITE, perf_counter() - began
         if name == OURS:
             apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)
             covered = (float(np.mean(apart < 1)), float(np.mean(apart < 2)))
     return Answer(task.samples, truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered)
+
+
+def _worlds(picture: str) -> dict[str, PictureCamera]:
+    """The scene in each colour."""
+    worlds = {}
+    for (name, light), radiance in zip(LIGHTS.items(), scene(picture), strict=True):
+        camera = Camera(light.wavelength_um, F_NUMBER, PITCH_UM, TORUS, FRAME, 8)
+        waves = light.waves() * REFERENCE_UM / light.wavelength_um
+        worlds[name] = PictureCamera(radiance, SQUARES, camera, waves, NOLL)
+    return worlds
+
+
+def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> Floats:
+    """(frame, frame) what Bayer's pixels see, relative to white."""
+    mosaic = np.empty((FRAME, FRAME))
+    for name, world in worlds.items():
+        mean = world.mean(shift_px)
+        for row, column in LIGHTS[name].places:
+            mosaic[row::2, column::2] = mean[row::2, column::2]
+    return mosaic
 
 
 def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
@@ -182,8 +240,9 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
         claims.append(Claim(f"RMSE, {name}", None, 100 * mean(name, "rmse"), "% of white", n))
         claims.append(Claim(f"PSNR, {name}", None, mean(name, "psnr_db"), "dB", n))
         claims.append(Claim(f"SSIM, {name}", None, mean(name, "ssim"), "", n))
+    comparisons = [(OURS, "richardson-lucy"), (COLOURS, "richardson-lucy"), (SEVERAL, OURS), (OURS, DEFOCUS_ONLY)]
     for key, where in (("rmse", "whole frame"), ("rmse_inside", f"{INSIDE_PX} pixels off its border")):
-        for method, other in ((OURS, "richardson-lucy"), (SEVERAL, OURS), (OURS, DEFOCUS_ONLY)):
+        for method, other in comparisons:
             claims.append(Claim(f"{method} below {other}, {where}", None, below(method, other, key), "%", n))
     for k, key in ((1, "within_1_std"), (2, "within_2_std")):
         claims.append(Claim(f"truth within {k} standard errors, {OURS}", None, 100 * mean(OURS, key), "%", n))
@@ -191,8 +250,17 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
 
 
 def _draw(answer: Answer) -> Figure:
-    figure, axes = panels(8, 4, 2.6)
-    order = (BLURRED, "richardson-lucy-blind", "richardson-lucy", "total-variation", DEFOCUS_ONLY, OURS, SEVERAL)
+    figure, axes = panels(9, 5, 2.6)
+    order = (
+        BLURRED,
+        "richardson-lucy-blind",
+        "richardson-lucy",
+        "total-variation",
+        DEFOCUS_ONLY,
+        OURS,
+        SEVERAL,
+        COLOURS,
+    )
     shown = {"truth": answer.truth} | {name: answer.restored[name] for name in order}
     shape: Callable[[Floats], Floats] = lambda image: image.clip(0, 1) ** (1 / 2.2)  # noqa: E731
     for axis, (name, image) in zip(axes, shown.items(), strict=False):

@@ -163,9 +163,11 @@ def test_the_error_map_is_the_diagonal_of_the_inverse() -> None:
     np.testing.assert_allclose(errors.std[0][8:-8, 8:-8], std[8:-8, 8:-8], rtol=0.03)
 
 
-def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors() -> None:
-    # a scene as rough as the penalty supposes, sampled well: every pixel of a mono sensor, no defocus, much light
-    rng = np.random.default_rng(5)
+@pytest.mark.parametrize("seed", range(5, 11))
+def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors(seed: int) -> None:
+    # a scene as rough as the penalty supposes, sampled well: every pixel of a mono sensor, no defocus, much light. It has no
+    # negative radiance, as one of three times this contrast has here and there: a camera does not photograph that
+    rng = np.random.default_rng(seed)
     base = job(np.zeros((64, 64)), samples=1, places=((0, 0),), guard_px=8)
     sharp = replace(base.colours[0], waves=0 * base.colours[0].waves)
     base = replace(base, period=1, colours=(sharp,))
@@ -174,9 +176,10 @@ def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors() -> None
     noise = np.fft.rfft2(rng.normal(size=views.grid.shape).T).T
     frequency = np.sqrt(views.grid.squared_frequency) + 0.05
     scene = views.grid.image((noise / frequency)[None].astype(np.complex64))
-    scene = 0.3 * WHITE * scene / scene.std() + WHITE
+    scene = 0.2 * WHITE * scene / scene.std() + WHITE
+    assert scene.min() > 0
     counts = views.means(views.grid.spectrum(scene))[0] / WHITE
-    shown = replace(base, photographs=(replace(base.photographs[0], counts=exposed(counts)),))
+    shown = replace(base, photographs=(replace(base.photographs[0], counts=exposed(counts, seed)),))
     picture = restore_job(shown, "discrepancy", 64, 0)
     apart = np.abs(picture.scene[0] - scene[0][views.grid.inner]) / picture.std[0]
     weak = picture.by_penalty[0] < 0.5
