@@ -238,20 +238,29 @@ class EdgeFit:
         return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
 
 
-def climb(problem: EdgeProblem, start: EdgeState, max_steps: int = 30, tolerance: float = EXACTLY) -> EdgeFit:
+def climb(
+    problem: EdgeProblem,
+    start: EdgeState,
+    max_steps: int = 30,
+    tolerance: float = EXACTLY,
+    held: Sequence[int] = (),
+) -> EdgeFit:
     """The maximum of the likelihood near a start, by damped Fisher scoring.
 
-    tolerance: stop when a step is shorter than this many standard errors. At no defocus and no other even mode the
+    tolerance: stop when a step is shorter than this many standard errors; held: places in the thesis's order of what is not
+    to change. At no defocus and no other even mode the
     likelihood is flat in defocus by symmetry: start elsewhere (`labkit.edges.search`). Raises ValueError for such a start.
     """
     if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
         raise ValueError("no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere")
     state, (value, gradient, information) = start, problem.score(start)
     damping, steps, converged = 1e-3, 1, False
+    free = np.setdiff1d(np.arange(gradient.size), held)
     while steps < max_steps and not converged and damping < 1e8:
-        scale = 1 / np.sqrt(np.diag(information))
-        scaled = information * np.outer(scale, scale) + damping * np.eye(scale.size)
-        step = scale * scipy.linalg.solve(scaled, gradient * scale, assume_a="pos")
+        scale = 1 / np.sqrt(np.diag(information)[free])
+        scaled = information[np.ix_(free, free)] * np.outer(scale, scale) + damping * np.eye(scale.size)
+        step = np.zeros(gradient.size)
+        step[free] = scale * scipy.linalg.solve(scaled, gradient[free] * scale, assume_a="pos")
         length = float(np.sqrt(step @ information @ step))
         trial = state.moved(step)
         scored = problem.score(trial)

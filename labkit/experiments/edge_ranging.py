@@ -4,14 +4,15 @@ A 70 mm f/2.8 lens focused at 5.012 m, one plane of a D7000's Bayer array at 450
 5 m and one at 7.7 m; a lens of 0.1 waves that a session knows to 0.002 waves a mode.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import kstest
 
 from labkit.edges.joint import EdgeProblem, EdgeState, LensPrior, climb
-from labkit.edges.ranges import FocusLaw, Side, edge_range
+from labkit.edges.profile import near_focus, side_of
+from labkit.edges.ranges import FocusLaw, edge_range
 from labkit.edges.region import Region
 from labkit.edges.search import fit_depth, rough_edge
 from labkit.experiments.edge_camera import EdgeCamera
@@ -125,7 +126,10 @@ def _ranged(means: list[Floats], true: list[float], known: LensPrior, rng: np.ra
     joint = climb(problem, EdgeState(start.modes, ends[0][0].state.log_noise, start.defoci, start.edges))
     found = []
     for depth, (range_mm, of) in enumerate(zip(RANGES_MM, ends, strict=True)):
-        sides = [Side(*joint.defocus(depth), of[0].objective), *(Side(*end.defocus(), end.objective) for end in of[1:])]
+        sides = near_focus(joint, depth) or (
+            replace(side_of(joint, depth), log_likelihood=of[0].objective),
+            *map(side_of, of[1:]),
+        )
         where = edge_range(law(), [("B", sides)])
         other = where.other or Uncertain(np.nan, np.nan)
         found.append(Ranged(range_mm, where.range_mm.value, where.range_mm.std, other.value, other.std))

@@ -8,6 +8,8 @@ import numpy as np
 
 from labkit.edges.esfr import Esfr, Plane, esfr
 from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
+from labkit.edges.profile import sides_of
+from labkit.edges.ranges import Side
 from labkit.edges.region import Region
 from labkit.edges.search import coherent_rms, fit_depth, halves, refuse_no_edge, refuse_uneven, rough_edge
 from labkit.errors import DataError, FitError
@@ -40,10 +42,12 @@ class BoxTask:
 
 @dataclass(frozen=True)
 class BoxFit:
-    """ends: of the fit, the likelier first; none where the box was rejected, and why."""
+    """ends: of the fit, the likelier first; none where the box was rejected, and why. sides: of best focus, on which it may
+    stand, where the wavefront is given."""
 
     task: BoxTask
     ends: tuple[EdgeFit, ...] = ()
+    sides: tuple[Side, ...] = ()
     why: str = ""
     iso: Esfr | None = None
     iso_problem: str = ""
@@ -79,7 +83,7 @@ def fit_box(task: BoxTask) -> BoxFit:
     except np.linalg.LinAlgError:
         why = "it holds no edge that can be fitted: the information is singular"
         return BoxFit(task, why=why, iso=iso, iso_problem=problem)
-    return BoxFit(task, ends, iso=iso, iso_problem=problem)
+    return BoxFit(task, ends, sides_of(ends) if task.camera.given else (), iso=iso, iso_problem=problem)
 
 
 def _by_the_standard(task: BoxTask) -> tuple[Esfr | None, str]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior
-from labkit.edges.ranges import Side, symmetric_error
+from labkit.edges.profile import near_focus, side_of
+from labkit.edges.ranges import Side
 from labkit.edges.region import Region
 from labkit.edges.search import fit_jointly, twin
 from labkit.fiducials.box_fit import BoxFit, fit_box
@@ -48,9 +49,7 @@ def standings(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Standing]:
         return _with_wavefront(fits, one_range)
     if one_range:
         return _of_one_range(every)
-    return {
-        (place, name): Standing(of.ends[0], 0, 0, tuple(_side(end) for end in of.ends)) for place, name, of in every
-    }
+    return {(place, name): Standing(of.ends[0], 0, 0, of.sides) for place, name, of in every}
 
 
 def correlation(standing: Sequence[Standing]) -> Floats | None:
@@ -69,7 +68,7 @@ def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Stan
     joint, placed = _climbed({place: fits[place] for place in few}, one_range)
     other = twin(joint)
     found = {
-        key: Standing(joint, first, depth, (_side(joint, depth), _side(other, depth)))
+        key: Standing(joint, first, depth, (side_of(joint, depth), side_of(other, depth)))
         for key, (first, depth) in placed.items()
     }
     modes = joint.state.modes.size
@@ -78,7 +77,7 @@ def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Stan
         for name, of in fits[place].items():
             known = fit_box(replace(of.task, camera=replace(of.task.camera, lens=lens, given=True), planes=()))
             fit = (known.ends or of.ends)[0]
-            found[place, name] = Standing(fit, 0, 0, (_side(fit), _side(twin(fit))))
+            found[place, name] = Standing(fit, 0, 0, (side_of(fit), side_of(twin(fit))))
     return found
 
 
@@ -128,7 +127,7 @@ def _of_one_range(every: Sequence[tuple[Place, str, BoxFit]]) -> dict[tuple[Plac
     for name in dict.fromkeys(name for _, name, _ in every):
         having = [(place, of) for place, channel, of in every if channel == name]
         fit = fit_together([of for _, of in having])
-        sides, first = _both(fit, [of for _, of in having]), 0
+        sides, first = near_focus(fit) or _both(fit, [of for _, of in having]), 0
         for place, of in having:
             found[place, name] = Standing(fit, first, 0, sides)
             first += len(of.task.regions)
@@ -140,16 +139,10 @@ def _both(fit: EdgeFit, fits: Sequence[BoxFit]) -> tuple[Side, ...]:
     sign = np.sign(fit.defocus()[0])
     others = [[end for end in of.ends if np.sign(end.defocus()[0]) != sign] for of in fits]
     if not all(others):
-        return (_side(fit),)
+        return (side_of(fit),)
     same = [[end for end in of.ends if np.sign(end.defocus()[0]) == sign] for of in fits]
     lost = sum(o[0].objective - (s[0].objective if s else o[0].objective) for o, s in zip(others, same, strict=True))
     values = np.array([o[0].defocus() for o in others])
     weight = 1 / values[:, 1] ** 2
     mean = float(weight @ values[:, 0] / weight.sum())
-    return _side(fit), Side(mean, float(weight.sum() ** -0.5), fit.objective + lost)
-
-
-def _side(fit: EdgeFit, depth: int = 0) -> Side:
-    """Of an end. Where no other even mode is known, only the square of defocus is near zero."""
-    value, std = fit.defocus(depth)
-    return Side(value, std if np.any(fit.problem.lens.mean) else symmetric_error(value, std), fit.objective)
+    return side_of(fit), Side(mean, float(weight.sum() ** -0.5), fit.objective + lost)

@@ -28,6 +28,10 @@ LEAST_AGREEMENT = 0.6
 """Correlation with the rendered target below which a picture does not show it: all of it and the median of 3×3 parts;
 half of it for the worst of the parts. Pictures of other things stay below 0.4, targets out of focus above 0.9."""
 
+CLEAR_AGREEMENT, BEYOND_DOUBT = 0.9, 0.97
+"""Correlation of all of it from which on a target that lies outside of the frame is there, and below which another pose is no
+better: of a carpet partly outside a smaller one, whole, reaches 0.94, one far out of focus 0.98 and more."""
+
 SCALE_TOLERANCE = 0.15
 """How far `mm_per_pixel` may be off."""
 
@@ -63,13 +67,24 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
     """
     picture = _normalised(_picture("image", image))
     agreements: list[Agreement] = []
+    complaints: list[TargetError] = []
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
         if not _whole(corners):
             continue
         agreements.append(agreement)
-        if _believable(agreement) and _right_scale(corners, target, mm_per_pixel):
+        if not (_believable(agreement) and _right_scale(corners, target, mm_per_pixel)):
+            continue
+        if complaints and agreement.whole < BEYOND_DOUBT:
+            continue
+        try:
             return _checked(picture, target, corners)
+        except TargetError as complaint:  # of a blurred picture a wrong pose may be believed: there may be a better one
+            complaints.append(complaint)
+            if agreement.whole > CLEAR_AGREEMENT:
+                break
+    if complaints:
+        raise complaints[0]
     best = max((min(a.whole, a.median_part, 2 * a.least_part) for a in agreements), default=0.0)
     raise TargetError(
         f"no target found in the frame: the likeliest place correlates {best:.2f} with it, "
