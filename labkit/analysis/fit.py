@@ -13,6 +13,7 @@ from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import PATIENCE_S, fit_task
+from labkit.analysis.model_error import with_model_error
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
@@ -141,6 +142,7 @@ def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, n
 
 def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
     """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
+    fits = with_model_error(fits)
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     warnings = [*words_of_parts(fits, found, wanted_parts(plan)), *warnings_of(fits)]

@@ -27,7 +27,7 @@ class LensFit:
     """A session's estimate. theta: (columns,); pull: (columns, rows) what the estimate moves by for each whitened row.
 
     Rows are those of the members one after another, whitened by `roots`, then the columns' prior values.
-    residuals: (rows,) whitened.
+    residuals: (rows,) whitened. lean: (columns,) by which what the model of the members lacks may move it.
     """
 
     model: LensModel
@@ -36,6 +36,19 @@ class LensFit:
     residuals: Floats
     jacobian: Floats
     roots: tuple[Floats, ...]
+    lean: Floats | float = 0.0
+
+    @property
+    def errors(self) -> Floats:
+        """(columns, columns) covariance of all that is known to be uncertain."""
+        lean = self.lean * np.ones(len(self.theta))
+        return self.covariance * self.widening**2 + np.outer(lean, lean)
+
+    def leaning(self, shifts: Sequence[Floats]) -> LensFit:
+        """The same, where something may move what the members measure. shifts: (values,) of each."""
+        whitened = [solve_triangular(root, of, lower=True) for root, of in zip(self.roots, shifts, strict=True)]
+        rows = np.concatenate([*whitened, np.zeros(len(self.model.columns))])
+        return replace(self, lean=self.covariance @ self.jacobian.T @ rows)
 
     @property
     def chi2(self) -> float:
@@ -72,13 +85,13 @@ class LensFit:
 
     def std(self, kind: str, *of: str | float) -> float:
         k = self.model.index(kind, *of)
-        return float(np.sqrt(self.covariance[k, k])) * self.widening
+        return float(np.sqrt(self.errors[k, k]))
 
     def posterior(self, k: int) -> tuple[Floats, Floats]:
         """What member k would measure by the whole session, in light as stated, and its covariance."""
         slope = self.model.jacobian(self.theta)[k]
         slope[:, self.model.index("wavelength", self.model.members[k].channel)] = 0.0
-        return self.model.true(self.theta)[k], slope @ self.covariance @ slope.T * self.widening**2
+        return self.model.true(self.theta)[k], slope @ self.errors @ slope.T
 
     def misfit(self, k: int) -> float:
         """chi2 of member k against all others: as many degrees of freedom as it has values."""
@@ -109,7 +122,7 @@ class LensFit:
             share for share, c in zip(prior, self.model.columns, strict=True) if c.kind in ("wavelength", "cone")
         )
         total = sum(shares.values())
-        shares["model"] += (self.widening**2 - 1) * total
+        shares["model"] += (self.widening**2 - 1) * total + float(np.sum(gradient * self.lean)) ** 2
         return {name: float(np.sqrt(max(share, 0.0))) for name, share in shares.items()}
 
 

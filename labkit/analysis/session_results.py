@@ -9,6 +9,7 @@ import numpy as np
 from labkit.analysis.lens_fit import LEAST_MAGNIFICATION, MOST_MAGNIFICATION, LensFit
 from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
+from labkit.analysis.model_error import shift
 from labkit.analysis.session_fits import SessionFits
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
@@ -22,7 +23,7 @@ FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     """Of every fit. Those that belong to a lens are as the whole session has them."""
-    wavefronts = [as_wavefront(local) for local in session.fits]
+    wavefronts = [_leaning(as_wavefront(local), shift(local, session)) for local in session.fits]
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
@@ -30,6 +31,12 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     lacking = () if session.missing is None else (session.missing,)
     judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=lacking) for w in judged)
+
+
+def _leaning(w: Wavefront, by: Floats) -> Wavefront:
+    """With errors that hold what it may be moved by, (values,) as of `Measured`."""
+    modes, cone = by[: len(w.noll)], float(np.hypot(w.f_number_std, w.f_number * by[-2]))
+    return replace(w, covariance=w.covariance + np.outer(modes, modes), f_number_std=cone)
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
@@ -77,7 +84,7 @@ def as_focus(lens: LensFit) -> Focus | None:
     columns = [*(model.index("best focus", c) for c in channels), model.index(MAGNIFICATION)]
     pupils = _magnification(lens)
     scale = np.append(np.ones(len(channels)), pupils.value)
-    covariance = lens.covariance[np.ix_(columns, columns)] * lens.widening**2 * np.outer(scale, scale)
+    covariance = lens.errors[np.ix_(columns, columns)] * np.outer(scale, scale)
     rest = _defocus_residuals(lens)
     inside = 1.001 * LEAST_MAGNIFICATION < pupils.value < MOST_MAGNIFICATION / 1.001
     return Focus(

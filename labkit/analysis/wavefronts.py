@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from labkit.analysis.diagnosis import ALIKE, called_for, commoner, idle, lacks, together, worth
+from labkit.analysis.diagnosis import ALIKE, called_for, commoner, idle, lacks, numbers_of, together, worth
 from labkit.analysis.lens_fit import LensFit, belongs, fit_session_lens, predict
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import (
@@ -36,7 +36,7 @@ from labkit.inference.search import CALLED_FOR
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.target import Target
-from labkit.types import Progress
+from labkit.types import Floats, Progress
 
 ANCHOR_S = 15.0  # for the first fits, of which one is enough: those of golden `open` take 8
 SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is explained with it: else it stands for another lack
@@ -91,6 +91,7 @@ class _Chain:
     fits: dict[int, LocalFit] = field(default_factory=dict)
     tried: list[PartTried] = field(default_factory=list)
     missing: str | None = None
+    missing_numbers: dict[str, Floats] = field(default_factory=dict)
     asked: dict[int, LocalFit] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     known: tuple[dict[int, LocalFit], SessionFits] = ({}, SessionFits(()))
@@ -182,7 +183,8 @@ class _Chain:
         better = True
         while better:
             self.asked = {k: self.fits[k] for k in places}
-            summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
+            channels = [self.fits[k].channel for k in places]
+            summed = together([self.fits[k].fit.calls for k in places], channels)
             name = called_for(summed)
             better = name is not None and self.diagnose and self._better_with(name, places)
             if better and name is not None and self._has(name, places):
@@ -190,6 +192,9 @@ class _Chain:
             taken = [each for each in summed if better and each == name and self._has(each, places)]
             self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
             self.missing = None if better else name
+            self.missing_numbers = (
+                {} if self.missing is None else numbers_of(self.missing, summed[self.missing], channels)
+            )
 
     def _to_ask(self) -> list[int]:
         """All, once they are there; until then those that are explained, if any are. Without diagnosis, those that are not."""
@@ -283,7 +288,8 @@ class _Chain:
         mended = tuple(k for k in again if k in after.members)
         lost = tuple(self._left_out())
         self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
-        return replace(after, mended=mended, tried=tuple(self.tried), missing=self.missing, lost=lost)
+        after = replace(after, missing=self.missing, missing_numbers=self.missing_numbers)
+        return replace(after, mended=mended, tried=tuple(self.tried), lost=lost)
 
     def _done(self, tasks: Sequence[Task], doing: str, new: int = 0) -> Iterator[tuple[int, WavefrontFit]]:
         """Fits of tasks; those that memory was too short for are noted, and what was there before them stays.

@@ -79,6 +79,24 @@ def test_a_lens_is_found_again() -> None:
     assert fit.value("tape") == pytest.approx(0.0, abs=2e-3)
 
 
+def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
+    fits, plan = near_session()
+    fit, rng = fit_lens(fits, plan), np.random.default_rng(2)
+    shifts = [0.3 * rng.normal(size=3) * np.sqrt(np.diag(m.measured.covariance)) for m in fits]
+    others = [
+        replace(m, measured=replace(m.measured, values=m.measured.values + s))
+        for m, s in zip(fits, shifts, strict=True)
+    ]
+    leaning, moved_by = fit.leaning(shifts), fit_lens(others, plan).theta - fit.theta
+    std = np.sqrt(np.diag(fit.covariance))
+    np.testing.assert_allclose(leaning.lean / std, moved_by / std, atol=0.01)  # 6e-3: the laws bend
+    np.testing.assert_allclose(leaning.errors, fit.errors + np.outer(leaning.lean, leaning.lean))
+    for k in range(len(std)):
+        shares = leaning.contributions(np.eye(len(std))[k])
+        assert sum(share**2 for share in shares.values()) == pytest.approx(leaning.errors[k, k])
+    assert leaning.std("tape") > fit.std("tape")
+
+
 def drawn(rng: np.random.Generator, plan: Stated, mp: float) -> tuple[list[Member], dict[str, float]]:
     """A session whose lens, tape, steps and sizes are off as stated, and whose fits err as they say; and its truth."""
     f, n = (rng.normal(x.value, x.std) for x in (plan.focal_length, plan.f_number))
