@@ -152,7 +152,7 @@ def work(task: Task) -> Answer:
         began = perf_counter()
         restored[name] = _best(name, one, truth)
         seconds[name] = perf_counter() - began
-    ways = {DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True), OURS: lambda: one}
+    ways: dict[str, Callable[[], Job]] = {DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True), OURS: lambda: one}
     ways |= {SEVERAL: lambda: made(frames), COLOURS: lambda: made(frames[:1], names="RGB")}
     for name, job in ways.items():
         began = perf_counter()

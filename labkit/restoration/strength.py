@@ -147,7 +147,7 @@ class Trial:
         """Variance over squared mean of scenes whose penalty has a stiffness of 1: inversely as much of another."""
         grid, levels = self.views.grid, np.maximum(self.levels, 1.0)
         between = [self.soft.stiffness.between(c, c) for c in range(self.views.components)]
-        return max(float(np.sum(grid.share * b)) / level**2 for b, level in zip(between, levels, strict=True))
+        return max(float(np.sum(grid.share * b) / level**2) for b, level in zip(between, levels, strict=True))
 
     def corner(self, stiffness: float) -> tuple[float, float]:
         """Squared residuals, and roughness: f^T K f is that of the planes by way of the scene."""
