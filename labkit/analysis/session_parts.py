@@ -53,8 +53,14 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
 
 
 def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
-    """What was found of the camera and what it changed, a line each; not of parts that the plan wanted fitted."""
+    """What was found of the camera and what it changed, and what is missing, a line each; not of parts that the plan wanted
+    fitted."""
     lines = []
+    if session.missing is not None and session.lens is not None:
+        lines.append(
+            f"the photographs call for {WORDS[session.missing]}, which the model lacks: errors hold how far it would move "
+            "each number"
+        )
     for name in dict.fromkeys(key.split(".")[0] for key in found):
         numbers = ", ".join(
             f"{key.removeprefix(name + '.').replace('_px', '').replace('_nm', '')} {value}"

@@ -197,12 +197,10 @@ class _Chain:
             )
 
     def _to_ask(self) -> list[int]:
-        """All, once they are there; until then those that are explained, if any are. Without diagnosis, those that are not."""
-        explained = [k for k, f in self.fits.items() if f.fit.verdict.accepted]
-        all_there = len(self.fits) == len(self.observations)
-        if not self.diagnose:
-            return [k for k in self.fits if k not in explained] if all_there else []
-        return [*self.fits] if all_there else explained or [*self.fits]
+        """All, once they are there; until then, for diagnosis, those that are explained, if any are."""
+        if len(self.fits) == len(self.observations):
+            return [*self.fits]
+        return [k for k, f in self.fits.items() if f.fit.verdict.accepted] or [*self.fits] if self.diagnose else []
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""
