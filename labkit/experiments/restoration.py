@@ -250,7 +250,7 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
 
 
 def _draw(answer: Answer) -> Figure:
-    figure, axes = panels(9, 5, 2.6)
+    figure, axes = panels(9, 5, 2.1)
     order = (
         BLURRED,
         "richardson-lucy-blind",
