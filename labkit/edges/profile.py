@@ -18,7 +18,7 @@ from labkit.edges.ranges import Side, symmetric_error
 from labkit.types import Floats
 
 DEEPEST = 8.0  # of a log-likelihood: what is less likely by more is out of the question
-VALLEY = 2.0  # of a log-likelihood below the lower of two sides, from which on they are two
+VALLEY = 0.3  # of a log-likelihood below the lower of two sides, from which on they are two
 PROBED, BENT = (
     2.0,
     0.6,
