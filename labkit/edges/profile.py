@@ -19,13 +19,13 @@ from labkit.types import Floats
 
 DEEPEST = 8.0  # of a log-likelihood: what is less likely by more is out of the question
 VALLEY = 0.3  # of a log-likelihood below the lower of two sides, from which on they are two
-PROBED, BENT = (
-    2.0,
-    0.6,
-)  # standard errors by the curvature, and how far the log-likelihood may be from a parabola's there
-STEPS = 0.5 ** np.arange(
-    1.0, 5.0
-)  # standard errors by the curvature, each taken where the one before gave too few values
+PROBED, BENT = 2.0, 0.6
+"""Standard errors by the curvature, and how far the log-likelihood may be from a parabola's there."""
+
+WIDEST = 0.1  # waves RMS: a larger error by the curvature is that of information that has vanished
+STEPS = 0.5 ** np.arange(1.0, 5.0)
+"""Of an error by the curvature, each taken where the one before gave too few values."""
+
 ENOUGH = 8  # values within half of DEEPEST
 MOST_VALUES, FINE = 40, 2001  # on either hand; of the curve through them
 
@@ -65,6 +65,8 @@ def _is_parabola(fit: EdgeFit, depth: int) -> bool:
     if not np.any(fit.problem.lens.mean):
         return True
     best, std = fit.defocus(depth)
+    if not std < WIDEST:
+        return False
     fallen = [fit.objective - _held(fit, fit.state, depth, best + by * std)[1] for by in (-PROBED, PROBED)]
     return max(abs(of - PROBED**2 / 2) for of in fallen) < BENT
 
@@ -73,7 +75,7 @@ def _profile(fit: EdgeFit, depth: int) -> tuple[Floats, Floats]:
     """Values of defocus, ascending, and the log-likelihood of each."""
     best, std = fit.defocus(depth)
     found = {best: (fit.state, fit.objective)}
-    for step in STEPS * std:
+    for step in STEPS * np.fmin(std, WIDEST):
         for sign in (-1, 1):
             _follow(fit, depth, found, best + sign * step * np.arange(1, MOST_VALUES))
         values = np.array(sorted(found))

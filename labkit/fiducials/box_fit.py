@@ -78,12 +78,13 @@ def fit_box(task: BoxTask) -> BoxFit:
             refuse_uneven(region, found)
         ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
         _refuse_contradiction(ends[0])
+        sides = sides_of(ends) if task.camera.given else ()
     except (DataError, FitError) as error:
         return BoxFit(task, why=str(error), iso=iso, iso_problem=problem)
     except np.linalg.LinAlgError:
         why = "it holds no edge that can be fitted: the information is singular"
         return BoxFit(task, why=why, iso=iso, iso_problem=problem)
-    return BoxFit(task, ends, sides_of(ends) if task.camera.given else (), iso=iso, iso_problem=problem)
+    return BoxFit(task, ends, sides, iso=iso, iso_problem=problem)
 
 
 def _by_the_standard(task: BoxTask) -> tuple[Esfr | None, str]:
