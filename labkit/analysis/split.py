@@ -42,7 +42,7 @@ def find_change(session: SessionFits, stated: Stated) -> Change | None:
     if k is None:
         return None
     before, after = ([f for f in fits if f.member.stop in part] for part in (stops[:k], stops[k:]))
-    return Change(stops[k - 1], stops[k], _as_session(before, stated), _as_session(after, stated))
+    return Change(stops[k - 1], stops[k], *(_as_session(part, stated, session) for part in (before, after)))
 
 
 def parting(members: Sequence[Member], stops: Sequence[float], stated: Stated) -> int | None:
@@ -65,7 +65,9 @@ def _lens(members: Sequence[Member], stated: Stated) -> tuple[list[int], LensFit
     return signs, fit_lens([twin(m, s) for m, s in zip(members, signs, strict=True)], stated)
 
 
-def _as_session(fits: Sequence[LocalFit], stated: Stated) -> SessionFits:
-    signs, lens = _lens([f.member for f in fits], stated)
+def _as_session(fits: Sequence[LocalFit], stated: Stated, whole: SessionFits) -> SessionFits:
+    """A part of a session, its errors as the whole has them."""
+    signs, _ = choose_twins([f.member for f in fits], stated)
     turned = [f if sign > 0 else replace(f, fit=f.fit.twin()) for f, sign in zip(fits, signs, strict=True)]
-    return SessionFits(tuple(turned), lens, tuple(range(len(turned))))
+    lens = fit_lens([f.honest_member for f in turned], stated)
+    return replace(whole, fits=tuple(turned), lens=lens, members=tuple(range(len(turned))), strangers=(), mended=())
