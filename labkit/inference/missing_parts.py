@@ -37,8 +37,9 @@ class Call:
 
     def twin(self, signs: Floats) -> Call:
         """With even modes reversed. signs: (modes,)."""
-        signs = np.append(signs, np.ones(len(self.moves) - len(signs)))
-        return replace(self, moves=signs[:, None] * self.moves)
+        moves = self.moves.copy()
+        moves[: len(signs)] *= signs[: len(moves), None]
+        return replace(self, moves=moves)
 
     def __add__(self, other: Call) -> Call:
         """Of two fits that share the part."""
