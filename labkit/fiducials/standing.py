@@ -77,7 +77,8 @@ def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Stan
         for name, of in fits[place].items():
             known = fit_box(replace(of.task, camera=replace(of.task.camera, lens=lens, given=True), planes=()))
             fit = (known.ends or of.ends)[0]
-            found[place, name] = Standing(fit, 0, 0, (side_of(fit), side_of(twin(fit))))
+            side = known.sides[0] if known.sides else side_of(fit)
+            found[place, name] = Standing(fit, 0, 0, (side, replace(side, defocus=-side.defocus)))
     return found
 
 

@@ -74,12 +74,7 @@ def refined(job: Job) -> Job:
 
 def _scene(views: Views, job: Job) -> AnyComplexes:
     """Half planes of the scene without the bound, under a penalty about as strong as a choice would make it."""
-    levels = np.array(
-        [
-            np.mean([v.counts[v.used].mean() / v.light[v.used].mean() for v in views if v.component == c])
-            for c in range(views.components)
-        ]
-    )
+    levels = views.levels()
     means = [view.light * levels[view.component] for view in views]
     weights = views.weights(means)
     density = sum(float(w.mean()) for w in weights) / len(job.photographs) / job.period**2

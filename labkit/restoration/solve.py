@@ -173,10 +173,8 @@ class Solver:
 
 def guessed_norm(views: Views, penalty: Roughness) -> tuple[Floats, Norm]:
     """Levels of the scene's components, and its norm as the blurred pictures have it, noise taken off."""
-    levels, squares = np.zeros(views.components), np.zeros(views.components)
+    levels, squares = views.levels(), np.zeros(views.components)
     planes = np.bincount([view.component for view in views], minlength=views.components)
-    for view in views:
-        levels[view.component] += view.counts[view.used].mean() / view.light[view.used].mean() / planes[view.component]
     for view in views:
         counts, mean = view.counts[view.used], (view.light * levels[view.component])[view.used]
         noise = float(np.mean(view.variance(mean)))

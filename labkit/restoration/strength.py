@@ -112,7 +112,7 @@ class Trial:
     def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0) -> None:
         self.views = views
         self.weights = [_weight(view) for view in views]
-        self.levels = _levels(views)
+        self.levels = views.levels()
         self.apart = np.array([view.counts - self.levels[view.component] * view.light for view in views])
         self.signs = rng.choice([-1.0, 1.0], self.apart.shape)
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
@@ -155,12 +155,6 @@ class Trial:
         planes = kriging.solve(self.apart)
         rough = float(np.sum(planes * kriging.data_part(planes))) / stiffness
         return float(np.sum(kriging.variance * planes**2)), rough
-
-
-def _levels(views: Views) -> Floats:
-    """(components,) mean of the scene as all of a colour's planes see it: one for each would set shifted frames at odds."""
-    means = [(view.component, float(np.mean(view.counts[view.used] / view.light[view.used]))) for view in views]
-    return np.array([np.mean([mean for component, mean in means if component == c]) for c in range(views.components)])
 
 
 def _weight(view: View) -> Floats:

@@ -83,6 +83,11 @@ class Views:
         """Counts that are used."""
         return int(sum(view.used.sum() for view in self.views))
 
+    def levels(self) -> Floats:
+        """(components,) mean of the scene by all planes of a colour: each by its own would set shifted frames at odds."""
+        means = [(v.component, float(v.counts[v.used].mean() / v.light[v.used].mean())) for v in self]
+        return np.array([np.mean([mean for c, mean in means if c == k]) for k in range(self.components)])
+
     def seen(self) -> Bools:
         """(rows, columns) fine samples of the frame where there are data."""
         return self.grid.seen([(view.place, view.used) for view in self.views])
