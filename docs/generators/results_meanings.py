@@ -41,8 +41,8 @@ MEANINGS = {
     ),
     "wavefronts[].global_test": "How the optimum was found and tested; null where it was not:",
     "wavefronts[].global_test.name": (
-        'What decided: `"residuals"`, `"session"` (the other fits), or `"starts"` (many starts ended in the same '
-        "optimum)."
+        'What decided: `"residuals"`, `"session"` (the other fits), `"starts"` (many ended in the same optimum), or '
+        '`"parts"` (a fit with parts of the camera that the model lacks).'
     ),
     "wavefronts[].global_test.p_value": "Chance of residuals as large as these.",
     "wavefronts[].global_test.accepted": "Whether the optimum is accepted as the best one.",

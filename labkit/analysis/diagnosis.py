@@ -13,7 +13,6 @@ from labkit.imaging.parts import Aperture
 from labkit.inference.cone import Measured
 from labkit.inference.missing_parts import SPECTRUM, Call, lacking
 from labkit.inference.search import CALLED_FOR
-from labkit.types import Floats
 
 ALIKE = 4.0
 """Log-likelihood by which one part must be called for more than another that is more common: by one number more it gains as
@@ -44,12 +43,6 @@ def together(every: Sequence[Mapping[str, Call]], channels: Sequence[str]) -> di
         calls = [reduce(Call.__add__, calls) for calls in of]
         whole[SPECTRUM] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
     return whole
-
-
-def numbers_of(name: str, call: Call, channels: Sequence[str]) -> dict[str, Floats]:
-    """(n,) what is called for of a part, by channel. call: of fits of these channels together."""
-    each = list(dict.fromkeys(channels))
-    return {c: call.step[[k]] if name == SPECTRUM else call.step for k, c in enumerate(each)}
 
 
 def called_for(summed: Mapping[str, Call]) -> str | None:

@@ -40,6 +40,9 @@ from labkit.types import Progress, no_progress
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
+CONFIRMED_BY = {"starts": "many starts ended in", "parts": "a fit with more parts of the camera confirms"}
+"""In words: by the name of a test of the optimum."""
+
 GO_ON = "fit again: that goes on where this one ended"
 """Fits that are done are kept."""
 
@@ -225,7 +228,7 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 "is the target lit, sharp and large enough?"
             )
         elif not w.test.explains:
-            who = "many starts ended in" if w.test.name == "starts" else "the session confirms"
+            who = CONFIRMED_BY.get(w.test.name, "the session confirms")
             why = (
                 f"{who} the optimum: the model lacks something"
                 if w.test.accepted

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from labkit.analysis.lens_model import EXACT, GEOMETRY, OPEN, LensModel, Member, Stated
+from labkit.inference.bias import covariance_with_bias
 from labkit.types import Floats
 
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator
@@ -27,7 +28,8 @@ class LensFit:
     """A session's estimate. theta: (columns,); pull: (columns, rows) what the estimate moves by for each whitened row.
 
     Rows are those of the members one after another, whitened by `roots`, then the columns' prior values.
-    residuals: (rows,) whitened. lean: (columns,) by which what the model of the members lacks may move it.
+    residuals: (rows,) whitened. lean: (columns,) by which what the model of the members lacks would move it, where it
+    lacks something.
     """
 
     model: LensModel
@@ -36,13 +38,17 @@ class LensFit:
     residuals: Floats
     jacobian: Floats
     roots: tuple[Floats, ...]
-    lean: Floats | float = 0.0
+    lean: Floats | None = None
 
     @property
     def errors(self) -> Floats:
         """(columns, columns) covariance of all that is known to be uncertain."""
-        lean = self.lean * np.ones(len(self.theta))
-        return self.covariance * self.widening**2 + np.outer(lean, lean)
+        return self.errors_of(np.eye(len(self.theta)))
+
+    def errors_of(self, combinations: Floats) -> Floats:
+        """(n, n) of combinations (n, columns) of the estimate."""
+        noise = combinations @ self.covariance @ combinations.T * self.widening**2
+        return noise if self.lean is None else covariance_with_bias(noise, combinations @ self.lean)
 
     def leaning(self, shifts: Sequence[Floats]) -> LensFit:
         """The same, where something may move what the members measure. shifts: (values,) of each."""
@@ -91,7 +97,7 @@ class LensFit:
         """What member k would measure by the whole session, in light as stated, and its covariance."""
         slope = self.model.jacobian(self.theta)[k]
         slope[:, self.model.index("wavelength", self.model.members[k].channel)] = 0.0
-        return self.model.true(self.theta)[k], slope @ self.errors @ slope.T
+        return self.model.true(self.theta)[k], self.errors_of(slope)
 
     def misfit(self, k: int) -> float:
         """chi2 of member k against all others: as many degrees of freedom as it has values."""
@@ -122,7 +128,7 @@ class LensFit:
             share for share, c in zip(prior, self.model.columns, strict=True) if c.kind in ("wavelength", "cone")
         )
         total = sum(shares.values())
-        shares["model"] += (self.widening**2 - 1) * total + float(np.sum(gradient * self.lean)) ** 2
+        shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - total
         return {name: float(np.sqrt(max(share, 0.0))) for name, share in shares.items()}
 
 

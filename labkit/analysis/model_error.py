@@ -1,8 +1,7 @@
 """How wrong a session may be whose model lacks a part of the camera that its frames call for.
 
-A sandwich tells how residuals that are not noise scatter an estimate, not where they drag all fits alike. The part that is
-called for most says that: to first order it would move each fit, and with them the lens, by so much. Estimates stay as the
-model has them, which was asked for or explains as much; their errors hold the move.
+A sandwich tells how residuals that are not noise scatter an estimate, not where they drag all fits alike. The same fits with
+the part say that. Estimates stay as the model has them, which was asked for or explains as much; their errors hold the move.
 """
 
 from __future__ import annotations
@@ -13,22 +12,48 @@ import numpy as np
 
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.session_fits import SessionFits
+from labkit.inference.fit import WavefrontFit, twin_signs
+from labkit.inference.search import PREDICTED_WAVES
+from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats
 
 
-def shift(local: LocalFit, session: SessionFits) -> Floats:
-    """(values,) by which the part that a session lacks would move what a fit measures, as of `Measured`; 0 where none is."""
-    none = np.zeros(len(local.fit.measured.values))
-    call = None if session.missing is None else local.fit.calls.get(session.missing)
-    numbers = session.missing_numbers.get(local.channel)
-    if call is None or numbers is None or len(call.moves) != len(none):
-        return none
-    return np.asarray(call.moves @ numbers)
+def shift(fit: WavefrontFit, with_missing: WavefrontFit) -> tuple[Floats, float]:
+    """(modes,) waves RMS and ln of the cone by which what is missing would move a wavefront. Of two twins the nearer counts."""
+    near = _near(fit, with_missing)
+    return near.waves - fit.waves, float(np.log(near.f_number / fit.f_number))
+
+
+def confirmed(session: SessionFits, index: int) -> bool:
+    """Whether a fit is at the optimum that explains its frames once the model has what it lacks."""
+    fuller = dict(enumerate(session.with_missing)).get(index)
+    if fuller is None or not fuller.fit.verdict.accepted:
+        return False
+    modes, _ = shift(session.fits[index].fit, fuller.fit)
+    above_defocus = [k for k, j in enumerate(fuller.fit.noll) if j != DEFOCUS]
+    return float(np.linalg.norm(modes[above_defocus])) < PREDICTED_WAVES
 
 
 def with_model_error(session: SessionFits) -> SessionFits:
-    """With the lens's errors as the missing part makes them."""
-    if session.missing is None or session.lens is None:
+    """With the lens's errors as what is missing makes them."""
+    if session.lens is None or not any(session.with_missing):
         return session
-    shifts = [shift(session.fits[k], session) for k in session.members]
+    shifts = [_measured_shift(session.fits[k], session.with_missing[k]) for k in session.members]
     return replace(session, lens=session.lens.leaning(shifts))
+
+
+def _measured_shift(local: LocalFit, with_missing: LocalFit | None) -> Floats:
+    """(values,) as of `Measured`."""
+    here = local.fit.measured
+    if with_missing is None:
+        return np.zeros(len(here.values))
+    there = _near(local.fit, with_missing.fit).measured
+    labels = [*there.noll, *there.parts]
+    places = [labels.index(label) for label in (*here.noll, *here.parts)]
+    return np.asarray(there.values[[*places, -2, -1]] - here.values)
+
+
+def _near(fit: WavefrontFit, other: WavefrontFit) -> WavefrontFit:
+    """Another, or its twin, whichever is nearer."""
+    even = twin_signs(fit.noll) < 0
+    return other.twin() if fit.waves[even] @ other.waves[even] < 0 else other

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.local_fits import LocalFit
 from labkit.results.model import PartTried
-from labkit.types import Floats
 
 
 @dataclass(frozen=True)
@@ -18,8 +16,8 @@ class SessionFits:
     lens: None where no ranges, or no defocus, are there to determine one. members: which fits it is made of; the others were
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
     belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
-    about; missing: one that those call for which their model does not explain, and that was not taken in, missing_numbers: what
-    they call for of it, by channel. lost: observations that have no fit, in words.
+    about; missing: those that the fits call for and that their model lacks, with_missing: fits with them, None where there is
+    none. lost: observations that have no fit, in words.
     """
 
     fits: tuple[LocalFit, ...]
@@ -29,6 +27,6 @@ class SessionFits:
     mended: tuple[int, ...] = ()
     open_channels: tuple[str, ...] = ()
     tried: tuple[PartTried, ...] = ()
-    missing: str | None = None
-    missing_numbers: Mapping[str, Floats] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    with_missing: tuple[LocalFit | None, ...] = ()
     lost: tuple[str, ...] = ()

@@ -56,10 +56,10 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Co
     """What was found of the camera and what it changed, and what is missing, a line each; not of parts that the plan wanted
     fitted."""
     lines = []
-    if session.missing is not None and session.lens is not None:
+    if session.missing and session.lens is not None:
+        named = " and ".join(WORDS[name] for name in session.missing)
         lines.append(
-            f"the photographs call for {WORDS[session.missing]}, which the model lacks: errors hold how far it would move "
-            "each number"
+            f"the photographs call for {named}, which the model lacks: errors hold how far that would move each number"
         )
     for name in dict.fromkeys(key.split(".")[0] for key in found):
         numbers = ", ".join(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
 from labkit.analysis.lens_fit import LEAST_MAGNIFICATION, MOST_MAGNIFICATION, LensFit
 from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
-from labkit.analysis.model_error import shift
+from labkit.analysis.model_error import confirmed, shift
 from labkit.analysis.session_fits import SessionFits
+from labkit.inference.bias import covariance_with_bias, error_with_bias
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
@@ -23,29 +25,36 @@ FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     """Of every fit. Those that belong to a lens are as the whole session has them."""
-    wavefronts = [_leaning(as_wavefront(local), shift(local, session)) for local in session.fits]
+    wavefronts = [_leaning(local, fuller) for local, fuller in zip_longest(session.fits, session.with_missing)]
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
         wavefronts[index] = _with(wavefronts[index], values, covariance)
-    lacking = () if session.missing is None else (session.missing,)
     judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
-    return tuple(w if w.test is None or w.test.explains else replace(w, missing=lacking) for w in judged)
+    return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
 
-def _leaning(w: Wavefront, by: Floats) -> Wavefront:
-    """With errors that hold what it may be moved by, (values,) as of `Measured`."""
-    modes, cone = by[: len(w.noll)], float(np.hypot(w.f_number_std, w.f_number * by[-2]))
-    return replace(w, covariance=w.covariance + np.outer(modes, modes), f_number_std=cone)
+def _leaning(local: LocalFit, with_missing: LocalFit | None) -> Wavefront:
+    """A local fit as results keep it, with errors that hold what a missing part may move it by."""
+    w = as_wavefront(local)
+    if with_missing is None:
+        return w
+    modes, cone = shift(local.fit, with_missing.fit)
+    std = float(error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone)))
+    return replace(w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std)
 
 
 def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
     """With the session's word on the optimum, where it has one: other frames show a wrong optimum, residuals a poor model.
 
-    Of frames without others, the search's: many starts that come back.
+    Of frames without others, the search's: many starts that come back. Where the model lacks a part, of the same fit with it.
     """
-    if session.lens is None or w.test is None:
-        if w.test is None or w.test.undetermined or not session.fits[index].fit.settled:
+    if w.test is None:
+        return w
+    if not w.test.accepted and confirmed(session, index):
+        return replace(w, test=replace(w.test, name="parts", accepted=True))
+    if session.lens is None:
+        if w.test.undetermined or not session.fits[index].fit.settled:
             return w
         return replace(w, test=replace(w.test, name=w.test.name if w.test.accepted else "starts", accepted=True))
     if index in session.members and not w.test.accepted:

@@ -83,8 +83,7 @@ class WavefrontFit:
         state = replace(self.state, waves=self.waves * sign)
         covariance = self.covariance * np.outer(sign, sign)
         measured, poor = self.measured.twin(sign), self.poor.twin(sign)
-        calls = {name: call.twin(sign) for name, call in self.calls.items()}
-        return replace(self, state=state, covariance=covariance, measured=measured, poor=poor, calls=calls)
+        return replace(self, state=state, covariance=covariance, measured=measured, poor=poor)
 
 
 def twin_signs(noll: Sequence[int]) -> Floats:

@@ -7,7 +7,7 @@ what the part would gain, to second order, and no climb with it is needed: C. R.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,20 +26,10 @@ KNOWN: dict[str, Part] = {part.name: part for part in (LowPass(), Diffusion(), V
 
 @dataclass(frozen=True)
 class Call:
-    """Of one part, from one fit: slope (n,) and information (n, n) of the log-likelihood by its numbers, all else refitted.
-
-    moves: (values, n) by how much they move what the fit measures, as of `Measured`, whose prior error is left out.
-    """
+    """Of one part, from one fit: slope (n,) and information (n, n) of the log-likelihood by its numbers, all else refitted."""
 
     slope: Floats
     information: Floats
-    moves: Floats = field(default_factory=lambda: np.empty((0, 0)))
-
-    def twin(self, signs: Floats) -> Call:
-        """With even modes reversed. signs: (modes,)."""
-        moves = self.moves.copy()
-        moves[: len(signs)] *= signs[: len(moves), None]
-        return replace(self, moves=moves)
 
     def __add__(self, other: Call) -> Call:
         """Of two fits that share the part."""
@@ -95,23 +85,14 @@ def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> di
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
     others = np.arange(first, first + without.shape.size - 1)  # parts that are there already: as usual, as in a climb
     information[others, others] += without.usual_shape[:-1] ** -2
-    rest, response = inverse(information[np.ix_(kept, kept)]), _response(wider, kept)
+    rest = inverse(information[np.ix_(kept, kept)])
     result = {}
     for name, places in added.items():
         at = first + places
         pulled = information[np.ix_(at, kept)] @ rest
         slope = gradient[at] - pulled @ gradient[kept]
-        moves = -response @ wider.information[np.ix_(kept, at)]
-        result[name] = Call(slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)], moves)
+        result[name] = Call(slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)])
     return result
-
-
-def _response(wider: Expansion, kept: NDArray[np.intp]) -> Floats:
-    """(values, kept) by how much a pull at some parameters moves what the expansion measures without the others."""
-    information, shape = wider.information.copy(), np.arange(wider.shape.start, wider.shape.stop)
-    information[shape, shape] += wider.optics.usual_shape**-2
-    values = np.append(kept[kept < wider.shape.stop], len(wider.picked) - 1)  # modes, shape and scale
-    return np.asarray(wider.picked[np.ix_(values, kept)] @ inverse(information[np.ix_(kept, kept)]))
 
 
 def _added(without: Optics, optics: Optics, names: Sequence[str]) -> dict[str, NDArray[np.intp]]:

@@ -38,9 +38,9 @@ class OtherOptimum:
 class OptimumTest:
     """The test of whether a fit ended at the global optimum. undetermined: what the frames leave open, in words.
 
-    name: of what decided, "residuals", "session", or "starts" of which many came back. p_value: chance of residuals as
-    large; explains: whether they are noise alone, so that the model explains the data, which is another question than that
-    of the optimum.
+    name: of what decided, "residuals", "session", "starts" of which many came back, or "parts" of the camera that the model
+    lacks and a fit with them explains. p_value: chance of residuals as large; explains: whether they are noise alone, so that
+    the model explains the data, which is another question than that of the optimum.
     """
 
     name: str

@@ -38,7 +38,9 @@ def with_parts(fit: WavefrontFit, task: Task, square: float) -> WavefrontFit:
     return replace(fit, measured=measured, poor=measured)
 
 
-def session(objective: Callable[[Task, bool], float], square: float, plan: Plan = PLAN) -> SessionFits:
+def session(
+    objective: Callable[[Task, bool], float], square: float, plan: Plan = PLAN, diagnose: bool = True
+) -> SessionFits:
     """Fits at two ranges. objective: of a task, and of whether it begins at the end of another; square: of their parts."""
 
     def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
@@ -49,7 +51,7 @@ def session(objective: Callable[[Task, bool], float], square: float, plan: Plan 
             calls = {} if task.optics.parts else {"low_pass_filter": weaker(call), "smear": call}
             yield index, replace(found, objective=reached, calls=calls)
 
-    return fit_session(observations()[::3], plan, TARGET, run, lambda done, of, what: None)
+    return fit_session(observations()[::3], plan, TARGET, run, lambda done, of, what: None, diagnose=diagnose)
 
 
 def names(of: Task | LocalFit) -> list[str]:
@@ -75,6 +77,24 @@ def test_a_part_that_the_fits_need_is_taken_in() -> None:
     )
     assert adopted(fits) == ["smear"]
     assert [names(local) for local in fits.fits] == [["smear"]] * 2
+
+
+def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it() -> None:
+    found = {"objective": lambda task, again: 100.0 * names(task).count("smear"), "square": 0.5}
+    whole, plain = session(**found), session(**found, diagnose=False)
+    assert [names(local) for local in plain.fits] == [[], []]
+    assert adopted(plain) == []
+    assert plain.missing == ("smear",)
+    assert [names(local) for local in plain.with_missing if local] == [["smear"]] * 2
+    assert [local.task.patience_s for local in plain.fits] == [0.0, 0.0]  # climbed from there, not sought
+    assert (whole.missing, whole.with_missing) == ((), (None, None))
+
+
+def test_a_part_that_is_called_for_and_gains_too_little_is_named_with_the_fits_that_have_it() -> None:
+    fits = session(lambda task, again: -1.0 + 2.0 * ("smear" in names(task)), square=0.5)
+    assert adopted(fits) == []
+    assert fits.missing == ("smear",)
+    assert [names(local) for local in fits.with_missing if local] == [["smear"]] * 2
 
 
 def test_a_more_common_part_takes_the_place_of_one_that_explains_no_more() -> None:

@@ -18,6 +18,7 @@ from labkit.analysis.lens_model import (
     Stated,
 )
 from labkit.analysis.session_results import as_focus, budget
+from labkit.inference.bias import covariance_with_bias
 from labkit.inference.cone import Measured
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -90,7 +91,7 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     leaning, moved_by = fit.leaning(shifts), fit_lens(others, plan).theta - fit.theta
     std = np.sqrt(np.diag(fit.covariance))
     np.testing.assert_allclose(leaning.lean / std, moved_by / std, atol=0.01)  # 6e-3: the laws bend
-    np.testing.assert_allclose(leaning.errors, fit.errors + np.outer(leaning.lean, leaning.lean))
+    np.testing.assert_allclose(leaning.errors, covariance_with_bias(fit.errors, leaning.lean))
     for k in range(len(std)):
         shares = leaning.contributions(np.eye(len(std))[k])
         assert sum(share**2 for share in shares.values()) == pytest.approx(leaning.errors[k, k])

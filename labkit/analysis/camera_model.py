@@ -1,0 +1,164 @@
+"""The camera that a session calls for: parts that its plan does not state are taken in, and out again, in all fits alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labkit.analysis.diagnosis import ALIKE, called_for, commoner, idle, lacks, together, worth
+from labkit.analysis.fits_under_way import FitsUnderWay, same
+from labkit.analysis.local_fits import LocalFit, optics_of
+from labkit.analysis.session_fits import SessionFits
+from labkit.analysis.stated_parts import wanted_parts
+from labkit.imaging.model import Optics
+from labkit.inference.fit import canonical
+from labkit.inference.missing_parts import lacking, with_part, without_parts
+from labkit.inference.search import CALLED_FOR
+from labkit.results.model import PartTried
+
+SHARE = 0.25  # of what is unexplained that a part must explain, if no fit is explained with it: else it stands for another lack
+TELLING = 3  # fits by which two parts that blur alike are told apart
+
+
+@dataclass
+class CameraModel:
+    """What was tried. missing: what fits call for that their model does not have; asked: the fits that said so, with_missing:
+    the same with it."""
+
+    under_way: FitsUnderWay
+    tried: list[PartTried] = field(default_factory=list)
+    missing: tuple[str, ...] = ()
+    asked: dict[int, LocalFit] = field(default_factory=dict)
+    with_missing: dict[int, LocalFit] = field(default_factory=dict)
+
+    @property
+    def fits(self) -> dict[int, LocalFit]:
+        """So far."""
+        return self.under_way.fits
+
+    def complete(self) -> None:
+        """Take in what parts of the camera the fits so far call for together, one after another."""
+        places = self._to_ask()
+        if not places or same(self.asked, {k: self.fits[k] for k in places}):
+            return
+        self._made_alike()
+        if not self.tried:  # the searches' own
+            found = worth([self.fits[k].fit.measured for k in places])
+            self._drop_idle(places)
+            self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
+        better = True
+        while better:
+            self.asked = {k: self.fits[k] for k in places}
+            summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
+            name = called_for(summed)
+            better = name is not None and self._better_with(name, places)
+            if better and name is not None and self._has(name, places):
+                name = self._commoner(name, places)
+            taken = [each for each in summed if better and each == name and self._has(each, places)]
+            self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
+            self.missing = () if better or name is None else (name,)
+
+    def _to_ask(self) -> list[int]:
+        """All, once they are there; until then those that are explained, if any are."""
+        if len(self.fits) == len(self.under_way.observations):
+            return [*self.fits]
+        return [k for k, f in self.fits.items() if f.fit.verdict.accepted] or [*self.fits]
+
+    def _made_alike(self) -> None:
+        """Where some fits have parts and others not, the others are made again with them."""
+        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.parts))
+        names = [part.name for part in richest.parts]
+        poorer = [k for k, f in self.fits.items() if [part.name for part in f.fit.optics.parts] != names]
+        self._again(poorer, {k: replace(self.fits[k].fit.optics, parts=richest.parts) for k in poorer})
+
+    def _better_with(self, name: str, places: Sequence[int]) -> bool:
+        """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out.
+
+        So is the part itself, where it has only led to a better optimum at which it does nothing: then that is the gain.
+        """
+        before = {k: self.fits[k] for k in self.fits}
+
+        def gained() -> float:
+            return sum(self.fits[k].fit.objective - before[k].fit.objective for k in places)
+
+        self._again(list(before), {k: with_part(f.fit.optics, name) for k, f in before.items()})
+        explained = any(self.fits[k].fit.verdict.accepted for k in places)
+        least = max(CALLED_FOR, 0.0 if explained else SHARE * sum(before[k].unexplained for k in places))
+        if gained() >= least:
+            self._drop_idle(places, (name,))
+            if not self._drop_idle(places) or gained() >= least:
+                return True
+        self.under_way.fits, self.with_missing = before, self.fits
+        return False
+
+    def _commoner(self, name: str, places: Sequence[int]) -> str:
+        """The part that was taken in, or a more common one that blurs like it and explains as much: then it takes its place.
+
+        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide.
+        """
+        telling = sorted(places, key=lambda k: -worth([self.fits[k].fit.measured]).get(name, 0.0))[:TELLING]
+        least, before = sum(self.fits[k].fit.objective for k in telling) - ALIKE, dict(self.fits)
+        for other in commoner(name, self.fits[places[0]].fit.optics):
+            optics = {k: with_part(without_parts(f.fit.optics, [name]), other) for k, f in before.items()}
+            self._again(telling, optics)
+            if sum(self.fits[k].fit.objective for k in telling) > least:
+                self._again([k for k in before if k not in telling], optics)
+                return other
+            self.under_way.fits = dict(before)
+        return name
+
+    def _drop_idle(self, places: Sequence[int], kept: Sequence[str] = ()) -> bool:
+        """Take parts out of all fits that do nothing in these, but for some and the plan's own; whether there were any."""
+        kept = [*kept, *wanted_parts(self.under_way.plan)]
+        out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part not in kept]
+        if out:
+            self._again(list(self.fits), {k: without_parts(f.fit.optics, out) for k, f in self.fits.items()})
+        return bool(out)
+
+    def _has(self, name: str, places: Sequence[int]) -> bool:
+        """Whether these fits have a part."""
+        return name not in lacks(self.fits[k].fit.optics for k in places)
+
+    def _again(self, places: Sequence[int], optics: dict[int, Optics], patience_s: float = np.inf) -> None:
+        """Make fits again, each from its own end, with other parts of the camera."""
+        tasks = [
+            replace(self.fits[k].task, optics=optics[k], starts=(self.fits[k].fit.waves,), alike=(), missing=())
+            for k in places
+        ]
+        tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
+        before = [self.fits[k].fit for k in places]
+        for index, fit in self.under_way.done(tasks, "fitting with other parts of the camera"):
+            old = before[index]
+            without = old.left if old.left_without is None else old.left_without
+            found = (
+                fit.optics.shape_labels != optics_of(self.under_way.plan, tasks[index].observation.channel).shape_labels
+            )
+            fit = replace(canonical(fit), left_without=without if found else None)
+            self.fits[places[index]] = LocalFit(tasks[index], fit)
+
+    def taken_out(self, session: SessionFits) -> SessionFits:
+        """The session with no part that its plan does not state, each fit climbed from where it is right.
+
+        Its search is the one with the parts: without them many starts end anywhere.
+        """
+        self.with_missing, optics = dict(self.fits), dict[int, Optics]()
+        for k, f in self.fits.items():
+            stated = lacking(optics_of(self.under_way.plan, f.channel))
+            found = [name for name in stated if name not in lacking(f.fit.optics)]
+            if found:
+                optics[k] = without_parts(f.fit.optics, found)
+                self.missing = tuple(dict.fromkeys((*self.missing, *found)))
+        self._again(list(optics), optics, patience_s=0.0)
+        for k in optics:
+            search = {of: getattr(self.with_missing[k].fit, of) for of in ("starts", "others", "settled", "cut_short")}
+            self.fits[k] = replace(self.fits[k], fit=replace(self.fits[k].fit, **search))
+        self.asked = dict(self.fits)
+        self.tried = [replace(one, adopted=one.adopted and one.name not in self.missing) for one in self.tried]
+        return replace(self.under_way.joined(), mended=session.mended, lost=session.lost)
+
+    def with_what_was_tried(self, session: SessionFits) -> SessionFits:
+        """The session, and what it says of parts that its model lacks: of fits that are as they were when they were asked."""
+        as_asked = (self.with_missing.get(k) if self.asked.get(k) is f else None for k, f in sorted(self.fits.items()))
+        return replace(session, tried=tuple(self.tried), missing=self.missing, with_missing=tuple(as_asked))
