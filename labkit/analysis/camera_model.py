@@ -154,6 +154,8 @@ class CameraModel:
         for k in optics:
             search = {of: getattr(self.with_missing[k].fit, of) for of in ("starts", "others", "settled", "cut_short")}
             self.fits[k] = replace(self.fits[k], fit=replace(self.fits[k].fit, **search))
+        order = sorted(self.fits)
+        self.under_way.vouched = frozenset(order[k] for k in session.members)
         self.asked = dict(self.fits)
         self.tried = [replace(one, adopted=one.adopted and one.name not in self.missing) for one in self.tried]
         return replace(self.under_way.joined(), mended=session.mended, lost=session.lost)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-from labkit.analysis.lens_fit import belongs, fit_session_lens
+from labkit.analysis.lens_fit import FEW, belongs, fit_session_lens
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.local_fits import LocalFit, Task, fit_task
 from labkit.analysis.observe import Observation
@@ -25,7 +25,7 @@ NAMED = 3  # of the fits that are under way
 @dataclass
 class FitsUnderWay:
     """A session's fits by the places of their observations. lost: by label, why an observation has none; made: so far, again
-    or for the first time."""
+    or for the first time; vouched: places of fits that are known to be right, whatever their residuals."""
 
     observations: tuple[Observation, ...]
     plan: Plan
@@ -34,6 +34,7 @@ class FitsUnderWay:
     fits: dict[int, LocalFit] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     made: int = 0
+    vouched: frozenset[int] = frozenset()
     _joined: tuple[dict[int, LocalFit], SessionFits] = ({}, SessionFits(()))
 
     def done(self, tasks: Sequence[Task], doing: str, new: int = 0) -> Iterator[tuple[int, WavefrontFit]]:
@@ -63,7 +64,7 @@ class FitsUnderWay:
     def joined(self) -> SessionFits:
         """What the fits so far say of the lens."""
         if not same(self._joined[0], self.fits):
-            self._joined = dict(self.fits), _join(self.fits, Stated.of(self.plan))
+            self._joined = dict(self.fits), _join(self.fits, self.vouched, Stated.of(self.plan))
         return self._joined[1]
 
 
@@ -72,15 +73,15 @@ def same(fits: Mapping[int, LocalFit], others: Mapping[int, LocalFit]) -> bool:
     return fits.keys() == others.keys() and all(fits[k] is others[k] for k in fits)
 
 
-def _join(every: Mapping[int, LocalFit], stated: Stated) -> SessionFits:
+def _join(every: Mapping[int, LocalFit], vouched: Container[int], stated: Stated) -> SessionFits:
     """What fits come to: twins are chosen, and those that disagree with the rest are left out.
 
     Fits whose residuals were rejected belong where the others predict them: then the model lacks something, and the
-    optimum is right; their errors in the estimate say so. Where too few are accepted, all of them vouch for each other.
+    optimum is right; their errors in the estimate say so. Where too few are accepted, they vouch for each other, all but a few.
     """
     fits = {k: every[k] for k in sorted(every)}
     ranged = [k for k, f in fits.items() if f.ranged and not f.fit.verdict.undetermined]
-    good = [k for k in ranged if fits[k].fit.verdict.accepted]
+    good = [k for k in ranged if fits[k].fit.verdict.accepted or k in vouched]
     if not ranged:
         return SessionFits(tuple(fits.values()))
     signs, open_ = choose_twins([fits[k].member for k in ranged], stated)
@@ -95,7 +96,7 @@ def _join(every: Mapping[int, LocalFit], stated: Stated) -> SessionFits:
         kept = sorted([*kept, *late])
         out, lens = fit_session_lens([fits[k].honest_member for k in kept], stated)
         kept = [k for i, k in enumerate(kept) if i not in out]
-    if not good and (out or lens.widening > MOST_WIDENING):
+    if not good and (len(out) > FEW * len(ranged) or lens.widening > MOST_WIDENING):
         return SessionFits(tuple(fits.values()))
     order = list(fits)
     strangers = tuple(order.index(k) for k in ranged if k not in kept)

@@ -157,5 +157,6 @@ def _parts(found: Mapping[str, Uncertain]) -> list[Part]:
     if "smear.rows_px" in found:
         parts.append(Smear(square("smear.rows_px"), square("smear.columns_px")))
     if "veil.share" in found and math.isfinite(found["veil.share"].value):
-        parts.append(Veil(found["veil.share"].value))
+        scale = found.get("veil.scale_px")
+        parts.append(Veil(found["veil.share"].value, *([] if scale is None else [scale.value])))
     return parts

@@ -11,11 +11,13 @@ from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
 from labkit.analysis.session_fits import SessionFits
 from labkit.imaging.parts import Aperture
+from labkit.imaging.parts.veil import SCALE_PX
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+LOG_SCALE = "veil.log_scale"
 WORDS = {
     "low_pass_filter": "an optical low-pass filter",
     "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
@@ -28,7 +30,8 @@ WORDS = {
 
 def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
-    diffuses and smears, px, and of spectra, nm; a veil's share of the light; shares that a panel's stripes are lit over."""
+    diffuses and smears, px, and of spectra, nm; a veil's share of the light and scale, px; shares that a panel's
+    stripes are lit over."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
     found = dict[str, Uncertain]()
     for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
@@ -37,7 +40,9 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
             for key, value in values.items():
                 found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
         elif name == "veil":
-            found[f"{name}.share"] = next(iter(values.values()))
+            share, scale = values.values()
+            px = SCALE_PX * float(np.exp(scale.value))
+            found |= {f"{name}.share": share, f"{name}.scale_px": Uncertain(px, px * scale.std, "px")}
         elif name == "spectrum":
             for (_, channel), value in values.items():
                 nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
@@ -82,7 +87,8 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Co
 
 def _changed(lens: LensFit, name: str) -> str:
     """What leaving a part out would do to best focus, as far as the estimate's covariance says."""
-    at = [k for k, c in enumerate(lens.model.columns) if c.kind == "part" and str(c.of[0]).split(".")[0] == name]
+    labels = [str(c.of[0]) if c.kind == "part" else "" for c in lens.model.columns]
+    at = [k for k, of in enumerate(labels) if of.split(".")[0] == name and of != LOG_SCALE]  # 0 is no veil's scale
     moved = -lens.covariance[:, at] @ np.linalg.solve(lens.covariance[np.ix_(at, at)], lens.theta[at])
     focus = [f"{c} {moved[lens.model.index('best focus', c)]:+.2g} mm" for c in lens.model.channels]
     return f"; a model without it would move best focus by about {', '.join(focus)}"

@@ -13,7 +13,8 @@ from labkit.arrays import mask_array, positive
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
-from labkit.imaging.parts import Aperture, Part
+from labkit.imaging.parts import Aperture, Part, Veil
+from labkit.imaging.parts.veil import REACH_PX
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
@@ -169,7 +170,9 @@ class ForwardModel:
         """
         window_um = window_airy * optics.airy_um
         cutoff = 1 / (optics.airy_um * (1 - spare) * optics.spectrum.shortest)
-        guard_px = guards(frame, reference, window_um / 2 / optics.pitch_um)
+        veiled = any(isinstance(part, Veil) for part in (*optics.parts, *optics.given))
+        reach_px = max(window_um / 2 / optics.pitch_um, REACH_PX if veiled else 0.0)
+        guard_px = guards(frame, reference, reach_px)
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         target = _lit(target, optics)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))

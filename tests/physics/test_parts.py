@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.special import j0
 
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.types import Floats
@@ -54,7 +57,7 @@ def test_a_turned_one_has_its_spots_on_the_axes() -> None:
     assert LowPass(0.49, 0.49, turned=True).transfer(ROWS, COLUMNS) == pytest.approx(expected, abs=1e-14)
 
 
-def test_diffusion_smear_and_veil_are_the_transforms_of_their_kernels() -> None:
+def test_diffusion_and_smear_are_the_transforms_of_their_kernels() -> None:
     at = np.linspace(-2, 2, 401)
     y, x = np.meshgrid(at, at, indexing="ij")
     assert Diffusion(0.04).transfer(ROWS, COLUMNS) == pytest.approx(
@@ -63,8 +66,16 @@ def test_diffusion_smear_and_veil_are_the_transforms_of_their_kernels() -> None:
     inverse = np.linalg.inv([[0.05, 0.02], [0.02, 0.04]])
     tilted = np.exp(-0.5 * (inverse[0, 0] * y**2 + 2 * inverse[0, 1] * y * x + inverse[1, 1] * x**2))
     assert Smear(0.05, 0.04, 0.02).transfer(ROWS, COLUMNS) == pytest.approx(sampled(tilted, at), abs=1e-12)
-    narrow = sampled(np.exp(-(y**2 + x**2) / (2 * 0.3**2)), at)
-    assert Veil(0.1, scale_px=0.3).transfer(ROWS, COLUMNS) == pytest.approx(0.9 + 0.1 * narrow, abs=1e-10)
+
+
+@pytest.mark.parametrize("frequency", [0.0, 0.01, 0.03, 0.2])
+def test_a_veil_is_the_hankel_transform_of_its_kernel(frequency: float) -> None:
+    scale = 8.0
+    spread, _ = quad(
+        lambda r: np.exp(-r / scale) * j0(2 * np.pi * frequency * r) * r / scale**2, 0, 60 * scale, limit=500
+    )
+    seen = Veil(0.1, scale).transfer(np.array([[0.6 * frequency]]), np.array([[0.8 * frequency]]))
+    assert seen == pytest.approx(0.9 + 0.1 * spread, abs=1e-9)
 
 
 @pytest.mark.parametrize("part", EVERY, ids=named)
@@ -78,8 +89,15 @@ def test_slopes_of_a_part_are_its_differences(part: Part) -> None:
 @pytest.mark.parametrize("part", [LowPass(), LowPass(turned=True), Diffusion(), Smear(), Veil()], ids=named)
 def test_a_part_of_nothing_does_nothing(part: Part) -> None:
     assert part.transfer(ROWS, COLUMNS) == pytest.approx(np.ones((7, 8)), abs=1e-15)
-    # and has slopes there, which an estimate that begins there goes by
-    assert all(np.abs(slope).max() > 0.1 for slope in part.slopes(ROWS, COLUMNS))
+    # and has slopes there, which an estimate that begins there goes by; only a veil of no light has no scale
+    slopes = dict(zip(part.labels, part.slopes(ROWS, COLUMNS), strict=True))
+    assert [label for label, slope in slopes.items() if np.abs(slope).max() < 0.1] == ["log_scale"] * (part == Veil())
+
+
+def test_a_veil_is_neither_broader_nor_narrower_than_can_be_told() -> None:
+    assert Veil().at((0.1, -9.0)).scale_px == pytest.approx(NARROWEST_PX)
+    assert Veil().at((0.1, 9.0)).scale_px == pytest.approx(BROADEST_PX)
+    assert Veil().at(Veil(0.1, 30.0).values).scale_px == pytest.approx(30.0)
 
 
 def test_a_few_wavelengths_have_a_spectrums_moments() -> None:
@@ -130,8 +148,8 @@ def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None
     model = ForwardModel.build(optics, CARPET, (58, 60), POSE, spare=0.02)
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
     slopes = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]
-    steps = np.array([1e-3] * 7 + [4e-4] * (variance is not None) + [1e-3])
-    limits = [1.2e-5] * 7 + [7e-3] * (variance is not None) + [3e-3]
+    steps = np.array([1e-3] * 8 + [4e-4] * (variance is not None) + [1e-3])
+    limits = [1.2e-5] * 8 + [7e-3] * (variance is not None) + [3e-3]
     for k, (step, limit) in enumerate(zip(np.diag(steps), limits, strict=True)):
         up, down = (
             model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0]

@@ -80,8 +80,10 @@ def test_a_part_that_the_fits_need_is_taken_in() -> None:
 
 
 def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it() -> None:
-    found = {"objective": lambda task, again: 100.0 * names(task).count("smear"), "square": 0.5}
-    whole, plain = session(**found), session(**found, diagnose=False)
+    def reached(task: Task, again: bool) -> float:
+        return 100.0 * names(task).count("smear")
+
+    whole, plain = session(reached, square=0.5), session(reached, square=0.5, diagnose=False)
     assert [names(local) for local in plain.fits] == [[], []]
     assert adopted(plain) == []
     assert plain.missing == ("smear",)

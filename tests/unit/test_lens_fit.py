@@ -89,6 +89,7 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
         for m, s in zip(fits, shifts, strict=True)
     ]
     leaning, moved_by = fit.leaning(shifts), fit_lens(others, plan).theta - fit.theta
+    assert leaning.lean is not None
     std = np.sqrt(np.diag(fit.covariance))
     np.testing.assert_allclose(leaning.lean / std, moved_by / std, atol=0.01)  # 6e-3: the laws bend
     np.testing.assert_allclose(leaning.errors, covariance_with_bias(fit.errors, leaning.lean))

@@ -9,7 +9,8 @@ import pytest
 
 from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, together, worth
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.parts import Diffusion, LowPass, Part
+from labkit.imaging.parts import Diffusion, LowPass, Part, Veil
+from labkit.imaging.parts.veil import SCALE_PX
 from labkit.inference.cone import SPARE, Freed, Measured, free_cone
 from labkit.inference.fisher_scoring import Problem, Start
 from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call, calls, lacking, with_part
@@ -48,6 +49,17 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     assert climbed.solution.converged
     assert abs(rows - 0.2) < 3 * std[0] < 0.08
     assert abs(columns - 0.15) < 3 * std[1] < 0.15
+
+
+def test_a_veil_is_climbed_to_with_its_width() -> None:
+    frames = problem(Veil(0.02, 7.0))
+    model = frames.model.shaped(with_part(OPTICS, "veil"))
+    climbed = free_cone(replace(frames, model=model), Start(fitted(frames).solution.state), 0.03)
+    share, log_scale = climbed.measured.values[3:5]
+    std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
+    assert climbed.solution.converged
+    assert abs(share - 0.02) < 3 * std[0] < 0.01
+    assert abs(log_scale - np.log(7 / SCALE_PX)) < 3 * std[1] < 0.6, (share, log_scale, std)
 
 
 def test_a_plain_camera_calls_for_nothing() -> None:
@@ -111,4 +123,5 @@ def test_a_part_of_each_name_can_be_added() -> None:
     assert with_part(replace(OPTICS, parts=(Diffusion(0.1),)), "veil").shape_labels == (
         "diffusion.variance_px2",
         "veil.share",
+        "veil.log_scale",
     )
