@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.session_fits import SessionFits
 from labkit.inference.fit import WavefrontFit, twin_signs
 from labkit.inference.search import PREDICTED_WAVES
@@ -26,11 +25,11 @@ def shift(fit: WavefrontFit, with_missing: WavefrontFit) -> tuple[Floats, float]
 
 def confirmed(session: SessionFits, index: int) -> bool:
     """Whether a fit is at the optimum that explains its frames once the model has what it lacks."""
-    fuller = dict(enumerate(session.with_missing)).get(index)
-    if fuller is None or not fuller.fit.verdict.accepted:
+    fit, fullest = session.fits[index].fit, session.fullest(index).fit
+    if fit is fullest or not fullest.verdict.accepted:
         return False
-    modes, _ = shift(session.fits[index].fit, fuller.fit)
-    above_defocus = [k for k, j in enumerate(fuller.fit.noll) if j != DEFOCUS]
+    modes, _ = shift(fit, fullest)
+    above_defocus = [k for k, j in enumerate(fit.noll) if j != DEFOCUS]
     return float(np.linalg.norm(modes[above_defocus])) < PREDICTED_WAVES
 
 
@@ -38,16 +37,13 @@ def with_model_error(session: SessionFits) -> SessionFits:
     """With the lens's errors as what is missing makes them."""
     if session.lens is None or not any(session.with_missing):
         return session
-    shifts = [_measured_shift(session.fits[k], session.with_missing[k]) for k in session.members]
+    shifts = [_measured_shift(session.fits[k].fit, session.fullest(k).fit) for k in session.members]
     return replace(session, lens=session.lens.leaning(shifts))
 
 
-def _measured_shift(local: LocalFit, with_missing: LocalFit | None) -> Floats:
+def _measured_shift(fit: WavefrontFit, with_missing: WavefrontFit) -> Floats:
     """(values,) as of `Measured`."""
-    here = local.fit.measured
-    if with_missing is None:
-        return np.zeros(len(here.values))
-    there = _near(local.fit, with_missing.fit).measured
+    here, there = fit.measured, _near(fit, with_missing).measured
     labels = [*there.noll, *there.parts]
     places = [labels.index(label) for label in (*here.noll, *here.parts)]
     return np.asarray(there.values[[*places, -2, -1]] - here.values)

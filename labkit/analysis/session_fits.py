@@ -30,3 +30,8 @@ class SessionFits:
     missing: tuple[str, ...] = ()
     with_missing: tuple[LocalFit | None, ...] = ()
     lost: tuple[str, ...] = ()
+
+    def fullest(self, k: int) -> LocalFit:
+        """Fit k with what its model lacks, where there is one."""
+        with_missing = self.with_missing[k] if self.with_missing else None
+        return self.fits[k] if with_missing is None else with_missing

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import zip_longest
 
 import numpy as np
 
@@ -25,7 +24,7 @@ FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     """Of every fit. Those that belong to a lens are as the whole session has them."""
-    wavefronts = [_leaning(local, fuller) for local, fuller in zip_longest(session.fits, session.with_missing)]
+    wavefronts = [_leaning(local, session.fullest(k)) for k, local in enumerate(session.fits)]
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
@@ -34,12 +33,12 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
 
-def _leaning(local: LocalFit, with_missing: LocalFit | None) -> Wavefront:
+def _leaning(local: LocalFit, fullest: LocalFit) -> Wavefront:
     """A local fit as results keep it, with errors that hold what a missing part may move it by."""
     w = as_wavefront(local)
-    if with_missing is None:
+    if local is fullest:
         return w
-    modes, cone = shift(local.fit, with_missing.fit)
+    modes, cone = shift(local.fit, fullest.fit)
     std = float(error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone)))
     return replace(w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.lens_model import Member, Stated
-from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.twins import choose_twins, twin
 
@@ -33,15 +32,16 @@ class Change:
 
 def find_change(session: SessionFits, stated: Stated) -> Change | None:
     """The moment at which parting the session makes its fits agree; None where they agree as they are, or nowhere."""
-    fits = [f for f in session.fits if f.ranged and not f.fit.verdict.undetermined]
+    places = [k for k, f in enumerate(session.fits) if f.ranged and not f.fit.verdict.undetermined]
+    fits = [session.fits[k] for k in places]
     if session.lens is None or (session.lens.model.paraxial and not session.strangers):
         return None
     first = sorted(fits, key=lambda f: f.task.observation.order)
     stops = list(dict.fromkeys(f.member.stop for f in first))
-    k = parting([f.member for f in fits], stops, stated)
+    k = parting([session.fullest(k).member for k in places], stops, stated)
     if k is None:
         return None
-    before, after = ([f for f in fits if f.member.stop in part] for part in (stops[:k], stops[k:]))
+    before, after = ([p for p in places if session.fits[p].member.stop in part] for part in (stops[:k], stops[k:]))
     return Change(stops[k - 1], stops[k], *(_as_session(part, stated, session) for part in (before, after)))
 
 
@@ -65,9 +65,14 @@ def _lens(members: Sequence[Member], stated: Stated) -> tuple[list[int], LensFit
     return signs, fit_lens([twin(m, s) for m, s in zip(members, signs, strict=True)], stated)
 
 
-def _as_session(fits: Sequence[LocalFit], stated: Stated, whole: SessionFits) -> SessionFits:
-    """A part of a session, its errors as the whole has them."""
+def _as_session(places: Sequence[int], stated: Stated, whole: SessionFits) -> SessionFits:
+    """A part of a session, its errors as the whole has them. places: of its fits."""
+    fits = [whole.fits[k] for k in places]
     signs, _ = choose_twins([f.member for f in fits], stated)
     turned = [f if sign > 0 else replace(f, fit=f.fit.twin()) for f, sign in zip(fits, signs, strict=True)]
     lens = fit_lens([f.honest_member for f in turned], stated)
-    return replace(whole, fits=tuple(turned), lens=lens, members=tuple(range(len(turned))), strangers=(), mended=())
+    with_missing = tuple(whole.with_missing[k] for k in places if whole.with_missing)
+    members = tuple(range(len(turned)))
+    return replace(
+        whole, fits=tuple(turned), lens=lens, members=members, strangers=(), mended=(), with_missing=with_missing
+    )
