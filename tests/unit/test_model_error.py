@@ -43,8 +43,9 @@ def test_the_lens_leans_by_what_the_part_would_move(plain: SessionFits) -> None:
     assert leaning.lean is not None
     at = leaning.model.index("best focus", "G")
     # both ranges' defocus grows by as much: the crossing moves by that over the slope, which two ranges give
-    defocus, ranges = ([f(m) for m in leaning.model.members] for f in (lambda m: m.measured.waves[0], lambda m: m.stop))
-    slope = (defocus[1] - defocus[0]) / (ranges[1] - ranges[0])
+    first, last = leaning.model.members
+    rise = last.measured.waves[0] - first.measured.waves[0]
+    slope = rise / (last.stop - first.stop)
     assert leaning.lean[at] == pytest.approx(-MOVED / slope, rel=0.05)
     assert leaning.std("best focus", "G") > abs(leaning.lean[at]) > 3 * plain.lens.std("best focus", "G")
 
