@@ -50,7 +50,7 @@ class CameraModel:
             self.tried += [PartTried(name, gain, self._has(name, places)) for name, gain in found.items()]
         better = True
         while better:
-            self.asked = {k: self.fits[k] for k in places}
+            self.asked, self.with_missing = {k: self.fits[k] for k in places}, {}
             summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
             name = called_for(summed)
             better = name is not None and self._better_with(name, places)
@@ -143,24 +143,34 @@ class CameraModel:
 
         Its search is the one with the parts: without them many starts end anywhere.
         """
-        self.with_missing, optics = dict(self.fits), dict[int, Optics]()
-        for k, f in self.fits.items():
+        whole, optics = dict(self.fits), dict[int, Optics]()
+        for k, f in whole.items():
             stated = lacking(optics_of(self.under_way.plan, f.channel))
             found = [name for name in stated if name not in lacking(f.fit.optics)]
             if found:
                 optics[k] = without_parts(f.fit.optics, found)
                 self.missing = tuple(dict.fromkeys((*self.missing, *found)))
+        if not optics:
+            return session
+        self.with_missing, order = {k: self._fullest(k) for k in whole}, sorted(whole)
         self._again(list(optics), optics, patience_s=0.0)
         for k in optics:
-            search = {of: getattr(self.with_missing[k].fit, of) for of in ("starts", "others", "settled", "cut_short")}
-            self.fits[k] = replace(self.fits[k], fit=replace(self.fits[k].fit, **search))
-        order = sorted(self.fits)
+            if (plain := self.fits.pop(k)) is not whole[k]:  # else memory was too short for it
+                search = {of: getattr(whole[k].fit, of) for of in ("starts", "others", "settled", "cut_short")}
+                self.fits[k] = replace(plain, fit=replace(plain.fit, **search))
+        self.under_way.refuse_none()
         self.under_way.vouched = frozenset(order[k] for k in session.members)
         self.asked = dict(self.fits)
         self.tried = [replace(one, adopted=one.adopted and one.name not in self.missing) for one in self.tried]
-        return replace(self.under_way.joined(), mended=session.mended, lost=session.lost)
+        return replace(self.under_way.joined(), mended=session.mended, lost=tuple(self.under_way.left_out()))
 
     def with_what_was_tried(self, session: SessionFits) -> SessionFits:
         """The session, and what it says of parts that its model lacks: of fits that are as they were when they were asked."""
-        as_asked = (self.with_missing.get(k) if self.asked.get(k) is f else None for k, f in sorted(self.fits.items()))
-        return replace(session, tried=tuple(self.tried), missing=self.missing, with_missing=tuple(as_asked))
+        fullest = [(f, self._fullest(k)) for k, f in sorted(self.fits.items())]
+        with_missing = tuple(None if with_it is f else with_it for f, with_it in fullest)
+        return replace(session, tried=tuple(self.tried), missing=self.missing, with_missing=with_missing)
+
+    def _fullest(self, k: int) -> LocalFit:
+        """Fit k, with what its model lacks where it was asked."""
+        fit = self.fits[k]
+        return self.with_missing.get(k, fit) if self.asked.get(k) is fit else fit

@@ -12,7 +12,7 @@ from labkit.analysis.local_fits import LocalFit, Task, fit_task
 from labkit.analysis.observe import Observation
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.twins import choose_twins
-from labkit.errors import LostTasksError
+from labkit.errors import FitError, LostTasksError
 from labkit.execute import Run
 from labkit.inference.fit import WavefrontFit
 from labkit.plan import Plan
@@ -60,6 +60,11 @@ class FitsUnderWay:
         fitted = {fit.task.label for fit in self.fits.values()}
         lost = [(label, why) for label, why in self.lost.items() if label not in fitted]
         return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
+
+    def refuse_none(self) -> None:
+        """Raise FitError where there is no fit."""
+        if not self.fits:
+            raise FitError(f"no wavefront could be fitted: {'; '.join(self.left_out())}")
 
     def joined(self) -> SessionFits:
         """What the fits so far say of the lens."""

@@ -22,7 +22,6 @@ from labkit.analysis.local_fits import (
 from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
 from labkit.analysis.session_fits import SessionFits
-from labkit.errors import FitError
 from labkit.execute import Run
 from labkit.imaging.parts import LowPass
 from labkit.inference.fit import canonical
@@ -148,8 +147,7 @@ class _Chain(FitsUnderWay):
 
     def settled(self) -> SessionFits:
         """The session's estimate; fits that do not belong to it are made once more, from what it predicts for them."""
-        if not self.fits:
-            raise FitError(f"no wavefront could be fitted: {'; '.join(self.left_out())}")
+        self.refuse_none()
         before, order = self.joined(), sorted(self.fits)
         again = {} if before.lens is None else self._tasks_again(before, before.lens)
         for index, fit in self.done(list(again.values()), "fitting again what the session doubts"):
