@@ -84,7 +84,10 @@ class Tone:
                 "expose more"
             )
         if self.uneven > EVEN:
-            yield f"the wedge's light varies by {self.uneven:.0%}: it is allowed for, an evenly lit wedge is better"
+            yield (
+                f"the wedge's light varies by {self.uneven:.0%}, of which the curve may hold more than its errors say: "
+                "photograph the wedge from farther away, or straight on"
+            )
 
 
 def measure_tone(photograph: Path) -> Tone:
@@ -170,11 +173,12 @@ def _curve(
 ) -> tuple[Floats, Floats, float]:
     """Numbers at each step and their standard errors, and by how much the light varies. number: (places,) of one colour.
 
-    Light varies by low orders c over the wedge. Places of one step would show one number but for it: each is moved along the
-    curve to even light, and c is what makes both places of every step agree.
+    Light varies by low orders c over the wedge, a lens's fall-off by the fourth among them. Places of one step would show one
+    number but for it: each is moved along the curve to even light, and c is what makes both places of every step agree.
     """
     y, x = 2 * np.array(list(_places())).T - 1
-    orders = np.column_stack((x, y, x * x, x * y, y * y))
+    fourth = (x * x + (y * PATCHES[0] / PATCHES[1]) ** 2) ** 2
+    orders = np.column_stack((x, y, x * x, x * y, y * y, fourth))
     times = np.bincount(step)
 
     def mean(values: Floats) -> Floats:
