@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from itertools import chain
 
 import numpy as np
 
-from labkit.analysis.diagnosis import ALIKE, called_for, commoner, idle, lacks, together, worth
+from labkit.analysis.diagnosis import ALIKE, BLURS, called_for, commoner, idle, lacks, together, worth
 from labkit.analysis.fits_under_way import FitsUnderWay, same
 from labkit.analysis.local_fits import LocalFit, optics_of
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.imaging.model import Optics
 from labkit.inference.fit import canonical
-from labkit.inference.missing_parts import lacking, with_part, without_parts
+from labkit.inference.missing_parts import KNOWN, lacking, with_part, without_parts
 from labkit.inference.search import CALLED_FOR
 from labkit.results.model import PartTried
 
@@ -54,11 +56,21 @@ class CameraModel:
             summed = together([self.fits[k].fit.calls for k in places], [self.fits[k].channel for k in places])
             name = called_for(summed)
             better = name is not None and self._better_with(name, places)
-            if better and name is not None and self._has(name, places):
-                name = self._commoner(name, places)
-            taken = [each for each in summed if better and each == name and self._has(each, places)]
+            kept = better and name is not None and self._has(name, places)
+            taken = self._commoner(name, places) if kept and name is not None else []
             self.tried += [PartTried(each, call.gain, each in taken) for each, call in summed.items()]
             self.missing = () if better or name is None else (name,)
+            if taken:
+                self._compared_again(taken, places)
+
+    def _compared_again(self, taken: Sequence[str], places: Sequence[int]) -> None:
+        """Parts that were there before some were taken in are held against more common ones once more: what lacked misled."""
+        for name in BLURS[1:]:
+            others = self._commoner(name, places) if name not in taken and self._has(name, places) else [name]
+            if others != [name]:
+                gains = worth([self.fits[k].fit.measured for k in places])
+                self.tried = [replace(one, adopted=one.adopted and one.name != name) for one in self.tried]
+                self.tried += [PartTried(other, gains.get(other, 0.0), True) for other in others]
 
     def _to_ask(self) -> list[int]:
         """All, once they are there; until then those that are explained, if any are."""
@@ -93,21 +105,24 @@ class CameraModel:
         self.under_way.fits, self.with_missing = before, self.fits
         return False
 
-    def _commoner(self, name: str, places: Sequence[int]) -> str:
-        """The part that was taken in, or a more common one that blurs like it and explains as much: then it takes its place.
+    def _commoner(self, name: str, places: Sequence[int]) -> list[str]:
+        """The part that was taken in, or more common ones that blur like it and explain as much: then they take its place.
 
-        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide.
+        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide; parts of
+        as many numbers must explain more.
         """
         telling = sorted(places, key=lambda k: -worth([self.fits[k].fit.measured]).get(name, 0.0))[:TELLING]
-        least, before = sum(self.fits[k].fit.objective for k in telling) - ALIKE, dict(self.fits)
-        for other in commoner(name, self.fits[places[0]].fit.optics):
-            optics = {k: with_part(without_parts(f.fit.optics, [name]), other) for k, f in before.items()}
+        reached, before = sum(self.fits[k].fit.objective for k in telling), dict(self.fits)
+        singles = [[other] for other in commoner(name, self.fits[places[0]].fit.optics)]
+        for others in [*singles, [*chain(*singles)]] if len(singles) > 1 else singles:
+            fewer = sum(len(KNOWN[other].labels) for other in others) < len(KNOWN[name].labels)
+            optics = {k: reduce(with_part, others, without_parts(f.fit.optics, [name])) for k, f in before.items()}
             self._again(telling, optics)
-            if sum(self.fits[k].fit.objective for k in telling) > least:
+            if sum(self.fits[k].fit.objective for k in telling) > reached - ALIKE * fewer:
                 self._again([k for k in before if k not in telling], optics)
-                return other
+                return others
             self.under_way.fits = dict(before)
-        return name
+        return [name]
 
     def _drop_idle(self, places: Sequence[int], kept: Sequence[str] = ()) -> bool:
         """Take parts out of all fits that do nothing in these, but for some and the plan's own; whether there were any."""

@@ -48,8 +48,8 @@ def session(
             reached = objective(task, tuple(task.starts) != () and task.missing == ())
             found = with_parts(as_found(task, True), task, square)
             call = CALL if reached <= 0 else Call(0 * CALL.slope, CALL.information)
-            calls = {} if task.optics.parts else {"low_pass_filter": weaker(call), "smear": call}
-            yield index, replace(found, objective=reached, calls=calls)
+            calls = dict.fromkeys(("low_pass_filter", "diffusion"), weaker(call)) | {"smear": call}
+            yield index, replace(found, objective=reached, calls={} if task.optics.parts else calls)
 
     return fit_session(observations()[::3], plan, TARGET, run, lambda done, of, what: None, diagnose=diagnose)
 
@@ -106,6 +106,43 @@ def test_a_more_common_part_takes_the_place_of_one_that_explains_no_more() -> No
     )
     assert adopted(fits) == ["low_pass_filter"]
     assert [names(local) for local in fits.fits] == [["low_pass_filter"]] * 2
+
+
+def test_two_more_common_parts_take_the_place_of_one_that_explains_less() -> None:
+    gains = {
+        ("low_pass_filter",): 90.0,
+        ("diffusion",): 80.0,
+        ("smear",): 100.0,
+        ("low_pass_filter", "diffusion"): 101.0,
+    }
+    fits = session(lambda task, again: gains.get(tuple(names(task)), 0.0), square=0.5)
+    assert adopted(fits) == ["low_pass_filter", "diffusion"]
+    assert [names(local) for local in fits.fits] == [["low_pass_filter", "diffusion"]] * 2
+    gains["low_pass_filter", "diffusion"] = 99.0  # of as many numbers: no reason to change
+    assert adopted(session(lambda task, again: gains.get(tuple(names(task)), 0.0), square=0.5)) == ["smear"]
+
+
+def test_a_part_is_held_against_more_common_ones_again_when_another_was_taken_in() -> None:
+    """Without the veil a smear explained more than a filter with diffusion does."""
+    gains = {
+        ("smear",): 100.0,
+        ("smear", "veil"): 200.0,
+        ("low_pass_filter", "diffusion"): 99.0,
+        ("veil", "low_pass_filter", "diffusion"): 250.0,
+    }
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for index, task in enumerate(tasks):
+            found = with_parts(as_found(task, True), task, 0.5)
+            calls = {name: CALL if name == "smear" else weaker(CALL) for name in ("smear", "veil")}
+            for name in names(task):
+                calls.pop(name, None)
+            reached = gains.get(tuple(names(task)), 0.0)
+            yield index, replace(found, objective=reached, calls=calls if reached < 250 else {})
+
+    fits = fit_session(observations()[::3], PLAN, TARGET, run, lambda done, of, what: None)
+    assert [names(local) for local in fits.fits] == [["veil", "low_pass_filter", "diffusion"]] * 2
+    assert [tried.name for tried in fits.tried if tried.adopted] == ["veil", "low_pass_filter", "diffusion"]
 
 
 def test_a_part_whose_numbers_are_within_their_errors_is_not_taken_in() -> None:
