@@ -24,6 +24,7 @@ NUMBERS = {
     "sigma_px": "standard deviation",
     "width_nm": "standard deviation",
     "share": "of all light",
+    "scale_px": "distance over which it falls to 1/e",
     "lit_across": "share of its third that a stripe is lit over",
     "lit_down": "share of the pitch along it",
 }
