@@ -17,13 +17,14 @@ def stated_parts(plan: Plan) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
     """Those to be fitted, and those of known numbers."""
     low_pass, diffusion, smear = plan.sensor.low_pass_filter, plan.sensor.diffusion_px, plan.sensor.smear_px
     veil, shown = plan.lens.veil, plan.target.pixels
+    strayed = Veil(scale_px=plan.lens.veil_scale_px)
     fitted, given = list[Part](), list[Part]()
     if shown is not None and shown.aperture is None:
         fitted.append(Aperture())
     if low_pass is not None:
         part = LowPass(*low_pass.squares, turned=low_pass.turned)
         (fitted if low_pass.spread_px == FIT else given).append(part)
-    unknown: tuple[tuple[Part, object], ...] = ((Diffusion(), diffusion), (Smear(), smear), (Veil(), veil))
+    unknown: tuple[tuple[Part, object], ...] = ((Diffusion(), diffusion), (Smear(), smear), (strayed, veil))
     fitted += [part for part, number in unknown if number == FIT]
     if isinstance(diffusion, float | int):
         given.append(Diffusion(diffusion**2))
@@ -31,7 +32,7 @@ def stated_parts(plan: Plan) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
         rows, columns = smear if isinstance(smear, tuple) else (smear, smear)
         given.append(Smear(rows**2, columns**2))
     if isinstance(veil, float | int):
-        given.append(Veil(veil))
+        given.append(replace(strayed, share=veil))
     return tuple(fitted), tuple(given)
 
 

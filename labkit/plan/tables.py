@@ -76,8 +76,10 @@ class Lens(Table):
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
     """F-number as engraved: at infinity, at the aperture that was set."""
     veil: Annotated[float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')] = None
-    """Share of the light that the lens strays over some 12 pixels round about; `"fit"` estimates it. Default: none, and `labkit
-    fit` looks for it."""
+    """Share of the light that the lens strays round about; `"fit"` estimates it. Default: none, and `labkit fit` looks for
+    it."""
+    veil_scale_px: Annotated[Number, AfterValidator(Allowed(3, 100))] = 15.0
+    """Distance over which that light falls to 1/e, pixels. A veil that is fitted begins with it and has its own."""
     focal_length_std_mm: Error | None = None
     """Standard error of the engraved focal length. Default: 2 % of it."""
     f_number_std: Error | None = None

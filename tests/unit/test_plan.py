@@ -8,6 +8,7 @@ import pytest
 from labkit.analysis.local_fits import optics_of
 from labkit.errors import PlanError
 from labkit.imaging.parts import Diffusion, Smear, Veil
+from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
 from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT
@@ -142,6 +143,16 @@ def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
     assert wanted.given == ()
     assert wanted.parts == (Diffusion(), Smear(), Veil())
     assert "smear_px = 4" in refusal("= 4.78", "= 4.78\nsmear_px = 4")
+
+
+def test_a_veil_has_a_scale() -> None:
+    near = Plan.parse(LEAST.replace("= 2.8", "= 2.8\nveil = 0.03\nveil_scale_px = 8"))
+    assert optics_of(near, "G").given == (Veil(0.03, 8.0),)
+    assert Plan.parse(near.to_toml()) == near
+    for scale in (NARROWEST_PX, SCALE_PX, BROADEST_PX):  # of a plan and of a fit
+        assert Plan.parse(LEAST.replace("= 2.8", f"= 2.8\nveil_scale_px = {scale}")).lens.veil_scale_px == scale
+    assert Plan.parse(LEAST).lens.veil_scale_px == SCALE_PX
+    assert "allowed is a number, 3 to 100" in refusal("= 2.8", f"= 2.8\nveil_scale_px = {1.01 * BROADEST_PX}")
 
 
 def test_a_width_stands_for_a_spectrum() -> None:
