@@ -51,10 +51,14 @@ class LensFit:
         return noise if self.lean is None else covariance_with_bias(noise, combinations @ self.lean)
 
     def leaning(self, shifts: Sequence[Floats]) -> LensFit:
-        """The same, where something may move what the members measure. shifts: (values,) of each."""
+        """The same, where something would move what the members measure. shifts: (values,) of each.
+
+        What they disagree by is then what they would after it: the shifts are no chance, and widen nothing.
+        """
         whitened = [solve_triangular(root, of, lower=True) for root, of in zip(self.roots, shifts, strict=True)]
         rows = np.concatenate([*whitened, np.zeros(len(self.model.columns))])
-        return replace(self, lean=self.covariance @ self.jacobian.T @ rows)
+        lean = self.covariance @ self.jacobian.T @ rows
+        return replace(self, lean=lean, residuals=self.residuals + rows - self.jacobian @ lean)
 
     @property
     def chi2(self) -> float:

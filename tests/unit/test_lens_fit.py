@@ -92,7 +92,11 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     assert leaning.lean is not None
     std = np.sqrt(np.diag(fit.covariance))
     np.testing.assert_allclose(leaning.lean / std, moved_by / std, atol=0.01)  # 6e-3: the laws bend
-    np.testing.assert_allclose(leaning.errors, covariance_with_bias(fit.errors, leaning.lean))
+    np.testing.assert_allclose(leaning.errors, covariance_with_bias(fit.covariance * leaning.widening**2, leaning.lean))
+    assert leaning.chi2 == pytest.approx(
+        fit_lens(others, plan).chi2, rel=0.02
+    )  # of what they would be, not of what they are
+    assert fit.chi2 < 0.5 * leaning.chi2
     for k in range(len(std)):
         shares = leaning.contributions(np.eye(len(std))[k])
         assert sum(share**2 for share in shares.values()) == pytest.approx(leaning.errors[k, k])
