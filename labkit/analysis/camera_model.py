@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import chain
 
 import numpy as np
 
-from labkit.analysis.diagnosis import ALIKE, BLURS, called_for, commoner, idle, lacks, together, worth
+from labkit.analysis.diagnosis import ALIKE, BLURS, called_for, commoner, idle, lacks, numbers, together, worth
 from labkit.analysis.fits_under_way import FitsUnderWay, same
 from labkit.analysis.local_fits import LocalFit, optics_of
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.imaging.model import Optics
 from labkit.inference.fit import canonical
-from labkit.inference.missing_parts import KNOWN, lacking, with_part, without_parts
+from labkit.inference.missing_parts import lacking, with_part, without_parts
 from labkit.inference.search import CALLED_FOR
 from labkit.results.model import PartTried
 
@@ -65,8 +64,9 @@ class CameraModel:
 
     def _compared_again(self, taken: Sequence[str], places: Sequence[int]) -> None:
         """Parts that were there before some were taken in are held against more common ones once more: what lacked misled."""
+        kept = [*taken, *wanted_parts(self.under_way.plan)]
         for name in BLURS[1:]:
-            others = self._commoner(name, places) if name not in taken and self._has(name, places) else [name]
+            others = self._commoner(name, places) if name not in kept and self._has(name, places) else [name]
             if others != [name]:
                 gains = worth([self.fits[k].fit.measured for k in places])
                 self.tried = [replace(one, adopted=one.adopted and one.name != name) for one in self.tried]
@@ -108,19 +108,19 @@ class CameraModel:
     def _commoner(self, name: str, places: Sequence[int]) -> list[str]:
         """The part that was taken in, or more common ones that blur like it and explain as much: then they take its place.
 
-        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide; parts of
-        as many numbers must explain more.
+        Slopes where a part begins hardly tell a wide filter from a smear. The fits that tell most of the part decide. Two may
+        take the place of one that has as many numbers, and must explain more.
         """
         telling = sorted(places, key=lambda k: -worth([self.fits[k].fit.measured]).get(name, 0.0))[:TELLING]
         reached, before = sum(self.fits[k].fit.objective for k in telling), dict(self.fits)
-        singles = [[other] for other in commoner(name, self.fits[places[0]].fit.optics)]
-        for others in [*singles, [*chain(*singles)]] if len(singles) > 1 else singles:
-            fewer = sum(len(KNOWN[other].labels) for other in others) < len(KNOWN[name].labels)
-            optics = {k: reduce(with_part, others, without_parts(f.fit.optics, [name])) for k, f in before.items()}
+        others = commoner(name, self.fits[places[0]].fit.optics)
+        all_of_them = [others] if len(others) > 1 and numbers(others) <= numbers([name]) else []
+        for instead in [*([other] for other in others), *all_of_them]:
+            optics = {k: reduce(with_part, instead, without_parts(f.fit.optics, [name])) for k, f in before.items()}
             self._again(telling, optics)
-            if sum(self.fits[k].fit.objective for k in telling) > reached - ALIKE * fewer:
+            if sum(self.fits[k].fit.objective for k in telling) > reached - ALIKE * (len(instead) == 1):
                 self._again([k for k in before if k not in telling], optics)
-                return others
+                return instead
             self.under_way.fits = dict(before)
         return [name]
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from labkit.imaging.model import Optics
 from labkit.imaging.parts import Aperture
 from labkit.inference.cone import Measured
-from labkit.inference.missing_parts import SPECTRUM, Call, lacking
+from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call, lacking
 from labkit.inference.search import CALLED_FOR
 
 ALIKE = 4.0
@@ -58,6 +58,11 @@ def commoner(name: str, optics: Optics) -> list[str]:
         return []
     missing = lacking(optics)
     return [other for other in BLURS[: BLURS.index(name)] if other in missing]
+
+
+def numbers(names: Sequence[str]) -> int:
+    """That parts have, together."""
+    return sum(len(KNOWN[name].labels) for name in names)
 
 
 def worth(fits: Sequence[Measured]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, together, worth
+from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, numbers, together, worth
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import Diffusion, LowPass, Part, Veil
 from labkit.imaging.parts.veil import SCALE_PX
@@ -106,6 +106,7 @@ def test_of_parts_that_blur_alike_the_commoner_ones_are_known() -> None:
     assert commoner("smear", OPTICS) == ["low_pass_filter", "diffusion"]
     assert commoner("smear", with_part(OPTICS, "low_pass_filter")) == ["diffusion"]
     assert commoner("low_pass_filter", OPTICS) == commoner("veil", OPTICS) == []
+    assert numbers(["low_pass_filter", "diffusion"]) == numbers(["smear"]) == 3
 
 
 def test_a_part_that_has_nothing_left_to_do_is_idle() -> None:
