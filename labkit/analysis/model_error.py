@@ -42,11 +42,11 @@ def with_model_error(session: SessionFits) -> SessionFits:
 
 
 def _measured_shift(fit: WavefrontFit, with_missing: WavefrontFit) -> Floats:
-    """(values,) as of `Measured`."""
+    """(values,) as of `Measured`; a part that the other has no more is one of numbers 0."""
     here, there = fit.measured, _near(fit, with_missing).measured
-    labels = [*there.noll, *there.parts]
-    places = [labels.index(label) for label in (*here.noll, *here.parts)]
-    return np.asarray(there.values[[*places, -2, -1]] - here.values)
+    known = dict(zip([*there.noll, *there.parts], there.values, strict=False))
+    moved = [known.get(label, 0.0) for label in (*here.noll, *here.parts)]
+    return np.asarray([*moved, *there.values[-2:]]) - here.values
 
 
 def _near(fit: WavefrontFit, other: WavefrontFit) -> WavefrontFit:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.analysis.lens_fit import fit_lens
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.model_error import confirmed, shift, with_model_error
 from labkit.analysis.session_fits import SessionFits
@@ -48,6 +49,36 @@ def test_the_lens_leans_by_what_the_part_would_move(plain: SessionFits) -> None:
     slope = rise / (last.stop - first.stop)
     assert leaning.lean[at] == pytest.approx(-MOVED / slope, rel=0.05)
     assert leaning.std("best focus", "G") > abs(leaning.lean[at]) > 3 * plain.lens.std("best focus", "G")
+
+
+def test_a_part_that_gave_way_to_the_missing_one_is_none_there(plain: SessionFits) -> None:
+    """Both fits have a filter, 0.2 pixels squared, and none once they have the smear."""
+
+    def filtered(local: LocalFit) -> LocalFit:
+        measured = local.fit.measured
+        covariance = np.diag(np.insert(np.diag(measured.covariance), 1, 1e-4))
+        values = np.insert(measured.values, 1, 0.2)
+        return replace(
+            local,
+            fit=replace(
+                local.fit,
+                measured=replace(
+                    measured,
+                    values=values,
+                    covariance=covariance,
+                    calibration=0 * covariance,
+                    parts=("low_pass_filter.rows_px2",),
+                ),
+            ),
+        )
+
+    fits = tuple(map(filtered, plain.fits))
+    assert plain.lens is not None
+    lens = fit_lens([fits[k].member for k in plain.members], plain.lens.model.stated)
+    leaning = with_model_error(replace(plain, fits=fits, lens=lens)).lens
+    assert leaning is not None
+    assert leaning.lean is not None
+    assert leaning.lean[leaning.model.index("part", "low_pass_filter.rows_px2")] == pytest.approx(-0.2, rel=0.01)
 
 
 def test_a_session_that_lacks_nothing_stays_as_it_is(plain: SessionFits) -> None:
