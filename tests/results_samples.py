@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results import Focus, Lens, OptimumTest, Placement, Residuals, Results, Wavefront
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
@@ -87,13 +88,16 @@ def some_results(**changed: Any) -> Results:
     return Results(**fields | changed)
 
 
+BROAD = Spectrum((0.98, 1.0, 1.02), (0.25, 0.5, 0.25))
+
+
 def full_results() -> Results:
     """Results that hold everything that results can hold."""
     others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
-    spectrum = ResidualSpectrum(np.array([0.1, 0.4]), np.array([1.2, 1.0]), np.array([1.5, 1.1]))
+    left = ResidualSpectrum(np.array([0.1, 0.4]), np.array([1.2, 1.0]), np.array([1.5, 1.1]))
     test = replace(ACCEPTED, undetermined=("mode 4",), others=others)
     return some_results(
-        wavefronts=(a_wavefront(test=test, missing=("low_pass_filter",), spectrum=spectrum),),
+        wavefronts=(a_wavefront(test=test, missing=("low_pass_filter",), spectrum=BROAD, residual_spectrum=left),),
         joint={"focal_length_mm": 0.1},
         model_parts={"low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px")},
         parts_tried=(PartTried("low_pass_filter", 120.0, adopted=True),),

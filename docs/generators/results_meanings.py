@@ -16,6 +16,10 @@ MEANINGS = {
     "wavefronts[].measured_range_mm": "Range at which the rail was read to stand.",
     "wavefronts[].channel": "Channel's name.",
     "wavefronts[].wavelength_nm": "Channel's wavelength.",
+    "wavefronts[].spectrum": (
+        "Its light, `[[nm, share], ...]`, as the plan states it or the photographs call for it, by a few wavelengths of the "
+        "same moments. MTF, Strehl ratio, encircled energy and PSFs are of all of it. Null for one wavelength."
+    ),
     "wavefronts[].f_number": "F-number of the cone that reaches the sensor.",
     "wavefronts[].f_number_working": "The same with its standard error.",
     "wavefronts[].f_number_working.value": "Value.",

@@ -94,16 +94,12 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     channel = wavefront.channel
     optics = optics_of(plan, channel)
     given = {part.name: part for part in optics.given} | {part.name: part for part in _parts(results.model_parts)}
-    spectrum = optics.spectrum
-    width = results.model_parts.get(f"spectrum.{channel}.width_nm")
-    if width is not None:
-        spectrum = Spectrum.of_width((width.value / wavefront.wavelength_nm) ** 2)
     return replace(
         optics,
         f_number=wavefront.f_number if math.isfinite(wavefront.f_number) else optics.f_number,
         reference_um=wavefront.reference_wavelength_nm * 1e-3,
         noll=wavefront.noll,
-        spectrum=spectrum,
+        spectrum=wavefront.spectrum if optics.spectrum.fixed == Spectrum() else optics.spectrum.fixed,
         parts=(),
         given=tuple(given.values()),
     )

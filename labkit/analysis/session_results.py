@@ -11,9 +11,11 @@ from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.model_error import confirmed, shift
 from labkit.analysis.session_fits import SessionFits
+from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.bias import covariance_with_bias, error_with_bias
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
+from labkit.optics.spectrum import Spectrum
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -28,7 +30,7 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
-        wavefronts[index] = _with(wavefronts[index], values, covariance)
+        wavefronts[index] = _with(wavefronts[index], session.fits[index].fit.measured.parts, values, covariance)
     judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
@@ -63,9 +65,11 @@ def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
     return w
 
 
-def _with(w: Wavefront, values: Floats, covariance: Floats) -> Wavefront:
+def _with(w: Wavefront, parts: tuple[str, ...], values: Floats, covariance: Floats) -> Wavefront:
     """A wavefront with a session's values for it, as of `Measured`."""
     modes = len(w.noll)
+    if SPECTRUM_WIDTH in parts:
+        w = replace(w, spectrum=Spectrum.of_width(float(values[modes + parts.index(SPECTRUM_WIDTH)])).fixed)
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     blur = None
     if 4 in w.noll:
@@ -207,7 +211,7 @@ def _defocus_residuals(lens: LensFit) -> list[float]:
 
 def as_wavefront(local: LocalFit) -> Wavefront:
     """A local fit as results keep it."""
-    optics, observation, fit = local.task.optics, local.task.observation, local.fit
+    optics, observation, fit = local.fit.optics, local.task.observation, local.fit
     poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in fit.state.poses]
     verdict = fit.verdict
     return Wavefront(
@@ -216,6 +220,7 @@ def as_wavefront(local: LocalFit) -> Wavefront:
         channel=observation.channel,
         wavelength_nm=round(optics.wavelength_um * 1e3, 6),
         reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
+        spectrum=optics.spectrum.fixed,
         f_number=fit.f_number,
         f_number_std=float(np.sqrt(fit.measured.covariance[-2, -2])) * fit.f_number,
         noll=fit.noll,
@@ -234,7 +239,7 @@ def as_wavefront(local: LocalFit) -> Wavefront:
             tuple(OtherOptimum(other.waves, other.below) for other in fit.others),
             bool(verdict.accepted),
         ),
-        spectrum=ResidualSpectrum(
+        residual_spectrum=ResidualSpectrum(
             residual_frequencies(observation.frames), fit.left, fit.left_without if fit.measured.parts else None
         ),
         seconds=fit.seconds,

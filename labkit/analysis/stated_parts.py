@@ -44,7 +44,7 @@ def stated_spectrum(channel: Channel) -> Spectrum:
         return Spectrum()
     if isinstance(channel.width_nm, str):
         return Spectrum.of_width(0.0)
-    return replace(Spectrum.of_width((channel.width_nm / channel.wavelength_nm) ** 2), variance=None)
+    return Spectrum.of_width((channel.width_nm / channel.wavelength_nm) ** 2).fixed
 
 
 def wanted_parts(plan: Plan) -> list[str]:

@@ -105,7 +105,18 @@ def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
 
 
 def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
-    """The mean over directions at frequencies dense enough for radii up to the given."""
+    """The mean over directions at frequencies dense enough for radii up to the given, one light after another."""
+    shares, lights = zip(*wavefront.lights, strict=True)
+    means = [_mean_in_one_light(light, radius_um) for light in lights]
+    return _Mean(
+        np.concatenate([mean.frequency for mean in means]),
+        np.concatenate([share * mean.weight for share, mean in zip(shares, means, strict=True)]),
+        np.concatenate([mean.value for mean in means]),
+        np.concatenate([mean.slopes for mean in means], axis=1),
+    )
+
+
+def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     cutoff, steep = wavefront.cutoff_per_mm * 1e-3, steepness(wavefront)
     turns = 2 * np.pi * radius_um * cutoff
     node, weight = np.polynomial.legendre.leggauss(24 + int(np.ceil(0.5 * turns + 0.35 * steep)))

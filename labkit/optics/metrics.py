@@ -49,26 +49,24 @@ class Directed:
 
 def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
     """The PSF of the optics alone on a grid of a spacing, with standard errors; arguments and errors as of `psf_value`."""
-    pupil, at_um = _psf_samples(wavefront, spacing_um, size)
-    value, slopes = pupil.psf_at(wavefront.waves, at_um)
+    value, slopes = _psf_at(wavefront, spacing_um, size, slice(None))
     total = value.sum()
     slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
     return Psf(spacing_um, value / total, np.sqrt(wavefront.variance(slopes)) / total)
 
 
 def psf_value(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Floats:
-    """(size, size) PSF of the optics alone on a grid of a spacing, unit sum, its centre in the middle.
+    """(size, size) PSF of the optics alone on a grid of a spacing, unit sum, its centre in the middle, in all of its light.
 
     size: samples along a side, odd; by default the window reaches 32 lambda N from the centre. Raises ValueError for an even
     size, and for a spacing above lambda N, which undersamples so much that the samples' sum depends on where they lie.
     """
-    pupil, at_um = _psf_samples(wavefront, spacing_um, size)
-    value = pupil.psf_at(wavefront.waves, at_um, slice(0))[0]
+    value, _ = _psf_at(wavefront, spacing_um, size, slice(0))
     return np.asarray(value / value.sum())
 
 
-def _psf_samples(wavefront: FittedWavefront, spacing_um: float, size: int | None) -> tuple[Pupil, Floats]:
-    """A pupil sampled finely enough, and where along both axes the PSF is wanted, um from its centre."""
+def _psf_at(wavefront: FittedWavefront, spacing_um: float, size: int | None, modes: slice) -> tuple[Floats, Floats]:
+    """The PSF on the grid, in any scale, and its derivatives by some modes; pupils are sampled finely enough."""
     airy_um = wavefront.wavelength_um * wavefront.f_number
     if not positive("spacing_um", spacing_um, "um") <= airy_um:
         raise ValueError(f"spacing_um = {spacing_um:g}: at most lambda N is needed, here {airy_um:g} um")
@@ -76,11 +74,18 @@ def _psf_samples(wavefront: FittedWavefront, spacing_um: float, size: int | None
     if size is not None and (size < 1 or size % 2 == 0):
         raise ValueError(f"size = {size}: an odd number of samples is needed, so that one is the centre")
     apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
-    w = wavefront
-    pupil = Pupil(
-        w.wavelength_um, w.reference_um, w.f_number, airy_um / 2, int(np.ceil(2 * apart_um / airy_um)), w.noll
-    )
-    return pupil, spacing_um * np.arange(-half, half + 1.0)
+    fine_um = (
+        airy_um / 2 * min(wavefront.spectrum.nodes)
+    )  # in all lights alike: PSFs are shares of light on such samples
+    across, at_um = int(np.ceil(apart_um / fine_um)), spacing_um * np.arange(-half, half + 1.0)
+    value: Floats = np.zeros((at_um.size, at_um.size))
+    slopes: Floats = np.zeros((len(wavefront.noll[modes]), at_um.size, at_um.size))
+    for share, w in wavefront.lights:
+        pupil = Pupil(w.wavelength_um, w.reference_um, w.f_number, fine_um, across, w.noll)
+        of_light, its_slopes = pupil.psf_at(w.waves, at_um, modes)
+        value += share * of_light
+        slopes += share * its_slopes
+    return value, slopes
 
 
 def opd_map(wavefront: FittedWavefront, samples: int, without: Collection[int] = ()) -> OpdMap:

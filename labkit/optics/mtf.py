@@ -167,6 +167,18 @@ def turning_transfer_function(
 
 def _slice(wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats) -> tuple[Complexes, Complexes]:
     """(f,) the transfer function, and (tables, f) its derivatives by paths, of which the first are the modes'."""
+    value, slopes = np.zeros(len(frequency_per_mm), complex), np.zeros((len(tables), len(frequency_per_mm)), complex)
+    for share, light in wavefront.lights:
+        of_light, its_slopes = _slice_in_one_light(light, frequency_per_mm, tables)
+        value += share * of_light
+        slopes += share * its_slopes
+    return value, slopes
+
+
+def _slice_in_one_light(
+    wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
+) -> tuple[Complexes, Complexes]:
+    """As `_slice`; 0 beyond this light's cutoff."""
     apart = np.minimum(2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0)  # of the pupil's radius
     radians = wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
     path = np.tensordot(wavefront.waves, tables[: len(wavefront.noll)], 1)
@@ -262,6 +274,6 @@ def nodes_for(wavefront: FittedWavefront) -> int:
 
 
 def steepness(wavefront: FittedWavefront) -> float:
-    """The greatest slope of the phase, radians per radius of the pupil, by samples of it."""
+    """The greatest slope of the phase, radians per radius of the pupil, by samples of it; in the shortest light."""
     slopes = np.tensordot(wavefront.waves, _slopes_of(wavefront.noll), (0, 1))
-    return float(wavefront.radians_per_wave * np.hypot(*slopes).max())
+    return float(wavefront.radians_per_wave / min(wavefront.spectrum.nodes) * np.hypot(*slopes).max())

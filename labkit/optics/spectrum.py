@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
 
 from labkit.types import Floats
 
-NODES = 3
-"""Wavelengths that stand for a spectrum: they have its first five moments."""
+NODES = 7
+"""Wavelengths that stand for a spectrum of samples: they have its first 13 moments. PSFs of light 40 nm broad (half maximum)
+err by 0.0004 to 0.003 (L1) with 0 to 2 waves of defocus; with 5 nodes by 0.002 to 0.013, with 3 by 0.005 to 0.03."""
 
 KURTOSIS = 2.0
 """Fourth moment over the squared variance where only a width is known: 1.8 of a box, 3 of a Gaussian."""
@@ -48,6 +49,12 @@ class Spectrum:
         return cls(tuple(map(float, nodes)), tuple(map(float, weights_)))
 
     @classmethod
+    def of_lines(cls, lines: Sequence[Sequence[float]], nominal_nm: float) -> Spectrum:
+        """Of wavelengths, nm, and their shares, each as it is."""
+        nodes, weights = zip(*((float(nm) / nominal_nm, float(share)) for nm, share in lines), strict=True)
+        return cls(nodes, weights)
+
+    @classmethod
     def of_width(cls, variance: float) -> Spectrum:
         """Symmetric about the nominal wavelength. variance: relative to its square, at most WIDEST^2 either way."""
         offset = float(np.sqrt(KURTOSIS * min(abs(variance), WIDEST**2)))
@@ -60,6 +67,17 @@ class Spectrum:
     def shares(self) -> list[tuple[float, float]]:
         """(weight, node) of each."""
         return list(zip(self.weights, self.nodes, strict=True))
+
+    @property
+    def fixed(self) -> Spectrum:
+        """No longer to be estimated, and of one wavelength where it would sharpen."""
+        if self.variance is None:
+            return self
+        return replace(Spectrum.of_width(max(self.variance, 0.0)), variance=None)
+
+    def lines(self, nominal_nm: float) -> list[list[float]]:
+        """[nm, share] of each wavelength."""
+        return [[node * nominal_nm, share] for share, node in self.shares]
 
     @property
     def shortest(self) -> float:

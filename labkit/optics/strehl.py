@@ -32,7 +32,8 @@ def strehl(wavefront: FittedWavefront) -> Uncertain:
     """The PSF's maximum over that of the same pupil without aberration.
 
     Maximum over all places of the image, wherever tip and tilt put it: they belong to the target's pose, and are left out if
-    given. Born and Wolf, Principles of Optics, 7th ed., §9.1.3; V. N. Mahajan, J. Opt. Soc. Am. 73, 860 (1983).
+    given. In light of several wavelengths both maxima are of all of it. Born and Wolf, Principles of Optics, 7th ed., §9.1.3;
+    V. N. Mahajan, J. Opt. Soc. Am. 73, 860 (1983).
 
     The standard error is the root of the mean squared departure to second order, for normal errors C of the coefficients
     with gradient g and Hessian H: g'Cg + tr(HCHC)/2 + tr(HC)^2/4. For a nearly perfect lens g vanishes and the rest remains;
@@ -53,29 +54,41 @@ class Climber:
     """
 
     def __init__(self, wavefront: FittedWavefront, most_tilt: float = 0.0) -> None:
-        self._factor = wavefront.radians_per_wave
-        steep = steepness(wavefront) + self._factor * 2 * most_tilt
+        heights = [(share / light.wavelength_um**2, light.radians_per_wave) for share, light in wavefront.lights]
+        whole = sum(height for height, _ in heights)
+        self._lights = [(height / whole, factor) for height, factor in heights]
+        steep = steepness(wavefront) + 2 * most_tilt * max(factor for _, factor in self._lights)
         self._weights, self._modes = _over_pupil((*TILTS, *wavefront.noll), steep)
 
     def peak(self, waves: Floats, tilts: Floats) -> Peak:
         """The maximum for coefficients (modes,), from tilts (2,), waves RMS."""
         free = len(TILTS)
         at = np.concatenate([tilts, waves])
-        curvature = 2 * self._factor**2
+        curvature = 2 * sum(share * factor**2 for share, factor in self._lights)
         path = waves @ self._modes[free:]
         for _ in range(STEPS):  # the other modes' derivatives are wanted at its end alone
-            _, slope, bend = _peak(at[:free], self._weights, self._modes[:free], self._factor, path)
+            _, slope, bend = self._height(at[:free], self._modes[:free], path)
             values, axes = np.linalg.eigh(bend)
             step = axes @ ((axes.T @ slope) / np.maximum(np.abs(values), FLAT * curvature))
             at[:free] += step
             if np.abs(step).max() < 1e-9:
                 break
-        value, slope, bend = _peak(at, self._weights, self._modes, self._factor)
+        value, slope, bend = self._height(at, self._modes)
         values, axes = np.linalg.eigh(bend[:free, :free])
         fixed = values < -FLAT * curvature * value
         moved = axes[:, fixed].T @ bend[:free, free:]
         hessian = bend[free:, free:] - moved.T @ (moved / values[fixed][:, None])
         return Peak(value, at[:free], slope[free:], hessian)
+
+    def _height(self, waves: Floats, modes: Floats, path: Floats | float = 0.0) -> tuple[float, Floats, Floats]:
+        """Of the PSF at its centre over a perfect one's, as of `_peak`, in all lights."""
+        value, slope, bend = 0.0, np.zeros(len(waves)), np.zeros((len(waves), len(waves)))
+        for share, factor in self._lights:
+            of_light = _peak(waves, self._weights, modes, factor, path)
+            value += share * of_light[0]
+            slope += share * of_light[1]
+            bend += share * of_light[2]
+        return value, slope, bend
 
 
 def mean_square(wavefront: FittedWavefront, peak: Peak) -> float:
@@ -113,10 +126,12 @@ def brightest_tilts(wavefront: FittedWavefront) -> Floats:
 
     The true peak of each is at most 2 % higher: of two peaks as equal as that, the lower may be taken.
     """
-    w, airy_um = wavefront, wavefront.wavelength_um * wavefront.f_number
+    w, airy_um = wavefront, 1e3 / wavefront.cutoff_per_mm
     size = 128 + 16 * int(np.ceil(steepness(w) / np.pi))  # a slope of pi throws light lambda N away
-    psf = Pupil(w.wavelength_um, w.reference_um, w.f_number, airy_um / 8, size, w.noll).psf(w.waves)
+    psf = np.zeros((size, size))
+    for share, light in w.lights:
+        psf += share * Pupil(light.wavelength_um, w.reference_um, w.f_number, airy_um / 8, size, w.noll).psf(w.waves)
     row, column = np.unravel_index(psf.argmax(), psf.shape)
-    away_airy = np.array([column - size // 2, row - size // 2]) / 8
+    away_um = np.array([column - size // 2, row - size // 2]) * airy_um / 8
     # one wave RMS of tilt is four waves across the pupil, which throw light 4 lambda N away
-    return np.asarray(-away_airy / 4 * w.wavelength_um / w.reference_um)
+    return np.asarray(-away_um / (4 * w.f_number * w.reference_um))

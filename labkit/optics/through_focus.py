@@ -81,16 +81,19 @@ def mtf_through_focus(
 ) -> ThroughFocus:
     """MTF of the optics alone at one frequency along a direction, of modes and defocus as in `strehl_through_focus`."""
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
-    apart = min(2 * abs(frequency_per_mm) / rest.cutoff_per_mm, 2.0)
     steepest = _with_defocus(rest, float(np.abs(defocus).max()))
-    area, differences = _overlap(steepest, apart, azimuth_deg(direction))
-    factor = 1j * rest.radians_per_wave
-    phase = rest.waves @ differences[:-1] + np.outer(defocus, differences[-1])  # (n, points)
-    turned: Complexes = area * np.exp(factor * phase)
-    transfer = turned.sum(axis=1)
+    transfer, by_mode = np.zeros(len(defocus), complex), np.zeros((len(rest.noll), len(defocus)), complex)
+    for share, light in steepest.lights:
+        apart = min(2 * abs(frequency_per_mm) / light.cutoff_per_mm, 2.0)
+        area, differences = _overlap(light, apart, azimuth_deg(direction))
+        factor = 1j * light.radians_per_wave
+        phase = rest.waves @ differences[:-1] + np.outer(defocus, differences[-1])  # (n, points)
+        turned: Complexes = share * area * np.exp(factor * phase)
+        transfer += turned.sum(axis=1)
+        by_mode += factor * (differences[:-1] @ turned.T)
     value = np.abs(transfer)
     unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
-    slopes = (factor * (differences[:-1] @ turned.T) * unit).real
+    slopes = (by_mode * unit).real
     return ThroughFocus(defocus, value, np.sqrt(rest.variance(slopes)), slopes)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from labkit.arrays import positive, real_array
+from labkit.optics.spectrum import Spectrum
 from labkit.optics.zernike import zernike
 from labkit.types import Floats
 
@@ -21,7 +22,8 @@ class FittedWavefront:
     noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
     waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
     reaches the sensor; f_number_std: its standard error, which enters what is measured in lengths as if it were independent of
-    the modes'. Pupil coordinates as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
+    the modes'. spectrum: of the light, about wavelength_um; its path differences are one, in length. Pupil coordinates as in
+    `labkit.optics.psf`: x to the right along the sensor's rows, y down.
     Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
     """
 
@@ -32,6 +34,7 @@ class FittedWavefront:
     reference_um: float
     f_number: float
     f_number_std: float = 0.0
+    spectrum: Spectrum = field(default_factory=Spectrum)
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -55,12 +58,22 @@ class FittedWavefront:
 
     @property
     def cutoff_per_mm(self) -> float:
-        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm."""
-        return 1e3 / (self.wavelength_um * self.f_number)
+        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm; of the shortest light."""
+        return 1e3 / (min(self.spectrum.nodes) * self.wavelength_um * self.f_number)
+
+    @property
+    def lights(self) -> list[tuple[float, FittedWavefront]]:
+        """Shares of the light, and the wavefront in one wavelength each: their PSFs add up."""
+        if self.spectrum == Spectrum():
+            return [(1.0, self)]
+        return [
+            (share, replace(self, wavelength_um=node * self.wavelength_um, spectrum=Spectrum()))
+            for share, node in self.spectrum.shares
+        ]
 
     @property
     def radians_per_wave(self) -> float:
-        """Phase, in the light's own wavelength, of one wave of path at the reference wavelength."""
+        """Phase, at the light's nominal wavelength, of one wave of path at the reference wavelength."""
         return 2 * np.pi * self.reference_um / self.wavelength_um
 
     @property

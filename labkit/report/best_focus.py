@@ -57,7 +57,7 @@ class BestFocus:
         """The numbers of a wavefront, whatever its defocus."""
         fitted, active_um = wavefront.at_focus(), sensor.active_um
         nyquist = plane_nyquist_per_mm(sensor, wavefront.channel)
-        optics = {d: _mtf_at(fitted, nyquist, d) for d in DIRECTIONS}
+        optics = {d: mtf_at(fitted, nyquist, d) for d in DIRECTIONS}
         pixel = float(pixel_mtf(nyquist, active_um, "x"))  # square: the same along y
         return cls(
             photographed=wavefront,
@@ -83,7 +83,8 @@ def _pair(measure: Callable[[FittedWavefront], Directed], fitted: FittedWavefron
     return measure(fitted) if set(modes) <= set(fitted.noll) else None
 
 
-def _mtf_at(fitted: FittedWavefront, frequency_per_mm: float, direction: Direction) -> Uncertain:
+def mtf_at(fitted: FittedWavefront, frequency_per_mm: float, direction: Direction) -> Uncertain:
+    """MTF of the optics alone at one frequency."""
     curve = mtf(fitted, frequency_per_mm, direction)
     return Uncertain(float(curve.value), float(curve.std))
 

@@ -18,7 +18,7 @@ def spectrum_chart(results: Results) -> Figure:
     axes.axhline(1, color=SOFT, lw=0.7)
     inks = channel_inks(results.channels)
     for channel in results.channels:
-        spectra = [w.spectrum for w in results.of_channel(channel) if w.spectrum is not None]
+        spectra = [w.residual_spectrum for w in results.of_channel(channel) if w.residual_spectrum is not None]
         if not spectra:
             continue
         frequency, ink = spectra[0].cycles_per_px, inks[channel]

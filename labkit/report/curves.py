@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import j0, j1
 
 from labkit.analysis.psf_of_session import lens_of
 from labkit.optics.encircled_energy import EncircledEnergy, encircled_energy
 from labkit.optics.lens import defocus_waves
 from labkit.optics.mtf import Curve, Direction, mtf, pixel_mtf
-from labkit.optics.psf import diffraction_mtf
 from labkit.optics.through_focus import (
     FocusDepth,
     ThroughFocus,
@@ -102,9 +100,9 @@ def _of_channel(results: Results, best: BestFocus, last_per_mm: float, last_um: 
         best,
         {d: mtf(fitted, frequency, d) for d in DIRECTIONS},
         pixel_mtf(frequency, best.active_um, "x"),
-        diffraction_mtf(frequency / fitted.cutoff_per_mm),
+        mtf(best.perfect, frequency, "x").value,
         encircled_energy(fitted, radius),
-        perfect_energy(radius, fitted.wavelength_um * fitted.f_number),
+        encircled_energy(best.perfect, radius).value,
         curve,
         {d: mtf_through_focus(fitted, through, d, grid) for d in DIRECTIONS},
         through,
@@ -112,12 +110,6 @@ def _of_channel(results: Results, best: BestFocus, last_per_mm: float, last_um: 
         place or (lambda waves: sensor_shift_um(fitted, waves)),
         place is not None,
     )
-
-
-def perfect_energy(radius_um: Floats, airy_um: float) -> Floats:
-    """Encircled energy of a perfect lens of an airy_um, lambda N: Rayleigh's 1 - J0^2 - J1^2."""
-    argument = np.pi * radius_um / airy_um
-    return np.asarray(1 - j0(argument) ** 2 - j1(argument) ** 2)
 
 
 def _range_of(results: Results, channel: str) -> Place | None:

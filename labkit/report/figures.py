@@ -52,7 +52,7 @@ def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
     full, plane = full_nyquist_per_mm(results.plan.sensor), min(c.best.nyquist_per_mm for c in curves)
     caption = (
         "MTF at best focus. Solid: along x, right on the sensor; dashed: along y, down; shaded: one standard error, where "
-        "it is wider than the line. Dotted: the diffraction limit of this f-number and wavelength. Pale: with the pixel's "
+        "it is wider than the line. Dotted: the diffraction limit of this f-number and light. Pale: with the pixel's "
         f"aperture. Grey, upright: Nyquist's frequency of all pixels, {full:.0f} cycles/mm"
     )
     caption += f", and dashed that of the pixels of one colour, {plane:.0f}." if plane < full else "."
@@ -182,7 +182,7 @@ def _modes(results: Results, focused: Sequence[BestFocus]) -> Iterator[Plate]:
 
 
 def _camera(results: Results) -> Iterator[Plate]:
-    spectra = [w.spectrum for w in results if w.spectrum is not None]
+    spectra = [w.residual_spectrum for w in results if w.residual_spectrum is not None]
     if not spectra or not results.parts_tried:
         return
     now = float(np.mean([s.power.max() for s in spectra]))

@@ -8,9 +8,8 @@ from math import isfinite
 from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import Directed
 from labkit.optics.mtf import mtf50
-from labkit.optics.psf import diffraction_mtf
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
-from labkit.report.best_focus import SHARE, BestFocus
+from labkit.report.best_focus import SHARE, BestFocus, mtf_at
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated, fixed, millimetres
 from labkit.report.table import EXACT, Column, Row, Table, channel_columns
@@ -51,7 +50,7 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
         row("Nyquist of its own pixels", "cycles/mm", lambda b: fixed(b.nyquist_per_mm, 1), why=PITCH, first=True),
         row("MTF there, optics along x", "", lambda b: estimated(b.at_nyquist["x"], least=3)),
         row("along y", "", lambda b: estimated(b.at_nyquist["y"], least=3)),
-        row("of a perfect lens", "", _perfect_at_nyquist, beside=True),
+        row("of a perfect lens", "", lambda b: _ideal(mtf_at(b.perfect, b.nyquist_per_mm, "x")), beside=True),
         row("MTF there, with the pixel along x", "", lambda b: estimated(b.camera_at_nyquist["x"], least=3)),
         row("along y", "", lambda b: estimated(b.camera_at_nyquist["y"], least=3)),
         row(within, "µm radius", lambda b: estimated(b.energy_radius_um), first=True),
@@ -109,13 +108,6 @@ def _on_sensor(curve: Curves) -> str:
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.cone_error * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
-
-
-def _perfect_at_nyquist(best: BestFocus) -> str:
-    """Its slope by the cone's error is that of the diffraction limit."""
-    at, step = best.nyquist_per_mm / best.perfect.cutoff_per_mm, 1e-4
-    value, more = (float(diffraction_mtf(at * (1 + d))) for d in (0.0, step))  # type: ignore[arg-type]
-    return _ideal(Uncertain(value, abs(more - value) / step * best.perfect.cone_error))
 
 
 def _ideal(number: Uncertain) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from labkit.optics import metrics
 from labkit.optics.mtf import Curve, Direction, mtf
+from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
 from labkit.types import Floats
@@ -132,7 +133,8 @@ class Wavefront:
     the cone that reaches the sensor. blur: diameter of defocus's geometric blur on the sensor, um, negative before best focus,
     8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
-    which does not explain the data seems to lack; spectrum: of what it leaves.
+    which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
+    wavelength, as the plan states it or the photographs call for it.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
     >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)
@@ -157,7 +159,8 @@ class Wavefront:
     f_number_std: float = nan
     blur: Uncertain | None = None
     missing: tuple[str, ...] = ()
-    spectrum: ResidualSpectrum | None = field(default=None, repr=False)
+    spectrum: Spectrum = field(default_factory=Spectrum)
+    residual_spectrum: ResidualSpectrum | None = field(default=None, repr=False)
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
 
@@ -205,7 +208,9 @@ class Wavefront:
         """The same as `labkit.optics.metrics` takes it."""
         wavelength_um, reference_um = self.wavelength_nm * 1e-3, self.reference_wavelength_nm * 1e-3
         cone = (self.f_number, self.f_number_std if isfinite(self.f_number_std) else 0.0)
-        return FittedWavefront(self.noll, self.waves, self.covariance, wavelength_um, reference_um, *cone)
+        return FittedWavefront(
+            self.noll, self.waves, self.covariance, wavelength_um, reference_um, *cone, self.spectrum
+        )
 
     @property
     def strehl(self) -> Uncertain:
@@ -227,6 +232,7 @@ class Wavefront:
     def psf(self, spacing_um: float, size: int | None = None) -> Floats:
         """(size, size) point-spread function of the optics alone, unit sum, rows down and columns right as on the sensor.
 
+        Of all its light: weighted over the spectrum, where the channel has one.
         size: odd; by default the window reaches 32 lambda N from its centre.
         """
         return metrics.psf_value(self.fitted, spacing_um, size)

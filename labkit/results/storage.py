@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import shutil
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically, writing
+from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results.model import (
     Focus,
@@ -47,23 +49,6 @@ LENS = {
     "range_zero_mm": ("range_zero", "mm"),
 }
 """Keys of the lens, the fields that they hold, and their units."""
-
-FIELDS = (
-    "plan",
-    "plan_sha256",
-    "wavefronts",
-    "focus",
-    "lens",
-    "budget",
-    "joint",
-    "model_parts",
-    "parts_tried",
-    "warnings",
-    "unanswered",
-    "created",
-    "labkit_version",
-)
-"""Of results: those that are kept. Their folder is where they are."""
 
 
 def write(folder: Path, content: Json, wavefronts: Sequence[Wavefront]) -> Path:
@@ -156,6 +141,10 @@ def entry(
     }
 
 
+FIELDS = tuple(inspect.signature(entry).parameters)
+"""Of results: those that are kept. Their folder is where they are."""
+
+
 def psfs(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
     """PSFs of the optics alone on one grid for all: unit sum, centred, odd; and their spacing_um."""
     airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in wavefronts]
@@ -189,6 +178,7 @@ def _wavefront_json(w: Wavefront) -> Json:
         "measured_range_mm": w.measured_range_mm,
         "channel": w.channel,
         "wavelength_nm": w.wavelength_nm,
+        "spectrum": None if w.spectrum == Spectrum() else w.spectrum.lines(w.wavelength_nm),
         "f_number": w.f_number,
         "f_number_working": w.working_f_number.as_json(),
         "blur_um": None if w.blur is None else w.blur.as_json(),
@@ -206,7 +196,7 @@ def _wavefront_json(w: Wavefront) -> Json:
         "model": None
         if w.test is None
         else {"accepted": w.test.explains, "p_value": _number(w.test.p_value), "missing": list(w.missing)}
-        | ({} if w.spectrum is None else {"residual_spectrum": w.spectrum.as_json()}),
+        | ({} if w.residual_spectrum is None else {"residual_spectrum": w.residual_spectrum.as_json()}),
         "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
         "frames": list(w.frames),
     }
@@ -345,7 +335,8 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         seconds=_optional(entry.get("seconds")),
         frames=tuple(str(name) for name in entry.get("frames", ())),
         missing=tuple(str(name) for name in (entry.get("model") or {}).get("missing", ())),
-        spectrum=ResidualSpectrum.from_json((entry.get("model") or {}).get("residual_spectrum")),
+        spectrum=Spectrum.of_lines(entry.get("spectrum") or [[entry["wavelength_nm"], 1.0]], entry["wavelength_nm"]),
+        residual_spectrum=ResidualSpectrum.from_json((entry.get("model") or {}).get("residual_spectrum")),
         placement=_placement(entry),
         residuals=Residuals(*parts) if len(parts) == 3 else None,
     )

@@ -103,8 +103,8 @@ def test_a_veil_is_neither_broader_nor_narrower_than_can_be_told() -> None:
 def test_a_few_wavelengths_have_a_spectrums_moments() -> None:
     nm, weights = np.linspace(500, 580, 9), np.array([0.0, 1, 2, 5, 9, 7, 3, 1, 0.5])
     spectrum = Spectrum.of_samples(nm.tolist(), weights.tolist(), 540.0)
-    assert len(spectrum.nodes) == 3
-    for power in range(6):
+    assert len(spectrum.nodes) == 7
+    for power in range(14):
         moment = np.average((nm / 540) ** power, weights=weights)
         assert np.dot(spectrum.weights, np.power(spectrum.nodes, power)) == pytest.approx(moment, rel=1e-12)
 
@@ -127,6 +127,8 @@ def test_a_spectrum_of_a_width_has_it() -> None:
     nodes, weights = np.array(spectrum.nodes), np.array(spectrum.weights)
     assert [weights.sum(), weights @ nodes, weights @ (nodes - 1) ** 2] == pytest.approx([1, 1, 0.03**2])
     assert min(nodes) > spectrum.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+    assert (spectrum.fixed.nodes, spectrum.fixed.variance) == (spectrum.nodes, None)
+    assert Spectrum.of_width(-1e-4).fixed == Spectrum()
 
 
 def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:

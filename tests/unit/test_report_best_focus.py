@@ -7,7 +7,7 @@ import pytest
 
 from labkit.optics.psf import diffraction_mtf
 from labkit.report.best_focus import BestFocus, at_best_focus, full_nyquist_per_mm, plane_nyquist_per_mm
-from labkit.report.curves import Curves, curves_of, perfect_energy
+from labkit.report.curves import Curves, curves_of
 from labkit.report.focus_charts import energy_chart
 from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.mtf_charts import mtf_chart
@@ -74,12 +74,6 @@ def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_p
     cells = {row.cells[0]: row.cells[2] for row in focus_table([best], 450.0).rows}
     assert cells["Nyquist of its own pixels"] == "52.3"
     assert cells["Coma"] == "not fitted"
-
-
-def test_a_perfect_lens_has_84_percent_within_its_first_dark_ring() -> None:
-    # Born and Wolf, table 8.2
-    radii = np.array([0.0, 1.2197, 2.2331, 3.2383]) * 1.82
-    np.testing.assert_allclose(perfect_energy(radii, 1.82), [0.0, 0.838, 0.910, 0.938], atol=5e-4)
 
 
 def test_maps_share_one_scale_that_is_even_about_zero() -> None:

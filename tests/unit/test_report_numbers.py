@@ -92,7 +92,9 @@ DOUBTFUL = OptimumTest("starts", False, 0.001, 4, ("astigmatism",), (OtherOptimu
 def spread(**changed: Any) -> tuple[Any, ...]:
     """Fits whose modes differ from range to range."""
     return tuple(
-        a_wavefront(r, c, d, waves=np.array([d, 0.03 + 1e-6 * r, -0.04]), spectrum=SPECTRUM, test=DOUBTFUL, **changed)
+        a_wavefront(
+            r, c, d, waves=np.array([d, 0.03 + 1e-6 * r, -0.04]), residual_spectrum=SPECTRUM, test=DOUBTFUL, **changed
+        )
         for r, d in ((3000.0, 0.08), (3200.0, 1.14))
         for c in ("R", "B")
     )

@@ -17,7 +17,7 @@ from labkit.report.html import write_report
 from labkit.results import OptimumTest, ResidualSpectrum, Results
 from labkit.results.model import PartTried
 from labkit.results.storage import kept_keys
-from tests.results_samples import ACCEPTED, BUDGET, FOCUS, LENS, a_wavefront, some_results, written
+from tests.results_samples import ACCEPTED, BROAD, BUDGET, FOCUS, LENS, a_wavefront, some_results, written
 
 CONTRACT: dict[str, Any] = {
     "schema": 1,
@@ -90,19 +90,35 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 def test_what_a_poor_model_leaves_and_lacks_is_kept_and_told(tmp_path: Path) -> None:
     left = ResidualSpectrum(np.array([0.1, 0.2]), np.array([2.5, 1.1]), np.array([7.0, 1.5]))
-    poor = a_wavefront(test=replace(ACCEPTED, explains=False), missing=("low_pass_filter",), spectrum=left)
+    poor = a_wavefront(test=replace(ACCEPTED, explains=False), missing=("low_pass_filter",), residual_spectrum=left)
     folder = written(tmp_path, wavefronts=(poor, a_wavefront(3200.0)), parts_tried=(PartTried("veil", 3.0, False),))
     back, plain = Results.load(folder).wavefronts
-    assert (back.missing, plain.missing, plain.spectrum) == (("low_pass_filter",), (), None)
-    assert back.spectrum is not None
-    assert back.spectrum.without_parts is not None
-    for kept, made in zip(vars_of(back.spectrum), vars_of(left), strict=True):
+    assert (back.missing, plain.missing, plain.residual_spectrum) == (("low_pass_filter",), (), None)
+    assert back.residual_spectrum is not None
+    assert back.residual_spectrum.without_parts is not None
+    for kept, made in zip(vars_of(back.residual_spectrum), vars_of(left), strict=True):
         np.testing.assert_array_equal(kept, made)
     html = write_report(folder).read_text()
     assert "which is not in their model: low-pass filter." in html
     assert "2.50 times the noise where it is most" in html
     assert "Without the parts that were found: 7.00 times." in html
     assert "call for no part of the camera" not in html
+
+
+def test_numbers_and_psfs_are_of_all_the_light_after_reading_too(tmp_path: Path) -> None:
+    folder = written(tmp_path, wavefronts=(a_wavefront(spectrum=BROAD), a_wavefront(3200.0)))
+    broad, alone = Results.load(folder).wavefronts
+    np.testing.assert_allclose(np.array(broad.spectrum.shares), np.array(BROAD.shares), rtol=1e-12)
+    assert alone.spectrum.nodes == (1.0,)
+    assert broad.strehl.value == pytest.approx(a_wavefront(spectrum=BROAD).strehl.value, abs=1e-12)
+    stored = np.load(folder / "psf.npz")
+    kept, spacing_um = stored[f"psf_{broad.key}"], float(stored["spacing_um"])
+    np.testing.assert_allclose(kept, broad.psf(spacing_um, len(kept)), atol=1e-8)
+    assert np.abs(kept - a_wavefront().psf(spacing_um, len(kept))).sum() > 0.005
+    lines = json.loads((folder / "results.json").read_text())["wavefronts"][0]["spectrum"]
+    assert [nm for nm, _ in lines] == pytest.approx(
+        [0.98 * broad.wavelength_nm, broad.wavelength_nm, 1.02 * broad.wavelength_nm]
+    )
 
 
 def vars_of(spectrum: ResidualSpectrum) -> tuple[Any, ...]:
