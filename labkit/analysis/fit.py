@@ -148,7 +148,8 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
     fits = with_model_error(fits)
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    warnings = [*words_of_parts(fits, found, wanted_parts(plan)), *warnings_of(fits)]
+    members = [wavefronts[k].fitted for k in fits.members]
+    warnings = [*words_of_parts(fits, found, wanted_parts(plan), members), *warnings_of(fits)]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(

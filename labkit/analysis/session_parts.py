@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -12,11 +13,14 @@ from labkit.analysis.lens_model import whose
 from labkit.analysis.session_fits import SessionFits
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
+from labkit.optics.metrics import psf_value
+from labkit.optics.wavefront import FittedWavefront
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+PSF_SAMPLES = 129  # along a side, half of lambda N apart
 LOG_SCALE = "veil.log_scale"
 WORDS = {
     "low_pass_filter": "an optical low-pass filter",
@@ -57,9 +61,14 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     return found
 
 
-def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
+def words_of_parts(
+    session: SessionFits,
+    found: dict[str, Uncertain],
+    wanted: Collection[str] = (),
+    wavefronts: Sequence[FittedWavefront] = (),
+) -> list[str]:
     """What was found of the camera and what it changed, and what is missing, a line each; not of parts that the plan wanted
-    fitted."""
+    fitted. wavefronts: of the session's members."""
     lines = []
     if session.missing and session.lens is not None:
         named = " and ".join(WORDS[name] for name in session.missing)
@@ -80,18 +89,33 @@ def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Co
             continue
         if name in wanted:
             continue
-        changed = "" if session.lens is None else _changed(session.lens, name)
+        changed = "" if session.lens is None else _changed(session.lens, name, wavefronts)
         lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
     return lines
 
 
-def _changed(lens: LensFit, name: str) -> str:
-    """What leaving a part out would do to best focus, as far as the estimate's covariance says."""
+def _changed(lens: LensFit, name: str, wavefronts: Sequence[FittedWavefront]) -> str:
+    """What leaving a part out would do to best focus, wavefronts and PSFs, as far as the estimate's covariance says."""
     labels = [str(c.of[0]) if c.kind == "part" else "" for c in lens.model.columns]
     at = [k for k, of in enumerate(labels) if of.split(".")[0] == name and of != LOG_SCALE]  # 0 is no veil's scale
     moved = -lens.covariance[:, at] @ np.linalg.solve(lens.covariance[np.ix_(at, at)], lens.theta[at])
     focus = [f"{c} {moved[lens.model.index('best focus', c)]:+.2g} mm" for c in lens.model.channels]
-    return f"; a model without it would move best focus by about {', '.join(focus)}"
+    words = f"; a model without it would move best focus by about {', '.join(focus)}"
+    by = [_moved(w, slope @ moved) for w, slope in zip(wavefronts, lens.model.jacobian(lens.theta), strict=False)]
+    if not by:
+        return words
+    waves, psfs = map(max, zip(*by, strict=True))
+    return f"{words}, wavefronts by up to {waves:.2g} waves RMS, PSFs by up to {100 * psfs:.2g} % (L1)"
+
+
+def _moved(wavefront: FittedWavefront, by: Floats) -> tuple[float, float]:
+    """Waves RMS, and the summed absolute difference of PSFs, between a wavefront and what it is with other values, as of
+    `Measured`."""
+    modes = len(wavefront.noll)
+    there = replace(wavefront, waves=wavefront.waves + by[:modes], f_number=wavefront.f_number * float(np.exp(by[-2])))
+    spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
+    before, after = (psf_value(w, spacing_um, PSF_SAMPLES) for w in (wavefront, there))
+    return float(np.linalg.norm(by[:modes])), float(np.abs(after - before).sum())
 
 
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
