@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
-import numpy as np
-
 from labkit.analysis.diagnosis import ALIKE, BLURS, called_for, commoner, idle, lacks, numbers, together, worth
 from labkit.analysis.fits_under_way import FitsUnderWay, same
 from labkit.analysis.local_fits import LocalFit, optics_of
@@ -136,13 +134,17 @@ class CameraModel:
         """Whether these fits have a part."""
         return name not in lacks(self.fits[k].fit.optics for k in places)
 
-    def _again(self, places: Sequence[int], optics: dict[int, Optics], patience_s: float = np.inf) -> None:
-        """Make fits again, each from its own end, with other parts of the camera."""
+    def _again(self, places: Sequence[int], optics: dict[int, Optics], climb: bool = False) -> None:
+        """Make fits again, each from its own end, with other parts of the camera.
+
+        climb: only that, with no search after it nor a question what is missing then.
+        """
         tasks = [
             replace(self.fits[k].task, optics=optics[k], starts=(self.fits[k].fit.waves,), alike=(), missing=())
             for k in places
         ]
-        tasks = [replace(task, patience_s=min(task.patience_s, patience_s)) for task in tasks]
+        if climb:
+            tasks = [replace(task, patience_s=0.0, asked=False) for task in tasks]
         before = [self.fits[k].fit for k in places]
         for index, fit in self.under_way.done(tasks, "fitting with other parts of the camera"):
             old = before[index]
@@ -168,12 +170,11 @@ class CameraModel:
         if not optics:
             return session
         self.with_missing, order = {k: self._fullest(k) for k in whole}, sorted(whole)
-        self._again(list(optics), optics, patience_s=0.0)
+        self._again(list(optics), optics, climb=True)
         for k in optics:
             if (plain := self.fits.pop(k)) is not whole[k]:  # else memory was too short for it
                 search = {of: getattr(whole[k].fit, of) for of in ("starts", "others", "settled", "cut_short")}
                 self.fits[k] = replace(plain, fit=replace(plain.fit, **search))
-        self.under_way.refuse_none()
         self.under_way.vouched = frozenset(order[k] for k in session.members)
         self.asked = dict(self.fits)
         self.tried = [replace(one, adopted=one.adopted and one.name not in self.missing) for one in self.tried]

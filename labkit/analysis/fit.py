@@ -18,7 +18,7 @@ from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.session_parts import WORDS, model_parts, words_of_parts
+from labkit.analysis.session_parts import WORDS, model_parts, words_of_change, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
 from labkit.analysis.stated_parts import wanted_parts
@@ -148,8 +148,8 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
     fits = with_model_error(fits)
     left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
     wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    members = [wavefronts[k].fitted for k in fits.members]
-    warnings = [*words_of_parts(fits, found, wanted_parts(plan), members), *warnings_of(fits)]
+    parts = [*words_of_parts(fits, found, wanted_parts(plan)), *words_of_change(fits, wavefronts)]
+    warnings = [*parts, *warnings_of(fits)]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(

@@ -17,7 +17,8 @@ class SessionFits:
     rejected, or do not belong to it, the strangers. mended: fits that were made again, because the session found them not to
     belong, and then did. open_channels: whose signs the ranges leave open. tried: parts of the camera that the fits were asked
     about; missing: those that the fits call for and that their model lacks, with_missing: fits with them, None where there is
-    none. lost: observations that have no fit, in words.
+    none. without_found: the same session without the parts that its plan does not state, where some were taken in. lost:
+    observations that have no fit, in words.
     """
 
     fits: tuple[LocalFit, ...]
@@ -29,6 +30,7 @@ class SessionFits:
     tried: tuple[PartTried, ...] = ()
     missing: tuple[str, ...] = ()
     with_missing: tuple[LocalFit | None, ...] = ()
+    without_found: SessionFits | None = None
     lost: tuple[str, ...] = ()
 
     def fullest(self, k: int) -> LocalFit:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -11,12 +10,15 @@ import numpy as np
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
 from labkit.analysis.session_fits import SessionFits
+from labkit.analysis.session_results import as_wavefronts
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
+from labkit.inference.fit import twin_signs
 from labkit.optics.metrics import psf_value
 from labkit.optics.wavefront import FittedWavefront
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
+from labkit.results import Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -61,14 +63,8 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     return found
 
 
-def words_of_parts(
-    session: SessionFits,
-    found: dict[str, Uncertain],
-    wanted: Collection[str] = (),
-    wavefronts: Sequence[FittedWavefront] = (),
-) -> list[str]:
-    """What was found of the camera and what it changed, and what is missing, a line each; not of parts that the plan wanted
-    fitted. wavefronts: of the session's members."""
+def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
+    """What was found of the camera, and what is missing, a line each; not of parts that the plan wanted fitted."""
     lines = []
     if session.missing and session.lens is not None:
         named = " and ".join(WORDS[name] for name in session.missing)
@@ -89,33 +85,49 @@ def words_of_parts(
             continue
         if name in wanted:
             continue
-        changed = "" if session.lens is None else _changed(session.lens, name, wavefronts)
-        lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}{changed}")
+        lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}")
     return lines
 
 
-def _changed(lens: LensFit, name: str, wavefronts: Sequence[FittedWavefront]) -> str:
-    """What leaving a part out would do to best focus, wavefronts and PSFs, as far as the estimate's covariance says."""
-    labels = [str(c.of[0]) if c.kind == "part" else "" for c in lens.model.columns]
-    at = [k for k, of in enumerate(labels) if of.split(".")[0] == name and of != LOG_SCALE]  # 0 is no veil's scale
-    moved = -lens.covariance[:, at] @ np.linalg.solve(lens.covariance[np.ix_(at, at)], lens.theta[at])
-    focus = [f"{c} {moved[lens.model.index('best focus', c)]:+.2g} mm" for c in lens.model.channels]
-    words = f"; a model without it would move best focus by about {', '.join(focus)}"
-    by = [_moved(w, slope @ moved) for w, slope in zip(wavefronts, lens.model.jacobian(lens.theta), strict=False)]
-    if not by:
-        return words
-    waves, psfs = map(max, zip(*by, strict=True))
-    return f"{words}, wavefronts by up to {waves:.2g} waves RMS, PSFs by up to {100 * psfs:.2g} % (L1)"
+def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> list[str]:
+    """What the parts that were found change, against the session fitted without them; none where none was found.
+
+    wavefronts: of all its fits.
+    """
+    plain = session.without_found
+    if plain is None or len(plain.fits) != len(session.fits):  # memory was too short for some
+        return []
+    places, others = session.members or range(len(session.fits)), as_wavefronts(plain)
+    pairs = [(wavefronts[k].fitted, others[k].fitted) for k in places]
+    waves = max(_waves_difference(here, there) for here, there in pairs)
+    psfs = max(_psf_difference(here, there) for here, there in pairs)
+    moved = [f"wavefronts by up to {waves:.2g} waves RMS", f"PSFs by up to {100 * psfs:.2g} % (L1)"]
+    if focus := _focus_difference(session.lens, plain.lens):
+        moved.insert(0, f"best focus by {', '.join(f'{name} {mm:+.2g} mm' for name, mm in focus.items())}")
+    rejected = sum(w.test is not None and not w.test.accepted for w in others)
+    end = f"; {rejected} of {len(others)} optima would be rejected" if rejected else ""
+    return [f"the model as the plan states it would move {', '.join(moved)}{end}"]
 
 
-def _moved(wavefront: FittedWavefront, by: Floats) -> tuple[float, float]:
-    """Waves RMS, and the summed absolute difference of PSFs, between a wavefront and what it is with other values, as of
-    `Measured`."""
-    modes = len(wavefront.noll)
-    there = replace(wavefront, waves=wavefront.waves + by[:modes], f_number=wavefront.f_number * float(np.exp(by[-2])))
+def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, float]:
+    """Of best focus, mm, by channel, where both have one."""
+    if lens is None or other is None:
+        return {}
+    names = [c for c in lens.model.channels if c in other.model.channels]
+    return {c: other.value("best focus", c) - lens.value("best focus", c) for c in names}
+
+
+def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
+    """Waves RMS. Of two twins the nearer counts."""
+    twin = other.waves * twin_signs(other.noll)
+    return min(float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin))
+
+
+def _psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
+    """Summed absolute difference of two PSFs at the same points of the sensor; each sums to 1."""
     spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
-    before, after = (psf_value(w, spacing_um, PSF_SAMPLES) for w in (wavefront, there))
-    return float(np.linalg.norm(by[:modes])), float(np.abs(after - before).sum())
+    one, two = (psf_value(w, spacing_um, PSF_SAMPLES) for w in (wavefront, other))
+    return float(np.abs(two - one).sum())
 
 
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:

@@ -74,5 +74,12 @@ def _as_session(places: Sequence[int], stated: Stated, whole: SessionFits) -> Se
     with_missing = tuple(whole.with_missing[k] for k in places if whole.with_missing)
     members = tuple(range(len(turned)))
     return replace(
-        whole, fits=tuple(turned), lens=lens, members=members, strangers=(), mended=(), with_missing=with_missing
+        whole,
+        fits=tuple(turned),
+        lens=lens,
+        members=members,
+        strangers=(),
+        mended=(),
+        with_missing=with_missing,
+        without_found=None,
     )

@@ -48,8 +48,9 @@ def fit_session(
     Green at both ends of the rail comes first, searched from nothing: far from focus an optimum is plain. One that does not
     show soon is sought again from the other. Of each other colour the clearest range begins with green's modes, and all the
     rest at what these predict. Those that the session finds not to belong are made again from what the others predict.
-    diagnose: whether parts of the camera that the fits call for stay in the model; they are taken out in the end, for optima
-    are sought with what explains the frames. A fit whose process is killed costs no other one. Raises FitError where all are.
+    diagnose: whether parts of the camera that the fits call for stay in the model. They are taken out in the end either way,
+    for optima are sought with what explains the frames: then the session without them only shows what they change. A fit whose
+    process is killed costs no other one. Raises FitError where all are.
     """
     chain = _Chain(tuple(observations), plan, run, progress, target=target, patience_s=patience_s)
     camera = CameraModel(chain)
@@ -63,7 +64,12 @@ def fit_session(
     camera.complete()
     chain.reconcile()
     settled = chain.settled()
-    return camera.with_what_was_tried(settled if diagnose else camera.taken_out(settled))
+    whole, plain = camera.with_what_was_tried(settled), camera.taken_out(settled)
+    progress(chain.made, chain.made, "what the fits make of the lens, and its images of points")
+    if diagnose:
+        return whole if plain is settled else replace(whole, without_found=plain)
+    chain.refuse_none()
+    return camera.with_what_was_tried(plain)
 
 
 @dataclass(kw_only=True)
@@ -157,9 +163,7 @@ class _Chain(FitsUnderWay):
                 self.fits[order[place]] = made
         after = self.joined() if again else before
         mended = tuple(k for k in again if k in after.members)
-        lost = tuple(self.left_out())
-        self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
-        return replace(after, mended=mended, lost=lost)
+        return replace(after, mended=mended, lost=tuple(self.left_out()))
 
     def _task(self, k: int, known: SessionFits) -> Task:
         """From what is known of the lens: its cone, its modes, and where its focus lies."""

@@ -1,8 +1,9 @@
-"""A session fitted with `--plain`, whose camera has a part that its plan says nothing of."""
+"""A session whose camera has a part that its plan says nothing of: fitted with `--plain`, and what the part changes."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +12,53 @@ import pytest
 import labkit
 from benchmarks.random_sessions import draw_with_parts, make
 from benchmarks.sessions import compared
+from labkit.drivers.simulated.world import Truth
+from labkit.types import Floats
+
+
+@pytest.fixture(scope="module")
+def smeared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
+    """By 0.38 pixels, two ranges, and its truth; residuals alone do not show it."""
+    folder = tmp_path_factory.mktemp("smeared") / "session"
+    return folder, make(draw_with_parts(1, 2), folder)
+
+
+@pytest.fixture(scope="module")
+def plain(smeared: tuple[Path, Truth]) -> labkit.Results:
+    return labkit.fit(smeared[0], workers=1, plain=True)
 
 
 @pytest.mark.slow
-def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(tmp_path: Path) -> None:
-    drawn = draw_with_parts(1, 2)  # smeared by 0.38 pixels, two ranges; residuals alone do not show it
-    truth = make(drawn, tmp_path / "session")
-    results = labkit.fit(tmp_path / "session", workers=1, plain=True)
-    assert not results.model_parts
-    assert any("call for smear" in warning and "would move" in warning for warning in results.warnings)
-    assert results.budget["best_focus_mm.G"]["model"] > results.budget["best_focus_mm.G"]["photons"]
-    found = compared(json.loads((tmp_path / "session/results/latest/results.json").read_text()), truth)
+def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
+    smeared: tuple[Path, Truth], plain: labkit.Results
+) -> None:
+    folder, truth = smeared
+    assert not plain.model_parts
+    assert any("call for smear" in warning and "would move" in warning for warning in plain.warnings)
+    assert plain.budget["best_focus_mm.G"]["model"] > plain.budget["best_focus_mm.G"]["photons"]
+    found = compared(json.loads((folder / "results/latest/results.json").read_text()), truth)
     # without the part's share in the errors: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
     assert np.abs(found["z"]["noll.4"]).max() < 2
     others = np.concatenate([z for name, z in found["z"].items() if name.startswith("noll") and name != "noll.4"])
     assert np.sqrt(np.mean(others**2)) < 2.4  # 1.6 measured: the smear is foreseen to first order
+
+
+@pytest.mark.slow
+def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, Truth], plain: labkit.Results) -> None:
+    whole = labkit.fit(smeared[0], workers=1, name="whole")
+    (words,) = [
+        warning for warning in whole.warnings if warning.startswith("the model as the plan states it would move")
+    ]
+    said = [float(number) for number in re.findall(r"by (?:up to |. )(\S+) (?:mm|waves|%)", words)]
+    assert whole.focus is not None
+    assert plain.focus is not None
+    focus = plain.focus.best_focus_mm["G"].value - whole.focus.best_focus_mm["G"].value
+    waves = [np.linalg.norm(a.waves - b.waves) for a, b in zip(plain.wavefronts, whole.wavefronts, strict=True)]
+    psfs = [psf_of(results) for results in (plain, whole)]
+    apart = [np.abs(one - other).sum() for one, other in zip(*psfs, strict=True)]
+    assert said == pytest.approx([focus, max(waves), 100 * max(apart)], rel=0.06)  # of two digits
+
+
+def psf_of(results: labkit.Results) -> list[Floats]:
+    """Of every wavefront, in um of the sensor."""
+    return [w.psf(0.5, 201) for w in results.wavefronts]

@@ -90,6 +90,12 @@ def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it()
     assert [names(local) for local in plain.with_missing if local] == [["smear"]] * 2
     assert [local.task.patience_s for local in plain.fits] == [0.0, 0.0]  # climbed from there, not sought
     assert (whole.missing, whole.with_missing) == ((), (None, None))
+    assert whole.without_found is not None
+    assert [names(local) for local in whole.without_found.fits] == [[], []]
+
+
+def test_a_session_that_calls_for_no_part_is_not_fitted_without_any() -> None:
+    assert session(lambda task, again: 1.0, square=0.5).without_found is None
 
 
 def test_a_part_that_is_called_for_and_gains_too_little_is_named_with_the_fits_that_have_it() -> None:
