@@ -10,7 +10,7 @@ import numpy as np
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.session_results import as_wavefronts
+from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
 from labkit.inference.fit import twin_signs
@@ -111,10 +111,10 @@ def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> li
 
 def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, float]:
     """Of best focus, mm, by channel, where both have one."""
-    if lens is None or other is None:
+    here, there = (None if of is None else as_focus(of) for of in (lens, other))
+    if here is None or there is None:
         return {}
-    names = [c for c in lens.model.channels if c in other.model.channels]
-    return {c: other.value("best focus", c) - lens.value("best focus", c) for c in names}
+    return {c: there[c].value - at.value for c, at in here.best_focus_mm.items() if c in there.best_focus_mm}
 
 
 def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
