@@ -147,7 +147,8 @@ def _diagnosed(results: Line) -> Line:
     """Parts of the camera that were found, and the most that each of the others was seen to gain, in log-likelihood."""
     found = list(dict.fromkeys(name.split(".")[0] for name in results["model_parts"]))
     last = {tried["part"]: tried["gain"] for tried in results["parts_tried"] if not tried["adopted"]}
-    return {"found": found, "gains": {name: gain for name, gain in last.items() if name not in found}}
+    gains = {name: gain for name, gain in last.items() if name not in found}
+    return {"found": found, "gains": gains, "widest_light_nm": results["widest_light_nm"]}
 
 
 def parts_table(lines: Iterable[Line]) -> Iterator[str]:
@@ -169,6 +170,28 @@ def parts_table(lines: Iterable[Line]) -> Iterator[str]:
             f"{name}: found in {found} of the {len(with_it)} that have it, missed in {missed}; in the other "
             f"{len(done) - len(with_it)} it stands in for another blur in {stands_in}, is invented in {len(more) - stands_in}"
         )
+
+
+def light_table(lines: Iterable[Line]) -> Iterator[str]:
+    """What is printed of the light that photographs allow, in the lines whose light is broad."""
+    pairs = [
+        (most, _std(line["parts"]["spectrum"][channel]))
+        for line in lines
+        if line["failed"] is None and "spectrum" in line.get("parts", {})
+        for channel, most in line.get("widest_light_nm", {}).items()
+    ]
+    if pairs:
+        most, true = np.array(pairs).T
+        yield (
+            f"light: no broader than what is allowed in {(true <= most).sum()} of {true.size} channels, standard deviations of "
+            f"{true.min():.0f} to {true.max():.0f} nm; {np.median(most):.0f} nm are allowed in the median"
+        )
+
+
+def _std(lines: Iterable[tuple[float, float]]) -> float:
+    """Of wavelengths and their shares of the light."""
+    nm, shares = np.array([*lines]).T
+    return float(np.sqrt(shares @ (nm - shares @ nm) ** 2))
 
 
 def _add(z: dict[str, list[float]], name: str, estimate: Line | None, true: float) -> None:
@@ -244,7 +267,7 @@ def main() -> None:
         for _, line in run_all(run, jobs, asked.workers):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    print(*table(of_study()), *parts_table(of_study()), sep="\n")
+    print(*table(of_study()), *parts_table(of_study()), *light_table(of_study()), sep="\n")
 
 
 if __name__ == "__main__":

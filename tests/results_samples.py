@@ -101,6 +101,7 @@ def full_results() -> Results:
         joint={"focal_length_mm": 0.1},
         model_parts={"low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px")},
         parts_tried=(PartTried("low_pass_filter", 120.0, adopted=True),),
+        widest_light_nm={"G": 20.0},
     )
 
 

@@ -118,6 +118,8 @@ MEANINGS = {
     "parts_tried[].part": "Its name.",
     "parts_tried[].gain": "Log-likelihood that it would gain, by the likelihood's slope.",
     "parts_tried[].adopted": "Whether it was taken into the model.",
+    "widest_light_nm": "Of channels of unknown spectrum: [how broad](../method/session.md) their light may be.",
+    "widest_light_nm.NAME": "Largest standard deviation that the photographs allow, with 95 % confidence, nm.",
     "warnings": "In words; [troubleshooting](../troubleshooting/index.md) explains them.",
     "unanswered": "What these photographs cannot determine though it was to be estimated, in words; or null.",
 }

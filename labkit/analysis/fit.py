@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
+from labkit.analysis.light_width import widest_light_nm
 from labkit.analysis.local_fits import PATIENCE_S, fit_task
 from labkit.analysis.model_error import with_model_error
 from labkit.analysis.observe import Observation, observe
@@ -161,6 +162,7 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
         budget={} if lens is None else budget(lens),
         model_parts=found,
         parts_tried=fits.tried,
+        widest_light_nm=widest_light_nm(fits, plan),
         warnings=(*noted, *fits.lost, *warnings, *_doubts(wavefronts)),
         unanswered="; ".join([*left_out, *(warnings if wanted and focus is None else ())]) or None,
     )

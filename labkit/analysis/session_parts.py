@@ -14,7 +14,7 @@ from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
 from labkit.inference.fit import twin_signs
-from labkit.optics.metrics import psf_value
+from labkit.optics.metrics import psf_difference
 from labkit.optics.wavefront import FittedWavefront
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
@@ -22,7 +22,6 @@ from labkit.results import Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-PSF_SAMPLES = 129  # along a side, half of lambda N apart
 LOG_SCALE = "veil.log_scale"
 WORDS = {
     "low_pass_filter": "an optical low-pass filter",
@@ -100,7 +99,7 @@ def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> li
     places, others = session.members or range(len(session.fits)), as_wavefronts(plain)
     pairs = [(wavefronts[k].fitted, others[k].fitted) for k in places]
     waves = max(_waves_difference(here, there) for here, there in pairs)
-    psfs = max(_psf_difference(here, there) for here, there in pairs)
+    psfs = max(psf_difference(here, there) for here, there in pairs)
     moved = [f"wavefronts by up to {waves:.2g} waves RMS", f"PSFs by up to {100 * psfs:.2g} % (L1)"]
     if focus := _focus_difference(session.lens, plain.lens):
         moved.insert(0, f"best focus by {', '.join(f'{name} {mm:+.2g} mm' for name, mm in focus.items())}")
@@ -121,13 +120,6 @@ def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> flo
     """Waves RMS. Of two twins the nearer counts."""
     twin = other.waves * twin_signs(other.noll)
     return min(float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin))
-
-
-def _psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
-    """Summed absolute difference of two PSFs at the same points of the sensor; each sums to 1."""
-    spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
-    one, two = (psf_value(w, spacing_um, PSF_SAMPLES) for w in (wavefront, other))
-    return float(np.abs(two - one).sum())
 
 
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:

@@ -65,6 +65,13 @@ def psf_value(wavefront: FittedWavefront, spacing_um: float, size: int | None = 
     return np.asarray(value / value.sum())
 
 
+def psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
+    """Summed absolute difference of two PSFs at the same points of the sensor; each sums to 1."""
+    spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
+    size = 4 * int(HALF_WIDTH_AIRY) + 1
+    return float(np.abs(psf_value(wavefront, spacing_um, size) - psf_value(other, spacing_um, size)).sum())
+
+
 def _psf_at(wavefront: FittedWavefront, spacing_um: float, size: int | None, modes: slice) -> tuple[Floats, Floats]:
     """The PSF on the grid, in any scale, and its derivatives by some modes; pupils are sampled finely enough."""
     airy_um = wavefront.wavelength_um * wavefront.f_number

@@ -71,6 +71,10 @@ class FittedWavefront:
             for share, node in self.spectrum.shares
         ]
 
+    def in_light(self, std_nm: float) -> FittedWavefront:
+        """The same in light of a standard deviation about its wavelength; at most `labkit.optics.spectrum.WIDEST` of it."""
+        return replace(self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2).fixed)
+
     @property
     def radians_per_wave(self) -> float:
         """Phase, at the light's nominal wavelength, of one wave of path at the reference wavelength."""

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from labkit.optics.metrics import psf_difference
+from labkit.optics.strehl import strehl
+from labkit.report.best_focus import BestFocus
 from labkit.report.quantities import estimated, fixed
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results
@@ -30,6 +35,9 @@ NUMBERS = {
 }
 
 
+BOUND = "a bound: no more, with 95 % confidence"
+
+
 def part_table(results: Results) -> Table | None:
     """Each number of the parts that were fitted; None where none was."""
     rows, before = list[Row](), ""
@@ -41,6 +49,28 @@ def part_table(results: Results) -> Table | None:
         before = part
     columns = (Column("part", text=True), Column("", text=True), Column("", text=True), Column("fitted"))
     return Table(columns, tuple(rows), strong=3) if rows else None
+
+
+def light_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
+    """How broad the light of each channel may be, and what that would do to its PSFs; None where the plan states all light."""
+    rows = []
+    for best in focused:
+        nm = results.widest_light_nm.get(best.channel)
+        if nm is None:
+            continue
+        photographed = [w.fitted for w in results.of_channel(best.channel)]
+        most = max(psf_difference(fitted, fitted.in_light(nm)) for fitted in photographed)
+        broad = best.fitted.in_light(nm)
+        apart = [fixed(100 * difference, 1) for difference in (psf_difference(best.fitted, broad), most)]
+        rows.append(Row((best.channel, fixed(nm, 0), estimated(strehl(broad), least=3), *apart)))
+    columns = (
+        Column("channel", text=True),
+        Column("standard deviation", "nm", why=BOUND),
+        Column("Strehl ratio then"),
+        Column("PSF at best focus", "%, L1", why=BOUND),
+        Column("as photographed", "%, L1", why=BOUND),
+    )
+    return Table(columns, tuple(rows), channels=0) if rows else None
 
 
 def missing_words(results: Results) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from labkit.plan import Plan
 from labkit.report.best_focus import BestFocus
-from labkit.report.camera_table import missing_words, part_table, tried_table
+from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
 from labkit.report.curves import Curves
 from labkit.report.fit_tables import fit_table, method_table, residual_table
 from labkit.report.focus_table import depth_table, focus_table
@@ -77,6 +77,7 @@ def _tables(m: Results, curves: Sequence[Curves], photographs: Photographs) -> d
         "difference_table": difference_table(m, focused),
         "lens_table": lens_table(m),
         "part_table": part_table(m),
+        "light_table": light_table(m, focused),
         "tried_table": tried_table(m),
         "budget_table": budget_table(m),
         "photograph_table": photograph_table(photographs),

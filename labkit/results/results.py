@@ -26,8 +26,10 @@ class Results:
     plan: what it was estimated with, plan_sha256 its checksum. lens: None where ranges or defocus are missing. budget: of every
     number that leads the results, its standard error by source, in the number's unit. joint: by how many standard errors each
     number moved in a climb over all frames at once, where there was one. model_parts: what was fitted of the camera, such as
-    ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. unanswered: what these frames
-    cannot determine though it was to be estimated; one of the warnings too. folder: where it is kept.
+    ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. widest_light_nm: the largest
+    standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum.
+    unanswered: what these frames cannot determine though it was to be estimated; one of the warnings too. folder: where it is
+    kept.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -43,6 +45,7 @@ class Results:
     joint: dict[str, float] = field(default_factory=dict)
     model_parts: dict[str, Uncertain] = field(default_factory=dict)
     parts_tried: tuple[PartTried, ...] = ()
+    widest_light_nm: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     unanswered: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))

@@ -115,6 +115,7 @@ def entry(
     joint: Mapping[str, float],
     model_parts: Mapping[str, Uncertain],
     parts_tried: Sequence[PartTried],
+    widest_light_nm: Mapping[str, float],
     warnings: Sequence[str],
     unanswered: str | None,
     created: str,
@@ -136,6 +137,7 @@ def entry(
         "joint": dict(joint),
         "model_parts": {name: number.as_json() for name, number in model_parts.items()},
         "parts_tried": [{"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted} for p in parts_tried],
+        "widest_light_nm": {name: round(nm, 1) for name, nm in widest_light_nm.items()},
         "warnings": list(warnings),
         "unanswered": unanswered,
     }
@@ -279,6 +281,7 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
         "parts_tried": tuple(
             PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"])) for p in entry.get("parts_tried", ())
         ),
+        "widest_light_nm": {str(name): float(nm) for name, nm in entry.get("widest_light_nm", {}).items()},
         "warnings": tuple(str(words) for words in entry["warnings"]),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),

@@ -13,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import labkit
 from labkit.errors import InputError
+from labkit.optics.metrics import psf_value
+from labkit.optics.wavefront import FittedWavefront
 from labkit.report.focus_charts import defocus_chart
 from labkit.report.html import write_report
-from labkit.results.model import PartTried
+from labkit.results.model import PartTried, Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import ACCEPTED, PLAN, a_wavefront, some_results, written
 
@@ -177,6 +180,25 @@ def test_what_was_found_of_the_camera_has_a_section(tmp_path: Path, report: Path
     assert "spectrum standard deviation, G nm 12.0 ± 3.0" in words
     assert "low-pass filter 812.3 taken in veil of stray light 0.0" in words
     assert "The camera" not in Page(report.read_text()).words()
+
+
+def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(tmp_path: Path, words_only: None) -> None:
+    folder = written(tmp_path, widest_light_nm={"R": 20.0}, parts_tried=(PartTried("veil", 0.0, False),))
+    words = Page(write_report(folder).read_text()).words()
+    (shown,) = re.findall(r"R 20 \S+ ± \S+ (\S+) (\S+) Without an error: a a bound", words)
+
+    def difference(wavefront: Wavefront, fitted: FittedWavefront) -> float:
+        """Of three wavelengths whose mean and standard deviation are those, and the mean one."""
+        aside = 2**0.5 * 20.0 / wavefront.wavelength_nm
+        lights = [replace(fitted, wavelength_um=fitted.wavelength_um * node) for node in (1 - aside, 1.0, 1 + aside)]
+        short, mean, long = (
+            psf_value(light, 0.5, 2 * round(64 * fitted.wavelength_um * fitted.f_number) + 1) for light in lights
+        )
+        return 100 * float(np.abs((short + long) / 4 - mean / 2).sum())
+
+    of_red = labkit.Results.load(folder).of_channel("R")
+    assert float(shown[0]) == pytest.approx(difference(of_red[0], of_red[0].at_focus()), rel=0.05)
+    assert float(shown[1]) == pytest.approx(max(difference(w, w.fitted) for w in of_red), rel=0.05)
 
 
 def test_warnings_stand_before_the_figures(report: Path) -> None:

@@ -110,6 +110,7 @@ CASES: dict[str, dict[str, Any]] = {
     "a camera's parts": {
         "model_parts": {"low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"), "veil.share": Uncertain(0.01)},
         "parts_tried": (PartTried("low_pass_filter", 812.3, True), PartTried("veil", 0.0, False)),
+        "widest_light_nm": {"R": 20.0, "B": 17.0},
     },
 }
 

@@ -1,0 +1,35 @@
+"""How broad the light of each channel may be, where the plan does not say: photographs hardly tell, and PSFs hang on it."""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import numpy as np
+
+from labkit.analysis.session_fits import SessionFits
+from labkit.inference.missing_parts import SPECTRUM, Call
+from labkit.optics.spectrum import WIDEST
+from labkit.plan import Plan
+
+ONE_SIDED = 1.645  # standard errors, above which a Gaussian lies 5 times in 100
+
+
+def widest_light_nm(session: SessionFits, plan: Plan) -> dict[str, float]:
+    """By channel, standard deviations of the light that its photographs allow, nm: the largest, with 95 % confidence.
+
+    At most `WIDEST` of the wavelength. Of channels of which the plan states no spectrum, nor the fits have one, by the score
+    tests of all fits that belong to the session.
+    """
+    silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
+    said = dict[str, list[Call]]()
+    for k in session.members or range(len(session.fits)):
+        local = session.fullest(k)
+        if local.channel in silent and SPECTRUM in local.fit.calls:
+            said.setdefault(local.channel, []).append(local.fit.calls[SPECTRUM])
+    return {name: silent[name] * _most(reduce(Call.__add__, calls)) for name, calls in said.items()}
+
+
+def _most(call: Call) -> float:
+    """Relative to the wavelength. No light is less broad than one wavelength is."""
+    (square,), (information,) = call.step, call.information.diagonal()
+    return min(float(np.sqrt(max(square, 0.0) + ONE_SIDED * information**-0.5)), WIDEST)

@@ -1,0 +1,52 @@
+"""How broad the light of a channel may be, from what its fits say of a width that their model lacks. Fits are played."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit.analysis.light_width import widest_light_nm
+from labkit.analysis.session_fits import SessionFits
+from labkit.analysis.wavefronts import fit_session
+from labkit.inference.missing_parts import Call
+from labkit.plan import Plan
+from tests.unit.test_wavefronts import PLAN, TARGET, as_found, observations
+
+STD = 1e-3  # of each of four fits, in relative squares
+
+
+def session(square: float, std: float = STD, channels: str = "G") -> SessionFits:
+    """Four ranges, each of whose fits calls for a relative square of the width."""
+    call = Call(np.array([square / std**2]), np.array([[std**-2]]))
+
+    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        yield from enumerate(replace(as_found(task, True), calls={"spectrum": call}) for task in tasks)
+
+    return fit_session(observations(channels), PLAN, TARGET, run, lambda done, of, what: None)
+
+
+def test_the_bound_is_the_ninety_fifth_percentile_of_all_fits_together() -> None:
+    drawn = 2e-4 + np.random.default_rng(1).normal(size=10**6) * STD / 2  # of four fits
+    bound = widest_light_nm(session(2e-4), PLAN)
+    assert bound == {"G": pytest.approx(550 * np.sqrt(np.percentile(drawn, 95)), rel=2e-3)}
+
+
+def test_light_is_no_narrower_than_one_wavelength() -> None:
+    """Where chance would have it so, the bound is that of one wavelength."""
+    assert widest_light_nm(session(-1e-3), PLAN) == widest_light_nm(session(0.0), PLAN)
+
+
+def test_fits_that_say_nothing_allow_what_can_be_modelled() -> None:
+    assert widest_light_nm(session(0.0, std=1.0), PLAN) == {"G": pytest.approx(0.08 * 550)}
+
+
+def test_of_light_that_the_plan_states_nothing_is_said() -> None:
+    fits = session(2e-4, channels="GR")
+    tables = PLAN.model_dump(mode="json", exclude_none=True)
+    stated = [channel | ({"width_nm": 12.0} if channel["name"] == "G" else {}) for channel in tables["channel"]]
+    assert [*widest_light_nm(fits, PLAN)] == ["G", "R"]
+    assert [*widest_light_nm(fits, Plan.from_tables(tables | {"channel": stated}))] == ["R"]
