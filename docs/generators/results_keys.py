@@ -33,5 +33,5 @@ def _keys(where: str, value: Any) -> Iterator[str]:
             yield from _keys(f"{where.removesuffix('.')}[].", item)
 
 
-NAMED = {"focus.best_focus_mm.", "focus.residual_waves.", "budget.", "joint.", "model_parts."}
+NAMED = {"focus.best_focus_mm.", "focus.residual_waves.", "budget.", "joint.", "model_parts.", "widest_light_nm."}
 """Tables whose keys depend on the session."""
