@@ -22,7 +22,7 @@ def widest_light_nm(session: SessionFits, plan: Plan) -> dict[str, float]:
     """
     silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
     said = dict[str, list[Call]]()
-    for k in session.members or range(len(session.fits)):
+    for k in session.trusted:
         local = session.fullest(k)
         if local.channel in silent and SPECTRUM in local.fit.calls:
             said.setdefault(local.channel, []).append(local.fit.calls[SPECTRUM])

@@ -33,6 +33,11 @@ class SessionFits:
     without_found: SessionFits | None = None
     lost: tuple[str, ...] = ()
 
+    @property
+    def trusted(self) -> tuple[int, ...]:
+        """The members, or all fits where there is no lens to belong to."""
+        return self.members or tuple(range(len(self.fits)))
+
     def fullest(self, k: int) -> LocalFit:
         """Fit k with what its model lacks, where there is one."""
         with_missing = self.with_missing[k] if self.with_missing else None

@@ -96,8 +96,8 @@ def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> li
     plain = session.without_found
     if plain is None or len(plain.fits) != len(session.fits):  # memory was too short for some
         return []
-    places, others = session.members or range(len(session.fits)), as_wavefronts(plain)
-    pairs = [(wavefronts[k].fitted, others[k].fitted) for k in places]
+    others = as_wavefronts(plain)
+    pairs = [(wavefronts[k].fitted, others[k].fitted) for k in session.trusted]
     waves = max(_waves_difference(here, there) for here, there in pairs)
     psfs = max(psf_difference(here, there) for here, there in pairs)
     moved = [f"wavefronts by up to {waves:.2g} waves RMS", f"PSFs by up to {100 * psfs:.2g} % (L1)"]

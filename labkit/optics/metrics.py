@@ -81,9 +81,8 @@ def _psf_at(wavefront: FittedWavefront, spacing_um: float, size: int | None, mod
     if size is not None and (size < 1 or size % 2 == 0):
         raise ValueError(f"size = {size}: an odd number of samples is needed, so that one is the centre")
     apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
-    fine_um = (
-        airy_um / 2 * min(wavefront.spectrum.nodes)
-    )  # in all lights alike: PSFs are shares of light on such samples
+    # in all lights alike: PSFs are shares of light on such samples
+    fine_um = airy_um / 2 * min(wavefront.spectrum.nodes)
     across, at_um = int(np.ceil(apart_um / fine_um)), spacing_um * np.arange(-half, half + 1.0)
     value: Floats = np.zeros((at_um.size, at_um.size))
     slopes: Floats = np.zeros((len(wavefront.noll[modes]), at_um.size, at_um.size))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import astropy.units as u
@@ -11,15 +10,17 @@ import poppy
 import pytest
 from scipy.special import j0, j1
 
-from labkit.optics.encircled_energy import encircled_energy, radius_of_energy
-from labkit.optics.metrics import psf, psf_value
-from labkit.optics.mtf import mtf, mtf50
+from labkit.optics.encircled_energy import encircled_energy
+from labkit.optics.metrics import psf_value
+from labkit.optics.mtf import mtf
 from labkit.optics.psf import diffraction_mtf
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.through_focus import mtf_through_focus, strehl_through_focus
 from labkit.optics.wavefront import FittedWavefront
 from labkit.types import Floats
+from tests.physics import test_metrics
+from tests.physics.test_metrics import Number
 
 NOLL = tuple(range(4, 12))
 MIXED = np.array([0.3, 0.05, -0.04, 0.06, -0.03, 0.02, 0.03, 0.05])
@@ -105,12 +106,8 @@ def test_through_focus_each_point_is_that_of_the_defocus() -> None:
         assert modulation[k] == pytest.approx(float(mtf(there, 120.0, 20.0).value), abs=1e-7)
 
 
-NUMBERS: dict[str, Callable[[FittedWavefront], tuple[Floats | float, Floats | float]]] = {
-    "psf": lambda w: (lambda p: (p.value, p.std))(psf(w, 0.9, 15)),
-    "mtf": lambda w: (lambda c: (c.value, c.std))(mtf(w, [20.0, 80.0, 200.0, 400.0], 20.0)),
-    "mtf50": lambda w: (lambda n: (n.value, n.std))(mtf50(w, "y")),
-    "strehl": lambda w: (lambda n: (n.value, n.std))(strehl(w)),
-    "radius_of_energy": lambda w: (lambda n: (n.value, n.std))(radius_of_energy(w, 0.7)),
+OF_ALL_LIGHT = ("psf", "mtf", "mtf50", "strehl", "radius_of_energy")
+NUMBERS: dict[str, Number] = {name: test_metrics.NUMBERS[name] for name in OF_ALL_LIGHT} | {
     "mtf_through_focus": lambda w: (lambda c: (c.value, c.std))(mtf_through_focus(w, 80.0, "x", np.array([0.0, 0.2]))),
     "strehl_through_focus": lambda w: (lambda c: (c.value, c.std))(strehl_through_focus(w, np.array([0.0, 0.1]))),
 }
@@ -118,8 +115,4 @@ NUMBERS: dict[str, Callable[[FittedWavefront], tuple[Floats | float, Floats | fl
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_standard_errors_are_slopes_times_the_errors_of_the_modes(name: str) -> None:
-    number, way, step = NUMBERS[name], np.random.default_rng(7).normal(size=8), 1e-4
-    std = np.asarray(number(fitted(MIXED, np.outer(way, way) * 1e-10))[1])
-    ends = [np.asarray(number(fitted(MIXED + sign * step * way))[0]) for sign in (1, -1)]
-    slope = np.abs(ends[0] - ends[1]) / (2 * step)
-    np.testing.assert_allclose(std / 1e-5, slope, rtol=2e-3, atol=2e-3 * slope.max())
+    test_metrics.assert_errors_are_slopes(NUMBERS[name], fitted, MIXED)

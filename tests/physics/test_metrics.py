@@ -210,7 +210,9 @@ def test_modes_in_pairs_have_the_angle_of_their_greatest_path_difference() -> No
         assert directed.magnitude.value == pytest.approx(np.sqrt(np.mean(path**2) * 2 / (2 * (n + 1 if n > 1 else 4))))
 
 
-NUMBERS: dict[str, Callable[[FittedWavefront], tuple[Floats | float, Floats | float]]] = {
+Number = Callable[[FittedWavefront], tuple[Floats | float, Floats | float]]
+
+NUMBERS: dict[str, Number] = {
     "psf": lambda w: (lambda p: (p.value, p.std))(psf(w, 0.9, 15)),
     "mtf": lambda w: (lambda c: (c.value, c.std))(mtf(w, [20.0, 80.0, 200.0, 400.0], 20.0)),
     "mtf50": lambda w: (lambda n: (n.value, n.std))(mtf50(w, "y")),
@@ -227,9 +229,14 @@ NUMBERS: dict[str, Callable[[FittedWavefront], tuple[Floats | float, Floats | fl
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_standard_errors_are_slopes_times_the_errors_of_the_modes(name: str) -> None:
-    number, way, step = NUMBERS[name], np.random.default_rng(7).normal(size=12), 1e-4
-    std = np.asarray(number(fitted(MIXED, np.outer(way, way) * 1e-10))[1])
-    ends = [np.asarray(number(fitted(MIXED + sign * step * way))[0]) for sign in (1, -1)]
+    assert_errors_are_slopes(NUMBERS[name], fitted, MIXED)
+
+
+def assert_errors_are_slopes(number: Number, fitted: Callable[..., FittedWavefront], waves: Floats) -> None:
+    """Of modes that err together, along one way. fitted: of waves and a covariance."""
+    way, step = np.random.default_rng(7).normal(size=waves.size), 1e-4
+    std = np.asarray(number(fitted(waves, np.outer(way, way) * 1e-10))[1])
+    ends = [np.asarray(number(fitted(waves + sign * step * way))[0]) for sign in (1, -1)]
     slope = np.abs(ends[0] - ends[1]) / (2 * step)
     # the differences err by the third derivative; small slopes beside the largest are not compared digit by digit
     np.testing.assert_allclose(std / 1e-5, slope, rtol=2e-3, atol=2e-3 * slope.max())
