@@ -40,6 +40,9 @@ PING_S = 5.0
 MOST_BYTES = 2048
 """Of a message from a page, and (eight times as many) of a request's head."""
 
+MOST_READ = 32 * MOST_BYTES
+"""Of a message that is refused: past this, uvicorn drops the connection before a page can have read why."""
+
 MOST_MONITORS = 32
 AT_MOST_EVERY_S, AT_LEAST_EVERY_S = 0.2, 2.0
 """How often the operator's page gets what is new, and any page a sign that the server is there."""
@@ -50,6 +53,8 @@ TYPES = {
     ".js": "text/javascript; charset=utf-8",
 }
 GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
+TOO_LONG = 1009
+"""RFC 6455, section 7.4.1."""
 
 
 class Press(BaseModel):
@@ -96,7 +101,7 @@ class WebServer:
                 loop="asyncio",
                 http=Connection,
                 ws="websockets-sansio",
-                ws_max_size=MOST_BYTES,
+                ws_max_size=MOST_READ,
                 ws_ping_interval=PING_S,
                 ws_ping_timeout=PONG_S,
                 ws_per_message_deflate=False,
@@ -290,8 +295,9 @@ async def _converse(
 
 async def _listen_to(socket: WebSocket, hear: Callable[[str], None]) -> None:
     try:
-        while True:
-            hear(await socket.receive_text())
+        while len(text := await socket.receive_text()) <= MOST_BYTES:
+            hear(text)
+        await _within(socket.close(TOO_LONG))
     except (ValidationError, KeyError):
         await _within(socket.close(NOT_UNDERSTOOD))
     except (WebSocketDisconnect, TimeoutError, RuntimeError):

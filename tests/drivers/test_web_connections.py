@@ -47,6 +47,18 @@ def test_a_message_that_is_none_ends_its_connection(
     assert ask(lab, f"/{lab.server.token}/screen")[0] == 200
 
 
+@pytest.mark.parametrize("size", [web_server.MOST_BYTES + 1, web_server.MOST_READ])
+def test_a_page_hears_that_its_message_was_too_long(size: int, lab: Lab, display: WebDisplay) -> None:
+    with page(lab) as wire:
+        wire.socket.sendall(struct.pack("!BBQL", 0x81, 0xFF, size, 0))  # RFC 6455: text, its length, masked by zeros
+        time.sleep(0.1)  # the server knows the length before the text has come
+        wire.socket.sendall(b"x" * size)
+        with pytest.raises(ConnectionClosed) as caught:
+            collections.deque((wire.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == web_server.TOO_LONG
+
+
 def test_a_button_that_is_none_does_nothing(lab: Lab, display: WebDisplay) -> None:
     with page(lab, "monitor") as wire:
         wire.send('{"do": "rm -rf /"}')

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labkit.devices.panel_image import panel_picture
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.drivers.web.display import WebDisplay
-from labkit.drivers.web.server import NOT_UNDERSTOOD
+from labkit.drivers.web.server import NOT_UNDERSTOOD, TOO_LONG
 from labkit.errors import DisplayError
 from labkit.plan import TargetSpec
 from labkit.target import open_target
@@ -215,11 +215,10 @@ def test_a_message_of_the_wrong_kind_ends_the_connection_not_the_display(
     display.show("white")
     tab.cdp.send("Emulation.setCPUThrottlingRate", {"rate": slower})
     messages = ("{}", "[1", "x" * 5000, '{"page": "<script>"}')
-    # not understood; and "message too big" of RFC 6455
     assert [tab.page.evaluate(SEND, text) for text in messages] == [
         NOT_UNDERSTOOD,
         NOT_UNDERSTOOD,
-        1009,
+        TOO_LONG,
         NOT_UNDERSTOOD,
     ]
     tab.cdp.send("Emulation.setCPUThrottlingRate", {"rate": 1})
