@@ -145,15 +145,8 @@ class CameraModel:
         ]
         if climb:
             tasks = [replace(task, patience_s=0.0, asked=False) for task in tasks]
-        before = [self.fits[k].fit for k in places]
         for index, fit in self.under_way.done(tasks, "fitting with other parts of the camera"):
-            old = before[index]
-            without = old.left if old.left_without is None else old.left_without
-            found = (
-                fit.optics.shape_labels != optics_of(self.under_way.plan, tasks[index].observation.channel).shape_labels
-            )
-            fit = replace(canonical(fit), left_without=without if found else None)
-            self.fits[places[index]] = LocalFit(tasks[index], fit)
+            self.fits[places[index]] = LocalFit(tasks[index], canonical(fit))
 
     def taken_out(self, session: SessionFits) -> SessionFits:
         """The session with no part that its plan does not state, each fit climbed from where it is right.

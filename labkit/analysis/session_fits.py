@@ -38,6 +38,11 @@ class SessionFits:
         """The members, or all fits where there is no lens to belong to."""
         return self.members or tuple(range(len(self.fits)))
 
+    def unaided(self, k: int) -> LocalFit | None:
+        """Fit k without the parts that were found; None where none was, or memory was too short for some."""
+        plain = self.without_found
+        return None if plain is None or len(plain.fits) != len(self.fits) else plain.fits[k]
+
     def fullest(self, k: int) -> LocalFit:
         """Fit k with what its model lacks, where there is one."""
         with_missing = self.with_missing[k] if self.with_missing else None

@@ -94,7 +94,7 @@ def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> li
     wavefronts: of all its fits.
     """
     plain = session.without_found
-    if plain is None or len(plain.fits) != len(session.fits):  # memory was too short for some
+    if plain is None or session.unaided(0) is None:
         return []
     others = as_wavefronts(plain)
     pairs = [(wavefronts[k].fitted, others[k].fitted) for k in session.trusted]

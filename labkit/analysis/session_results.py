@@ -26,7 +26,7 @@ FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     """Of every fit. Those that belong to a lens are as the whole session has them."""
-    wavefronts = [_leaning(local, session.fullest(k)) for k, local in enumerate(session.fits)]
+    wavefronts = [_leaning(session, k) for k in range(len(session.fits))]
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
@@ -35,9 +35,10 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
 
-def _leaning(local: LocalFit, fullest: LocalFit) -> Wavefront:
-    """A local fit as results keep it, with errors that hold what a missing part may move it by."""
-    w = as_wavefront(local)
+def _leaning(session: SessionFits, k: int) -> Wavefront:
+    """Fit k as results keep it, with errors that hold what a missing part may move it by."""
+    local, fullest = session.fits[k], session.fullest(k)
+    w = as_wavefront(local, session.unaided(k))
     if local is fullest:
         return w
     modes, cone = shift(local.fit, fullest.fit)
@@ -209,8 +210,8 @@ def _defocus_residuals(lens: LensFit) -> list[float]:
     return rest
 
 
-def as_wavefront(local: LocalFit) -> Wavefront:
-    """A local fit as results keep it."""
+def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
+    """A local fit as results keep it. unaided: the same without the parts that were found, if any were."""
     optics, observation, fit = local.fit.optics, local.task.observation, local.fit
     poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in fit.state.poses]
     verdict = fit.verdict
@@ -240,7 +241,7 @@ def as_wavefront(local: LocalFit) -> Wavefront:
             bool(verdict.accepted),
         ),
         residual_spectrum=ResidualSpectrum(
-            residual_frequencies(observation.frames), fit.left, fit.left_without if fit.measured.parts else None
+            residual_frequencies(observation.frames), fit.left, None if unaided is None else unaided.fit.left
         ),
         seconds=fit.seconds,
         frames=observation.names,

@@ -39,12 +39,12 @@ def stated_parts(plan: Plan) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
 def stated_spectrum(channel: Channel) -> Spectrum:
     """Of samples, of a width that is known, of one to be fitted, or of one wavelength."""
     if channel.spectrum is not None:
-        return Spectrum.of_samples(*channel.samples, channel.wavelength_nm)
+        return replace(Spectrum.of_samples(*channel.samples, channel.wavelength_nm), stated=True)
     if channel.width_nm is None:
         return Spectrum()
     if isinstance(channel.width_nm, str):
         return Spectrum.of_width(0.0)
-    return Spectrum.of_width((channel.width_nm / channel.wavelength_nm) ** 2).fixed
+    return replace(Spectrum.of_width((channel.width_nm / channel.wavelength_nm) ** 2).fixed, stated=True)
 
 
 def wanted_parts(plan: Plan) -> list[str]:

@@ -40,9 +40,8 @@ class WavefrontFit:
     measured: what the frames alone say, poor: with the errors of a model that does not explain them; state: all parameters;
     starts: made in the search; others: optima met on the way, the likeliest first; relative: images (pixels,) of the used
     pixels of each frame; seconds: it took; cut_short: whether its time was up before an optimum was accepted. settled:
-    whether many starts came back to it. left: of the data, by frequency (`residual_spectrum`); left_without: before missing
-    parts of the camera were taken in, if any were. calls: what the frames say of parts that the model lacks, by name, if that
-    was wanted.
+    whether many starts came back to it. left: of the data, by frequency (`residual_spectrum`). calls: what the frames say of
+    parts that the model lacks, by name, if that was wanted.
     """
 
     noll: tuple[int, ...]
@@ -61,7 +60,6 @@ class WavefrontFit:
     cut_short: bool = False
     settled: bool = False
     left: Floats = field(default_factory=lambda: np.empty(0))
-    left_without: Floats | None = None
     calls: Mapping[str, Call] = field(default_factory=dict)
 
     @property
@@ -166,7 +164,6 @@ def _as_fit(problem: Problem, record: Record) -> WavefrontFit:
         tuple(record.best.relative),
         settled=record.settled,
         left=residual_spectrum(problem.frames, record.best.relative, solution.state.detectors()),
-        left_without=record.best.without,
     )
 
 

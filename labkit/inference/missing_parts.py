@@ -64,7 +64,7 @@ def lacking(optics: Optics) -> list[str]:
     """Parts that optics do not have, nor a plan gives."""
     have = {part.name for part in (*optics.parts, *optics.given)}
     names = [name for name in KNOWN if name not in have]
-    return [*names, SPECTRUM] if optics.spectrum == Spectrum() else names
+    return [*names, SPECTRUM] if optics.spectrum == Spectrum() and not optics.spectrum.stated else names
 
 
 def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, Call]:

@@ -17,7 +17,6 @@ from labkit.inference.fisher_scoring import Problem, Solution, Start, State, max
 from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.missing_parts import calls
 from labkit.inference.phase_retrieval import PhaseRetrieval, Retrieved
-from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.sketch import Sketches, sweep
 from labkit.types import Floats
 
@@ -38,12 +37,10 @@ SAME_OPTIMUM = 0.5  # log-likelihoods that differ by less, which is one standard
 
 @dataclass(frozen=True)
 class Outcome:
-    """A maximum of the whole likelihood with its cone freed, judged. without: what was left of the data (`residual_spectrum`)
-    before missing parts were taken in, if any were."""
+    """A maximum of the whole likelihood with its cone freed, judged."""
 
     freed: Freed
     verdict: Verdict
-    without: Floats | None = None
 
     @property
     def relative(self) -> Sequence[Floats]:
@@ -251,10 +248,7 @@ class Search:
         problem = replace(self.whole, model=model.shaped(replace(model.optics, parts=(*have, *missing))))
         outcome = self._freed(problem, state)
         gained = outcome.freed.solution.objective - plain.freed.solution.objective
-        if gained < CALLED_FOR or not outcome.verdict.accepted:
-            return plain
-        left = residual_spectrum(self.whole.frames, plain.relative, plain.freed.solution.state.detectors())
-        return replace(outcome, without=left)
+        return plain if gained < CALLED_FOR or not outcome.verdict.accepted else outcome
 
 
 def _as_predicted(best: Outcome, state: State) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
@@ -26,12 +26,14 @@ class Spectrum:
     """Relative wavelengths (n,), 1 the channel's nominal one, and their shares (n,) of the light, which sum to 1.
 
     variance: relative, where the spectrum is known by its width alone and that may be estimated; it may be below 0 on the way,
-    where it sharpens as much as the positive one blurs. None where samples were given.
+    where it sharpens as much as the positive one blurs. None where samples were given. stated: whether a plan states it: then
+    photographs are not asked for another.
     """
 
     nodes: tuple[float, ...] = (1.0,)
     weights: tuple[float, ...] = (1.0,)
     variance: float | None = None
+    stated: bool = field(default=False, compare=False)
 
     @classmethod
     def of_samples(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], nominal_nm: float) -> Spectrum:

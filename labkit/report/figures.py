@@ -195,7 +195,7 @@ def _camera(results: Results) -> Iterator[Plate]:
     caption = (
         "What the model leaves of the data, over the noise, by spatial frequency in the raw's pixels; each line is the mean "
         "of a channel's fits. Noise alone leaves 1."
-    ) + (" Dashed: of the fits that were made before those parts were in the model." if before else "")
+    ) + (" Dashed: of the model as the plan states it." if before else "")
     yield Plate((drawing("residual_spectrum", spectrum_chart(results), alt),), caption)
 
 

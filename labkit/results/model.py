@@ -63,7 +63,7 @@ class ResidualSpectrum:
     """What is left of the data, by spatial frequency, a mean over all directions.
 
     cycles_per_px: (n,) of the raw's pixels; power: (n,) over the noise's, 1 where noise alone is left; without_parts: (n,) the
-    same before parts of the camera were taken into the model, None where none were.
+    same without the parts of the camera that were found, None where none were.
     """
 
     cycles_per_px: Floats

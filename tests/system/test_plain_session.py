@@ -57,6 +57,10 @@ def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, 
     psfs = [psf_of(results) for results in (plain, whole)]
     apart = [np.abs(one - other).sum() for one, other in zip(*psfs, strict=True)]
     assert said == pytest.approx([focus, max(waves), 100 * max(apart)], rel=0.06)  # of two digits
+    for one, other in zip(plain.wavefronts, whole.wavefronts, strict=True):
+        assert one.residual_spectrum is not None
+        assert other.residual_spectrum is not None
+        assert other.residual_spectrum.without_parts == pytest.approx(one.residual_spectrum.power, rel=1e-3)
 
 
 def psf_of(results: labkit.Results) -> list[Floats]:

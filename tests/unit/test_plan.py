@@ -9,7 +9,8 @@ from labkit.analysis.local_fits import optics_of
 from labkit.errors import PlanError
 from labkit.imaging.parts import Diffusion, Smear, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
-from labkit.optics.spectrum import WIDEST
+from labkit.inference.missing_parts import SPECTRUM, lacking
+from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
@@ -167,6 +168,15 @@ def test_a_width_stands_for_a_spectrum() -> None:
     assert "allowed is up to 8% of the wavelength, 44 nm" in refusal("= 550.0", "= 550.0\nwidth_nm = 60")
     assert "allowed is one of them" in refusal("= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]")
     assert WIDEST_LIGHT == WIDEST  # of a plan and of a fit
+
+
+@pytest.mark.parametrize("stated", ["width_nm = 0", "spectrum = [[550, 1]]"])
+def test_one_wavelength_may_be_stated(stated: str) -> None:
+    plan = Plan.parse(LEAST.replace("= 550.0", f"= 550.0\n{stated}"))
+    optics = optics_of(plan, "G")
+    assert optics.spectrum == Spectrum()
+    assert SPECTRUM not in lacking(optics)  # photographs are not asked for another
+    assert SPECTRUM in lacking(optics_of(Plan.parse(LEAST), "G"))
 
 
 def test_a_channels_own_problem_is_the_only_one_named() -> None:
