@@ -15,13 +15,18 @@ from labkit.cli import run
 from tests.golden.measure import import_and_fit, resampled
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
-NAMES = {"golden_open": "open", "golden_engraved": "engraved-open", "golden_dslr": "dslr-open"}
+NAMES = {"golden_dslr": "dslr-open", "golden_engraved": "engraved-open", "golden_open": "open"}
 
 pytestmark = [
     pytest.mark.skipif(not GOLDEN.is_dir(), reason="the sessions with a known truth lie beside the project, not in it"),
     pytest.mark.slow,
     pytest.mark.timeout(1800),  # 100 to 200 s alone on two cores
 ]
+
+
+def of(*claims: str) -> pytest.MarkDecorator:
+    """Sessions that a test is about, where it is not about all."""
+    return pytest.mark.parametrize("golden", claims, indirect=True, scope="module")
 
 
 @dataclass(frozen=True)
@@ -76,9 +81,8 @@ def test_point_spread_functions_are_right(golden: Golden) -> None:
     assert max(errors.values()) < limit(golden.claim, "psf_l1")
 
 
+@of("golden_dslr")
 def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(golden: Golden, tmp_path: Path) -> None:
-    if golden.claim != "golden_dslr":
-        return
     session, plan = golden.folder.parents[1], tmp_path / "plan.toml"
     stated = "wavelength_nm = 540.0\nwidth_nm = 20"  # truly five wavelengths from 512 to 574 nm
     plan.write_text((session / "plan.toml").read_text().replace("wavelength_nm = 540.0", stated))
@@ -96,11 +100,9 @@ def test_best_focus_and_magnification_are_right(golden: Golden) -> None:
     assert abs(magnification["value"] - golden.truth["mp"]) < magnification["std"]
 
 
+@of("golden_dslr", "golden_engraved")
 def test_the_lens_is_right_though_engraved_otherwise(golden: Golden) -> None:
     lens = golden.measured["lens"]
-    if golden.claim == "golden_open":
-        assert any("do not follow from one lens" in words for words in golden.measured["warnings"])
-        return
     true = golden.truth["f_number"]
     assert lens["f_number"]["value"] == pytest.approx(true, rel=limit(golden.claim, "f_number_relative"))
     assert abs(lens["focal_length_mm"]["value"] - golden.truth["focal_length_mm"]) < limit(
@@ -109,20 +111,27 @@ def test_the_lens_is_right_though_engraved_otherwise(golden: Golden) -> None:
     assert abs(lens["range_zero_mm"]["value"]) < lens["range_zero_mm"]["std"]
 
 
-def test_the_camera_is_found_and_none_is_invented(golden: Golden) -> None:
+@of("golden_open")
+def test_cones_that_do_not_follow_from_one_lens_are_told(golden: Golden) -> None:
+    assert any("do not follow from one lens" in words for words in golden.measured["warnings"])
+
+
+@of("golden_engraved", "golden_open")
+def test_no_part_of_the_camera_is_invented(golden: Golden) -> None:
+    assert golden.measured["model_parts"] == {}
+
+
+@of("golden_dslr")
+def test_the_camera_is_found(golden: Golden) -> None:
     found = golden.measured["model_parts"]
-    if golden.claim != "golden_dslr":
-        assert found == {}
-        return
     assert [*found] == [f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")]
     for number in found.values():
         error = number["value"] - golden.truth["model_parts"]["low_pass_filter.spread_px"]
         assert abs(error) < limit(golden.claim, "spread_px")
 
 
+@of("golden_dslr")  # without parts: tests/system/test_golden_small.py
 def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(golden: Golden) -> None:
-    if golden.claim != "golden_dslr":  # without parts: tests/system/test_golden_small.py
-        return
     session = golden.folder.parents[1]
     assert run(["fit", str(session), "--joint", "--name", "joint", "--quiet"]) == 0
     joint = json.loads((session / "results/joint/results.json").read_text())["joint"]
