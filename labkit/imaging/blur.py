@@ -58,6 +58,7 @@ class Blur:
                 f"the torus's sides, {torus.fine} samples of {torus.spacing_um:g} um, are no multiples of the PSF's spacing, "
                 f"{pupil.spacing_um:g} um"
             )
+        pupil.check_sampling(min(self.spectrum.nodes))
         pixel = np.sinc(torus.row_frequency * self.active_um), np.sinc(torus.column_frequency * self.active_um)
         shift = torus.shift(pupil.size // 2 * pupil.spacing_um)
         parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts) if any(part.values)]

@@ -192,7 +192,7 @@ class ForwardModel:
     def shaped(self, optics: Optics) -> "ForwardModel":
         """The same of another `Optics.shape`; drawings serve both unless an `Aperture` is a part of it.
 
-        Raises ValueError for a cone wider than spared.
+        Raises ValueError for a cone wider than spared, in any of the light.
         """
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.spectrum, parts=optics.parts)

@@ -52,11 +52,7 @@ class Pupil:
         for name in ("wavelength_um", "reference_um"):
             positive(name, getattr(self, name), "um")
         positive("f_number", self.f_number, "unitless")
-        nyquist_um = self.wavelength_um * self.f_number / 2
-        if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
-            raise ValueError(
-                f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
-            )
+        self.check_sampling()
         half = int(np.ceil(self.radius)) + REACH
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
@@ -66,6 +62,14 @@ class Pupil:
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
         object.__setattr__(self, "amplitude", smooth_disc(offsets, self.radius))
         object.__setattr__(self, "modes", np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape))
+
+    def check_sampling(self, stretch: float = 1.0) -> None:
+        """Raises ValueError where the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
+        nyquist_um = stretch * self.wavelength_um * self.f_number / 2
+        if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
+            raise ValueError(
+                f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
+            )
 
     @property
     def radius(self) -> float:

@@ -13,6 +13,7 @@ from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, expand, free_cone, reshaped
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
 from labkit.inference.likelihood import FrameData
+from labkit.optics.spectrum import Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats
 
@@ -62,6 +63,21 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
     # the same optimum from either cone, but for what they are told of it beforehand
     both = np.array([freed.measured.values, right.measured.values])
     assert np.abs(np.diff(both[:, :-1], axis=0) / np.sqrt(np.diag(right.measured.covariance))[:-1]).max() < 0.18
+
+
+@pytest.mark.parametrize("light", [Spectrum(), Spectrum.of_width(0.04**2).fixed])
+def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> None:
+    """In the shortest of its light, whose PSFs are the finest, too."""
+    broad = replace(OPTICS, spectrum=light)
+    model = ForwardModel.build(broad, CARPET, FRAME, POSE, spare=SPARE)
+    spared = model.blur.pupil.spacing_um / (
+        0.5 * OPTICS.airy_um * min(light.nodes)
+    )  # the least cone that its grid is for
+    for cone, same in ((1.001 * spared, True), (0.999 * spared, False)):
+        other = reshaped(model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH)
+        assert (other.blur.torus == model.blur.torus) == same
+        slopes = [*other.blur.psf_slopes(TRUTH.waves)]
+        assert np.isfinite(slopes).all()
 
 
 def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:
