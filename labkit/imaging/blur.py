@@ -13,7 +13,7 @@ from labkit.imaging.halo import perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
-from labkit.optics.spectrum import Spectrum
+from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats, Floats32
 
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
@@ -152,9 +152,13 @@ class Blur:
             raise ValueError("the spectrum is given: it has no width to be estimated")
         here, shares = self.spectrum.variance, defaultdict[float, float](float)
         step = max(WIDTH_STEP * abs(here), LEAST_STEP)
-        for change in (step, -step):
-            for share, node in Spectrum.of_width(here + change).shares:
-                shares[node] += share / (2 * change)
+        above, below = (
+            min(here + step, WIDEST**2),
+            max(here - step, -(WIDEST**2)),
+        )  # one-sided where it can grow no more
+        for sign, variance in ((1, above), (-1, below)):
+            for share, node in Spectrum.of_width(variance).shares:
+                shares[node] += sign * share / (above - below)
         departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
         for node, share in shares.items():

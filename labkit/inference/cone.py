@@ -165,6 +165,16 @@ class Expansion:
         """Those after a step (p,)."""
         return self.optics.shaped(self.optics.shape + step[self.shape])
 
+    def within(self, step: Floats, covariance: Floats) -> Floats:
+        """A step (p,), or where it leads beyond what the camera's numbers may be: to there, all else as likely as it can be.
+
+        covariance: (p, p) at the optimum.
+        """
+        beyond = self.optics_after(step).shape - (self.optics.shape + step[self.shape])
+        at = self.shape.start + np.flatnonzero(np.abs(beyond) > EXACT * self.optics.usual_shape)
+        held = np.linalg.solve(covariance[np.ix_(at, at)], beyond[at - self.shape.start])
+        return step + covariance[:, at] @ held
+
     def foreseen(self, step: Floats) -> list[Floats]:
         """Relative images (pixels,) of the frames after a short step (p,)."""
         return self.problem.foreseen(self.state, step, self.evaluations)
@@ -192,7 +202,7 @@ class Expansion:
         """The Gaussian of modes, shape and scale."""
         step, covariance = self.newton(self.optics.usual_shape**-2)
         pulled = self.picked @ covariance
-        values = self.here + self.picked @ step
+        values = self.here + self.picked @ self.within(step, covariance)
         at = self.shape.stop + np.arange(POSE_SIZE)
         return Measured(
             self.optics.noll,
@@ -236,6 +246,7 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
             problem, start = _stepped(problem, best, taken)
             continue
         step, covariance = expansion.newton(precision, (given - expansion.optics.shape) * precision)
+        step = expansion.within(step, covariance)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
         near, cone = length < SETTLED_LENGTH, expansion.shape.stop - 1
         close = abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))

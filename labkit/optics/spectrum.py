@@ -58,8 +58,9 @@ class Spectrum:
 
     @classmethod
     def of_width(cls, variance: float) -> Spectrum:
-        """Symmetric about the nominal wavelength. variance: relative to its square, at most WIDEST^2 either way."""
-        offset = float(np.sqrt(KURTOSIS * min(abs(variance), WIDEST**2)))
+        """Symmetric about the nominal wavelength. variance: relative to its square; WIDEST^2 either way stands for more."""
+        variance = min(max(variance, -(WIDEST**2)), WIDEST**2)
+        offset = float(np.sqrt(KURTOSIS * abs(variance)))
         if not offset:
             return cls(variance=0.0)
         side = float(np.sign(variance)) / (2 * KURTOSIS)

@@ -143,6 +143,13 @@ def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
     assert mean.max() > 0.03
 
 
+def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before() -> None:
+    torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
+    blur = Blur(torus, Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), 5.0)
+    before, there = (replace(blur, spectrum=Spectrum.of_width(share * WIDEST**2)).by_width(waves) for share in (0.9, 2))
+    assert np.linalg.norm(there - before) < 0.06 * np.linalg.norm(before)  # 0.03
+
+
 @pytest.mark.parametrize("variance", [None, 0.03**2, 0.01**2, 0.0])
 def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None) -> None:
     light = Spectrum() if variance is None else Spectrum.of_width(variance)

@@ -9,11 +9,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, expand, free_cone, reshaped
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
 from labkit.inference.likelihood import FrameData
-from labkit.optics.spectrum import Spectrum
+from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats
 
@@ -78,6 +79,17 @@ def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> N
         assert (other.blur.torus == model.blur.torus) == same
         slopes = [*other.blur.psf_slopes(TRUTH.waves)]
         assert np.isfinite(slopes).all()
+
+
+def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(model: ForwardModel) -> None:
+    """No light is as broad as would blur like this filter."""
+    filtered = ForwardModel.build(replace(OPTICS, given=(LowPass(0.8, 0.8),)), CARPET, FRAME, POSE, spare=SPARE)
+    broad = reshaped(model, replace(OPTICS, spectrum=Spectrum.of_width(0.0)), TRUTH)
+    freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
+    assert freed.solution.converged
+    assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more
+    assert freed.optics.spectrum.variance == pytest.approx(WIDEST**2)
+    assert freed.measured.values[3] == pytest.approx(WIDEST**2)
 
 
 def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:
