@@ -238,7 +238,8 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 else "the optimum may be a wrong one, or the model lacks something"
             )
             why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors include that"
-            doubts.append(f"{where}: what is left of the data is not noise alone (p = {w.test.p_value:.1g}); {why}")
+            left = f"(p = {w.test.p_value:.1g}, χ² per pixel {w.chi2_per_pixel:.2f})"
+            doubts.append(f"{where}: what is left of the data is not noise alone {left}; {why}")
         if not low <= w.chi2_per_pixel <= high:
             doubts.append(
                 f"{where}: χ² per pixel is {w.chi2_per_pixel:.2f}, expected is {USUAL_CHI2[0]:g} to {USUAL_CHI2[1]:g}"
