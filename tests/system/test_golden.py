@@ -138,6 +138,16 @@ def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(g
     assert max(joint.values()) < 0.1  # standard errors: 0.05 measured; 0.7 by fits expanded where each ended
 
 
+def test_a_model_that_does_not_explain_the_frames_is_told_with_its_misfit(golden: Golden) -> None:
+    """Near focus they hold the simulator's own drawing: `python -m tests.golden.drawing`."""
+    told = [words for words in golden.measured["warnings"] if "what is left of the data is not noise alone" in words]
+    poor = [fit for fit in golden.measured["wavefronts"] if not fit["model"]["accepted"]]
+    assert len(told) == len(poor)
+    for words, fit in zip(told, poor, strict=True):
+        assert words.startswith(f"{fit['channel']} at {fit['range_mm']:g} mm: ")
+        assert f"χ² per pixel {fit['chi2_per_pixel']:.2f})" in words
+
+
 def test_noise_is_right(golden: Golden) -> None:
     for fit in golden.measured["wavefronts"]:
         assert abs(fit["chi2_per_pixel"] - 1) < limit(golden.claim, "chi2")
