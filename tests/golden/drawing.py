@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from .simulate import carpet
+
 Floats = npt.NDArray[np.float64]
 
 MARGIN = 16  # pixels about the frame
@@ -24,18 +26,9 @@ PLANES = {"R": ((0, 0),), "G": ((0, 1), (1, 0)), "B": ((1, 1),)}
 """First row and column of a colour's Bayer planes."""
 
 
-def carpet(u: Floats, v: Floats, order: int) -> npt.NDArray[np.bool_]:
-    """Where Sierpinski's carpet lets light through; u, v: across and down, 0 to 1 on it."""
-    light, inside = np.zeros(u.shape, bool), (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
-    across, down = (np.floor(x * 3**order).astype(np.int64) for x in (u, v))
-    for _ in range(order):
-        light |= (across % 3 == 1) & (down % 3 == 1)
-        across, down = across // 3, down // 3
-    return light & inside
-
-
 def drawn(corners: Floats, side: int, points: int, order: int) -> Floats:
     """The carpet over the frame and a margin, SAMPLES a pixel. corners: (4, 2) rows and columns, clockwise."""
+    cells = np.pad(carpet(order), 1)  # dark around
     unit, laws = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float), list[list[float]]()
     for (x, y), (down, right) in zip(unit, corners, strict=True):
         laws += [[x, y, 1, 0, 0, 0, -x * right, -y * right], [0, 0, 0, x, y, 1, -x * down, -y * down]]
@@ -45,8 +38,10 @@ def drawn(corners: Floats, side: int, points: int, order: int) -> Floats:
     for first in range(0, at.size, points):
         x, y = np.meshgrid(at, at[first : first + points])
         across, down, scale = (row[0] * x + row[1] * y + row[2] for row in back)
-        light = carpet(across / scale, down / scale, order)
-        rows.append(light.reshape(SAMPLES, each, -1, each).mean((1, 3)))
+        j, i = (
+            np.clip(np.floor(along / scale * 3**order).astype(int) + 1, 0, 3**order + 1) for along in (across, down)
+        )
+        rows.append(cells[i, j].reshape(SAMPLES, each, -1, each).mean((1, 3)))
     return np.concatenate(rows)
 
 

@@ -71,10 +71,9 @@ def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> N
     """In the shortest of its light, whose PSFs are the finest, too."""
     broad = replace(OPTICS, spectrum=light)
     model = ForwardModel.build(broad, CARPET, FRAME, POSE, spare=SPARE)
-    spared = model.blur.pupil.spacing_um / (
-        0.5 * OPTICS.airy_um * min(light.nodes)
-    )  # the least cone that its grid is for
-    for cone, same in ((1.001 * spared, True), (0.999 * spared, False)):
+    finest_um = 0.5 * OPTICS.airy_um * min(light.nodes)
+    least = model.blur.pupil.spacing_um / finest_um  # of the cone, that its grid is for
+    for cone, same in ((1.001 * least, True), (0.999 * least, False)):
         other = reshaped(model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH)
         assert (other.blur.torus == model.blur.torus) == same
         slopes = [*other.blur.psf_slopes(TRUTH.waves)]
