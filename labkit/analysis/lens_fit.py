@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from labkit.analysis.lens_model import EXACT, GEOMETRY, OPEN, LensModel, Member, Stated
-from labkit.inference.bias import covariance_with_bias
+from labkit.estimation.errors import covariance_with_bias
 from labkit.types import Floats
 
 MODEL_FLOOR_WAVES = 2e-4  # RMS error beyond the bound of nine defocus values from an independent simulator

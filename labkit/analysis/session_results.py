@@ -12,7 +12,7 @@ from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.model_error import confirmed, shift
 from labkit.analysis.session_fits import SessionFits
 from labkit.imaging.model import SPECTRUM_WIDTH
-from labkit.inference.bias import covariance_with_bias, error_with_bias
+from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
 from labkit.optics.spectrum import Spectrum

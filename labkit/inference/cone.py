@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 
+from labkit.estimation.candidate import Measured
 from labkit.imaging.model import Evaluation, ForwardModel, Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
@@ -35,43 +36,6 @@ NARROW = 0.8  # share of the window that a wavefront should have, below which a 
 EXACT = 1e-6  # a relative error that moves nothing
 BLOCKS = 10  # along each side of a cut: wider than what one wrong kernel makes alike
 POSES = 200  # drawn to see how well a tilt is known
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What frames of one channel at one range say: a Gaussian over (modes..., parts..., ln N of the cone, ln of the scale).
-
-    parts: labels of the camera's numbers that were fitted along, often none. values: (modes + parts + 2,); covariance: of
-    photons and read noise, with no prior on N; scale: of the picture, sensor over target, mm per mm, the mean of all
-    directions. calibration: the part of the covariance that the flats' own errors make; model: the part that residuals make
-    which are not noise alone, empty where it was left out. shortening: ln of the scale along the
-    line on which a leaning target does not recede, less the mean's, and its standard error.
-    """
-
-    noll: tuple[int, ...]
-    values: Floats
-    covariance: Floats
-    calibration: Floats
-    shortening: tuple[float, float] = (0.0, 0.0)
-    parts: tuple[str, ...] = ()
-    model: Floats = field(default_factory=lambda: np.empty((0, 0)))
-
-    @property
-    def waves(self) -> Floats:
-        """(modes,) of the values."""
-        return self.values[: len(self.noll)]
-
-    def twin(self, signs: Floats) -> Measured:
-        """With even modes reversed. signs: (modes,)."""
-        signs = np.append(signs, np.ones(len(self.values) - len(signs)))
-        both = np.outer(signs, signs)
-        return replace(
-            self,
-            values=self.values * signs,
-            covariance=self.covariance * both,
-            calibration=self.calibration * both,
-            model=self.model * both if self.model.size else self.model,
-        )
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Quick problems to search in, and the defocus that a sweep over them names."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +36,7 @@ class Sketches:
     frame: FrameData
     pose: Pose
     noise: NoisePrior
+    seed: int | Sequence[int] = 1
     _made: dict[tuple[float, float], Problem] = field(default_factory=dict, repr=False)
 
     @property

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ncx2
 
-from labkit.inference.bias import FAR, WITHIN, covariance_with_bias, error_with_bias
+from labkit.estimation.errors import FAR, WITHIN, covariance_with_bias, error_with_bias
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.1, 1.0, 3.0, FAR - 0.01, FAR + 0.01, 20.0])

@@ -18,7 +18,7 @@ from labkit.analysis.lens_model import (
     Stated,
 )
 from labkit.analysis.session_results import as_focus, budget
-from labkit.inference.bias import covariance_with_bias
+from labkit.estimation.errors import covariance_with_bias
 from labkit.inference.cone import Measured
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

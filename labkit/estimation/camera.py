@@ -1,0 +1,178 @@
+"""Which parts of the camera a session shows that its plan does not state: forward selection by summed score tests.
+
+Every optimum tells by its slopes what each absent part would gain (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)); the
+sums over a session name the part to try. The fits that tell most are climbed again with it, and the penalised likelihood
+decides. Parts that blur alike are tried in each other's place, the commoner one first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from labkit.estimation.candidate import Measured
+from labkit.estimation.local import Optimum
+from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call
+from labkit.results.model import PartTried
+
+PART_COST = 10.0
+"""Log-likelihood that a part must gain: chance gains as much once in 20 000 sessions."""
+
+RARER_COST = 4.0
+"""Log-likelihood by which a rarer part must gain more than a commoner one that blurs alike: by one number more chance gains
+as much once in 200 times."""
+
+UNEXPLAINED_SHARE = 0.25
+"""Share of what residuals leave unexplained that a part must explain, where it explains no fit: else it stands for another
+lack."""
+
+TELLING = 3
+"""Fits, those that show most of it, by which a choice of parts is tried."""
+
+BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
+"""Parts that blur alike to first order, the commonest first."""
+
+Parts = frozenset[str]
+Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
+
+
+def cost(parts: Parts) -> float:
+    """Penalty of a choice of parts, in log-likelihood."""
+    return sum(PART_COST + RARER_COST * (BLURS.index(name) if name in BLURS else 0) for name in parts)
+
+
+def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, Call]:
+    """Score tests of a session, by name of the part. fits: channel and optimum; each channel has its own light."""
+    names = [name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)]
+    whole = {name: reduce(Call.__add__, (one.scores[name] for _, one in fits)) for name in names}
+    if SPECTRUM in whole:
+        by_channel = dict[str, Call]()
+        for channel, one in fits:
+            call = one.scores[SPECTRUM]
+            by_channel[channel] = by_channel[channel] + call if channel in by_channel else call
+        calls = list(by_channel.values())
+        whole[SPECTRUM] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
+    return whole
+
+
+def worth(fits: Sequence[Measured]) -> dict[str, float]:
+    """By name of a fitted part, the log-likelihood that the fits would lose without it, to second order."""
+    worths = dict[str, float]()
+    for measured in fits:
+        names = [label.split(".")[0] for label in measured.parts]
+        for name in dict.fromkeys(names):
+            at = len(measured.noll) + np.flatnonzero([one == name for one in names])
+            values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
+            worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))
+    return worths
+
+
+@dataclass
+class CameraChoice:
+    """The search for a session's camera parts.
+
+    Attributes
+    ----------
+    refit : climbs fits again, from their ends, with a choice of parts
+    wanted : parts that the plan wants fitted, which stay
+    tried : what was asked about, with what it would gain
+    refused : choices that did not raise the penalised likelihood
+    missing : the part that the fits show, which was refused for explaining too little
+    with_missing : fits with it
+    """
+
+    refit: Refit
+    wanted: Parts
+    tried: list[PartTried] = field(default_factory=list)
+    refused: set[Parts] = field(default_factory=set)
+    missing: tuple[str, ...] = ()
+    with_missing: dict[int, Optimum] = field(default_factory=dict)
+
+    def chosen(self, fits: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Parts:
+        """The parts that raise the penalised likelihood most, by steps.
+
+        fits: channel and optimum of each fit, with `parts` in its model beside the plan's.
+        """
+        best, ends = parts, dict(fits)
+        self.refused.clear()
+        while True:
+            for choice in self._proposals(ends, best):
+                if choice in self.refused:
+                    continue
+                reached = self._reached(ends, best, choice)
+                if reached is None:
+                    self.refused.add(choice)
+                    continue
+                best, ends = choice, reached
+                break
+            else:
+                return best
+
+    def _proposals(self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Iterator[Parts]:
+        """Other choices, the most promising first."""
+        calls = summed(list(ends.values()))
+        gains = {name: call.gain - cost(Parts([name])) + PART_COST for name, call in calls.items()}
+        self.tried = [one for one in self.tried if one.name not in gains]
+        self.tried += [PartTried(name, call.gain, False) for name, call in calls.items()]
+        worths = worth([optimum.measured for _, optimum in ends.values()])
+        for name in sorted(parts, key=lambda one: worths.get(one, 0.0)):
+            if worths.get(name, 0.0) < PART_COST:
+                yield parts - {name}
+        for name in sorted(gains, key=lambda one: -gains[one]):
+            if gains[name] > PART_COST and name not in self.wanted:
+                yield parts | {name}
+        for name in [one for one in BLURS if one in parts]:
+            commoner = [one for one in BLURS[: BLURS.index(name)] if one in calls]
+            for one in commoner:
+                yield (parts - {name}) | {one}
+            if len(commoner) > 1 and sum(len(KNOWN[one].labels) for one in commoner) <= len(KNOWN[name].labels):
+                yield (parts - {name}) | set(commoner)
+
+    def _reached(
+        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts, choice: Parts
+    ) -> dict[int, tuple[str, Optimum]] | None:
+        """Fits with another choice of parts, if that raises the penalised likelihood; else None."""
+        telling = self._telling(ends, choice ^ parts)
+        fits = dict(self.refit(telling, choice))
+        if not self._better(ends, fits, parts, choice):
+            return None
+        rest = [k for k in ends if k not in fits]
+        fits |= self.refit(rest, choice)
+        added = choice - parts
+        if self._better(ends, fits, parts, choice):
+            self.tried = [one for one in self.tried if one.name not in choice]
+            self.tried += [PartTried(name, self._gain(ends, fits), True) for name in sorted(choice)]
+            self.missing = tuple(name for name in self.missing if name not in choice)
+            return {k: (ends[k][0], fits.get(k, ends[k][1])) for k in ends}
+        if added and self._gain(ends, fits) > PART_COST:
+            self.missing, self.with_missing = tuple(sorted(added)), fits
+        return None
+
+    def _telling(self, ends: Mapping[int, tuple[str, Optimum]], names: Parts) -> list[int]:
+        """The fits that show most of some parts, by their score tests or their numbers."""
+
+        def shown(k: int) -> float:
+            optimum = ends[k][1]
+            worths = worth([optimum.measured])
+            return sum(optimum.scores[n].gain if n in optimum.scores else worths.get(n, 0.0) for n in names)
+
+        return sorted(ends, key=lambda k: -shown(k))[:TELLING]
+
+    @staticmethod
+    def _gain(ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum]) -> float:
+        return sum(fit.log_likelihood - ends[k][1].log_likelihood for k, fit in fits.items())
+
+    def _better(
+        self, ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum], parts: Parts, choice: Parts
+    ) -> bool:
+        """Whether fits with other parts are likelier by the parts' cost, and by a share of what was unexplained."""
+        gain = self._gain(ends, fits) - cost(choice) + cost(parts)
+        if gain <= 0 or not choice - parts:
+            return gain > 0
+        explained = any(fit.verdict.accepted for fit in fits.values())
+        unexplained = sum(ends[k][1].unexplained for k in fits)
+        return explained or gain > UNEXPLAINED_SHARE * unexplained

@@ -1,0 +1,88 @@
+"""An optimum of one observation's likelihood, as the session sees it: a Gaussian, how likely it is, how well it explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labkit.estimation.lens_model import Reading
+from labkit.optics.zernike import is_even
+from labkit.types import Floats
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What frames of one observation say about an optimum: a Gaussian.
+
+    Attributes
+    ----------
+    noll : modes
+    values : (values,) modes in waves RMS, numbers of the parts, ln of the cone's f-number, ln of the picture's scale (sensor
+        over target, mm per mm, the mean of all directions)
+    covariance : (values, values) of photons, read noise and calibration, without a prior on the f-number
+    calibration : (values, values) part of it that the flats' errors make
+    shortening : ln of the scale along the line on which a tilted target does not recede, less the mean's; and its error
+    parts : labels of the parts' numbers
+    model : (values, values) part of the covariance by residuals that are not noise alone, empty without
+    """
+
+    noll: tuple[int, ...]
+    values: Floats
+    covariance: Floats
+    calibration: Floats
+    shortening: tuple[float, float] = (0.0, 0.0)
+    parts: tuple[str, ...] = ()
+    model: Floats = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def waves(self) -> Floats:
+        """(modes,) of the values."""
+        return self.values[: len(self.noll)]
+
+    @property
+    def signs(self) -> Floats:
+        """(values,) -1 for the even modes, which change sign in the twin, +1 for all else (thesis §3.6)."""
+        signs = np.ones(len(self.values))
+        signs[: len(self.noll)] = twin_signs(self.noll)
+        return signs
+
+    def twin(self) -> Measured:
+        """The same with the even modes reversed: the same pictures."""
+        both = np.outer(self.signs, self.signs)
+        return replace(
+            self,
+            values=self.values * self.signs,
+            covariance=self.covariance * both,
+            calibration=self.calibration * both,
+            model=self.model * both if self.model.size else self.model,
+        )
+
+
+def twin_signs(noll: tuple[int, ...]) -> Floats:
+    """(modes,) -1 for the even modes, +1 for the odd ones."""
+    return np.array([-1.0 if is_even(j) else 1.0 for j in noll])
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One optimum of an observation.
+
+    Attributes
+    ----------
+    measured : Gaussian about it, its errors as its residuals have them
+    log_likelihood : beside the observation's other candidates
+    explained : whether what is left of the data is noise alone
+    """
+
+    measured: Measured
+    log_likelihood: float = 0.0
+    explained: bool = True
+
+
+@dataclass(frozen=True)
+class Observed:
+    """An observation with its candidates, none before it is fitted."""
+
+    reading: Reading
+    candidates: tuple[Candidate, ...] = ()

@@ -1,0 +1,284 @@
+"""One lens for a session: the parameters that its observations and its plan determine, with all their errors."""
+
+from __future__ import annotations
+
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc
+
+from labkit.estimation.block_solve import Data, Point, Solved, solve
+from labkit.estimation.errors import covariance_with_bias
+from labkit.estimation.lens_model import CONE, DEFOCUS, FOCAL_LENGTH, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH, LensModel
+from labkit.estimation.settings import SETTINGS
+from labkit.types import Bools, Floats
+
+UNKNOWN = 1e9
+"""Share of a variance left by an observation's own information, above which the others say nothing."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What n observations measured, as the solver takes it.
+
+    Attributes
+    ----------
+    values : (n, values), see `LensModel`
+    covariance : (n, values, values) without the laws' scatter
+    calibration, model : (n, values, values) parts of the covariance by the flats' errors, and by residuals that are not
+        noise alone
+    used : (n,) which observations count
+    """
+
+    values: Floats
+    covariance: Floats
+    calibration: Floats
+    model: Floats
+    used: Bools
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """The estimate of a session from its members.
+
+    Attributes
+    ----------
+    model : the laws, for all observations
+    measured : what the observations measured; members are those used
+    solved : the least squares
+    lean : (columns,) and (groups, local columns) by which what the model of the frames lacks would move the estimate
+    """
+
+    model: LensModel
+    measured: Measurements
+    solved: Solved
+    lean: Point | None = None
+
+    @property
+    def theta(self) -> Floats:
+        """(columns,) the estimate."""
+        return self.solved.point.theta
+
+    @property
+    def chi2(self) -> float:
+        """Of members and priors."""
+        return self.solved.chi2
+
+    @cached_property
+    def freedom(self) -> float:
+        """Numbers measured less those that they had to determine."""
+        variance = np.diag(self.solved.normal.covariance)
+        free = [
+            1 - variance[k] / column.prior_std**2 for k, column in enumerate(self.model.columns) if column.kind in OPEN
+        ]
+        own = np.einsum("gll->gl", self.solved.normal.own_covariance)
+        prior = np.array([column.prior_std for column in self.model.local_columns]) ** 2
+        local = float(np.sum(1 - own / prior)) if own.size else 0.0
+        return max(float(self.measured.used.sum() * self.model.values - sum(free) - local), 0.0)
+
+    @property
+    def typical(self) -> float:
+        """chi2 for each degree of freedom."""
+        return self.chi2 / self.freedom if self.freedom >= 1 else 1.0
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a chi2 as large."""
+        return float(chdtrc(self.freedom, self.chi2)) if self.freedom >= 1 else 1.0
+
+    @property
+    def widening(self) -> float:
+        """Birge ratio, by which errors grow where the members disagree beyond chance; 1 where they do not."""
+        return float(np.sqrt(self.typical)) if self.p_value < SETTINGS.contradiction_chance else 1.0
+
+    @cached_property
+    def errors(self) -> Floats:
+        """(columns, columns) covariance with all that is known to be uncertain."""
+        return self.errors_of(np.eye(len(self.theta)))
+
+    def errors_of(self, combinations: Floats) -> Floats:
+        """(m, m) covariance of combinations (m, columns) of the estimate."""
+        noise = combinations @ self.solved.normal.covariance @ combinations.T * self.widening**2
+        return noise if self.lean is None else covariance_with_bias(noise, combinations @ self.lean.theta)
+
+    def value(self, kind: str, *name: str | float) -> float:
+        """Estimate of a column."""
+        return float(self.theta[self.model.index(kind, *name)])
+
+    def std(self, kind: str, *name: str | float) -> float:
+        """Standard error of a column."""
+        k = self.model.index(kind, *name)
+        return float(np.sqrt(self.errors[k, k]))
+
+    @cached_property
+    def _seen(self) -> Floats:
+        """(n, values, columns) slopes once the groups' own columns have followed."""
+        followed = self.solved.normal.eliminated[self.model.groups]
+        return np.asarray(self.solved.slopes - self.solved.own_slopes @ followed)
+
+    def _spread(self, slopes: Floats) -> Floats:
+        """(n, values, values) covariance of predictions with some slopes (n, values, columns) by the common columns."""
+        own = self.solved.own_slopes
+        followed = slopes - own @ self.solved.normal.eliminated[self.model.groups]
+        common = followed @ self.solved.normal.covariance @ followed.transpose(0, 2, 1)
+        alone = own @ self.solved.normal.own_covariance[self.model.groups] @ own.transpose(0, 2, 1)
+        return np.asarray(common + alone)
+
+    @cached_property
+    def predictions(self) -> tuple[Floats, Floats]:
+        """(n, values) that each observation should measure by all others, and (n, values, values) its covariance.
+
+        The scatter of the laws is part of the covariance, the observation's own noise is not.
+        """
+        spread = self._spread(self.solved.slopes)
+        noise = self.measured.covariance + np.diag(self.model.scatter())
+        root = np.linalg.cholesky(noise)
+        back = np.linalg.inv(root)
+        share = back @ spread @ back.transpose(0, 2, 1) * self.measured.used[:, None, None]
+        shares, vectors = np.linalg.eigh(share)
+        shares = np.clip(shares, 0.0, 1.0)
+        grown = shares / np.maximum(1 - shares, 1 / UNKNOWN)
+        turned = root @ vectors
+        rest = np.einsum("nji,nj->ni", vectors, np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted))
+        away = np.einsum("nij,nj->ni", turned, grown * rest) * self.measured.used[:, None]
+        others = (turned * grown[:, None]) @ turned.transpose(0, 2, 1)
+        used = self.measured.used[:, None, None]
+        covariance = np.where(used, others, spread) + np.diag(self.model.scatter())
+        return self.solved.predicted - away, covariance
+
+    def posterior(self, k: int) -> tuple[Floats, Floats]:
+        """(values,) of observation k by the whole session, in light as stated, and (values, values) their covariance.
+
+        Where the modes scatter from range to range, the observation's own measurement counts for its own.
+        """
+        model, point = self.model, self.solved.point
+        slopes = model.in_stated_light(self.solved.slopes)[k : k + 1]
+        value = model.true(point.theta, point.own)[k]
+        whole = self._at(k, slopes)
+        if model.laws.shared:
+            return value, whole
+        scatter = np.zeros(model.values)
+        scatter[: len(model.noll)] = model.laws.mode_scatter**2
+        scatter[model.defocus] = 0.0
+        noise = self.measured.covariance[k]
+        pull = np.diag(scatter) @ np.linalg.inv(noise + np.diag(scatter))
+        left = np.eye(model.values) - pull
+        value = value + pull @ (self.measured.values[k] - self.solved.predicted[k])
+        return value, left @ whole @ left.T + left @ np.diag(scatter)
+
+    def _at(self, k: int, slopes: Floats) -> Floats:
+        """(values, values) covariance of a prediction of observation k with slopes (1, values, columns)."""
+        normal, own = self.solved.normal, self.solved.own_slopes[k]
+        group = self.model.groups[k]
+        followed = slopes[0] - own @ normal.eliminated[group]
+        noise = followed @ normal.covariance @ followed.T + own @ normal.own_covariance[group] @ own.T
+        noise = noise * self.widening**2
+        if self.lean is None:
+            return np.asarray(noise)
+        return covariance_with_bias(noise, slopes[0] @ self.lean.theta + own @ self.lean.own[group])
+
+    def leaning(self, shifts: Floats) -> LensFit:
+        """The same, where something would move what members measure by shifts (n, values): a bias, which widens nothing."""
+        model, solved = self.model, self.solved
+        noise = self.measured.covariance + np.diag(model.scatter())
+        data = Data.of(self.measured.values, noise, self.measured.used)
+        weighted = (data.precision @ shifts[..., None])[..., 0]
+        own = model.by_group(np.einsum("nvl,nv->nl", solved.own_slopes, weighted))
+        lean = Point(*solved.normal.solve(np.einsum("nvp,nv->p", solved.slopes, weighted), own))
+        moved = shifts - solved.slopes @ lean.theta - np.einsum("nvl,nl->nv", solved.own_slopes, lean.own[model.groups])
+        rest = self.measured.values - solved.predicted
+        added = _quadratic(rest + moved, data.precision) - _quadratic(rest, data.precision)
+        return replace(self, lean=lean, solved=replace(solved, chi2=solved.chi2 + added))
+
+    def contributions(self, gradient: Floats) -> dict[str, float]:
+        """Standard errors of a combination (columns,) of the estimate, by source: photons, calibration, geometry, model."""
+        normal, model, measured = self.solved.normal, self.model, self.measured
+        noise = measured.covariance + np.diag(model.scatter())
+        precision = Data.of(measured.values, noise, measured.used).precision
+        pull = ((self._seen @ (normal.covariance @ gradient))[:, None] @ precision)[:, 0]
+        calibration = _quadratic(pull, measured.calibration)
+        poor = _quadratic(pull, measured.model)
+        scatter = np.sum(pull**2, axis=0) * model.scatter()
+        prior = (gradient @ normal.covariance) ** 2 / np.array([c.prior_std for c in model.columns]) ** 2
+        kinds = [column.kind for column in model.columns]
+        share = {kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)}
+        shares = {
+            "photons": _quadratic(pull, measured.covariance) - calibration - poor,
+            "calibration": calibration,
+            "geometry": float(scatter[-1]) + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
+            "model": poor + float(scatter[:-1].sum()) + share.get(WAVELENGTH, 0.0) + share.get(CONE, 0.0),
+        }
+        shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(shares.values())
+        return {name: float(np.sqrt(max(value, 0.0))) for name, value in shares.items()}
+
+    @property
+    def log_evidence(self) -> float:
+        """Marginal log-likelihood of the members under the laws, but for a constant that all laws share.
+
+        Laplace's approximation, exact for linear laws: S. F. Gull, in Maximum Entropy and Bayesian Methods (1988).
+        """
+        noise = (self.measured.covariance + np.diag(self.model.scatter()))[self.measured.used]
+        prior = sum(np.log(column.prior_std) for column in self.model.columns)
+        log_noise = float(np.linalg.slogdet(noise)[1].sum())
+        return -0.5 * (self.chi2 + log_noise + self.solved.normal.log_determinant()) - float(prior)
+
+
+def fit_lens(model: LensModel, measured: Measurements, start: Point | None = None) -> LensFit:
+    """The session's parameters of least misfit.
+
+    Parameters
+    ----------
+    model : laws and columns
+    measured : of all the model's observations
+    start : from an earlier estimate under the same columns; else from the observations' defocus
+    """
+    noise = measured.covariance + np.diag(model.scatter())
+    data = Data.of(measured.values, noise, measured.used)
+    return LensFit(model, measured, solve(model, data, start or first_point(model, measured)))
+
+
+def first_point(model: LensModel, measured: Measurements) -> Point:
+    """Where each channel's defocus crosses zero; all else as before the session."""
+    theta = np.array([column.value for column in model.columns])
+    channels = np.array([reading.key.channel for reading in model.readings])
+    ranges = np.array([reading.range_mm for reading in model.readings])
+    waves = measured.values[:, model.defocus]
+    found = {
+        channel: crossing(ranges[here], waves[here], model)
+        for channel in model.channels
+        if np.any(here := (channels == channel) & measured.used)
+    }
+    first = found.get(model.reference, float(np.mean(list(found.values()))) if found else float(ranges.mean()))
+    theta[model.index("best focus")] = first
+    for channel in model.channels:
+        if channel != model.reference:
+            theta[model.index("axial colour", channel)] = found.get(channel, first) - first
+    return Point(theta, np.zeros((int(model.groups.max()) + 1, len(model.local_columns))))
+
+
+def focus_slope(model: LensModel) -> float:
+    """Slope of defocus, waves RMS, over 1/(range - f), mm: of the image's distance and the pupil's sagitta in it."""
+    focal_mm, f_number = model.stated.focal_length.value, model.stated.f_number.value
+    reference_mm = model.stated.reference_nm * 1e-6
+    return -(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm)
+
+
+def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:
+    """Range of zero defocus, mm: defocus is nearly a straight line over 1/(range - f)."""
+    focal_mm = model.stated.focal_length.value
+    inverse = np.mean(1 / (ranges_mm - focal_mm) - waves / focus_slope(model))
+    if len(set(ranges_mm.tolist())) > 1:
+        fitted, offset = np.polyfit(1 / (ranges_mm - focal_mm), waves, 1)
+        inverse = -offset / fitted if fitted < 0 else inverse
+    low = 1 / (3 * ranges_mm.max() - focal_mm)
+    high = 1 / max(ranges_mm.min() / 3 - focal_mm, 0.5 * focal_mm)
+    return float(1 / np.clip(inverse, low, high) + focal_mm)
+
+
+def _quadratic(pull: Floats, covariance: Floats) -> float:
+    """Variance that errors (n, values, values) make of a combination (n, values)."""
+    return float(np.sum(pull * (covariance @ pull[..., None])[..., 0]))
+
+

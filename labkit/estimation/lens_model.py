@@ -1,0 +1,472 @@
+"""What the observations of a session have in common: one lens, one sensor at rest, one rail (thesis §4.5.2, Appendix E).
+
+Every observation measures modes, numbers of the camera's parts, ln of the cone's f-number and ln of the picture's scale. All
+follow from a few named parameters of the session, some of which the plan states. A new law is a new column (`_columns`) and
+its slopes (`_linear`, or an argument of `_laws`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from labkit.estimation.settings import SETTINGS
+from labkit.estimation.stated import Stated
+from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.key import Key
+from labkit.optics.lens import ThinLens, defocus_waves
+from labkit.types import Floats, Indices
+
+FOCAL_LENGTH = "focal length"
+F_NUMBER = "f-number"
+MAGNIFICATION = "pupil magnification"
+TAPE = "tape"
+HOMING = "homing"
+STEPS = "steps"
+SIZE = "target size"
+CONE = "cone"
+FOCUS = "best focus"
+AXIAL_COLOUR = "axial colour"
+LATERAL_COLOUR = "lateral colour"
+WAVELENGTH = "wavelength"
+PART = "part"
+COMMON_MODE = "common mode"
+MODE = "mode"
+
+GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE, HOMING, STEPS, SIZE)
+OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
+"""Columns of which nothing is known beforehand: their prior is no measurement."""
+
+EXACT = 1e-6
+"""Standard error of what is held exact, in steps of its column."""
+
+STEP = 1e-6
+"""Relative step of the differences that give the laws' slopes."""
+
+DEFOCUS = 4
+
+Name = tuple[str | float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Where the rail stood for one observation.
+
+    Attributes
+    ----------
+    key : of the observation
+    range_mm : as the rail was read
+    station : names the place where the rail stood, whose range has one error
+    homings : of each photograph, how often the rail had been homed
+    """
+
+    key: Key
+    range_mm: float
+    station: float
+    homings: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Laws:
+    """How exactly observations follow from the session's parameters.
+
+    Attributes
+    ----------
+    mode_scatter : waves RMS of each mode but defocus from range to range
+    defocus_scatter : waves RMS of each defocus
+    cone_std : relative, of the cone that follows from the lens's conjugates
+    cone_scatter : relative, of each observation's cone
+    size_scatter : relative, of each observation's size
+    """
+
+    mode_scatter: float = 0.0
+    defocus_scatter: float = SETTINGS.defocus_floor_waves
+    cone_std: float = 0.0
+    cone_scatter: float = 0.0
+    size_scatter: float = SETTINGS.size_floor
+
+    @property
+    def paraxial(self) -> bool:
+        """Whether cone and sizes follow from one lens that is focused as a whole."""
+        return self.cone_std == 0
+
+    @property
+    def shared(self) -> bool:
+        """Whether the modes but defocus are the same at all ranges."""
+        return self.mode_scatter == 0
+
+    def rough(self) -> Laws:
+        """The same with errors that admit whatever is no other optimum."""
+        return replace(
+            self,
+            mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough_waves)),
+            defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough_waves)),
+            cone_scatter=float(np.hypot(self.cone_scatter, SETTINGS.rough_cone)),
+            size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough_size)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A parameter of the session.
+
+    Attributes
+    ----------
+    kind : its group
+    name : which of the group
+    value, std : before the session
+    scale : a step of it that matters
+    """
+
+    kind: str
+    name: Name
+    value: float
+    std: float
+    scale: float
+
+    @property
+    def prior_std(self) -> float:
+        """Standard error before the session, above 0."""
+        return max(self.std, EXACT * self.scale)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Derivatives of all observations that do not depend on the parameters.
+
+    Attributes
+    ----------
+    linear : (n, values, columns) of the values by the columns, laws apart
+    local : (n, values, local columns) by the columns of the observation's own group
+    arguments, local_arguments : (6, n, columns) of the laws' arguments
+    offset : (6, n) the arguments where all columns are 0
+    """
+
+    linear: Floats
+    local: Floats
+    arguments: Floats
+    local_arguments: Floats
+    offset: Floats
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """The laws of a session, for all its observations whether they are measured yet or not.
+
+    Values of an observation, in order: modes of `noll`, numbers of the parts, ln of the cone's f-number, ln of the scale.
+    Columns are global, one lens's; observations of tiles have columns of their own beside, one set for each channel and
+    tile, which `labkit.estimation.block_solve` eliminates.
+
+    Attributes
+    ----------
+    readings : of the n observations
+    noll : modes, 4 among them
+    parts : labels of the parts' numbers
+    stated : what the plan says
+    laws : how exactly they hold
+    tilt_std : relative error of all sizes by the target's tilt
+    """
+
+    readings: tuple[Reading, ...]
+    noll: tuple[int, ...]
+    parts: tuple[str, ...]
+    stated: Stated
+    laws: Laws = field(default_factory=Laws)
+    tilt_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        if twice := _twice([reading.key for reading in self.readings]):
+            raise ValueError(f"{', '.join(twice)}: observed twice; give each key once")
+
+    @property
+    def values(self) -> int:
+        """Numbers of an observation."""
+        return len(self.noll) + len(self.parts) + 2
+
+    @property
+    def defocus(self) -> int:
+        """Place of defocus among the values."""
+        return self.noll.index(DEFOCUS)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Each once, in the order of the observations."""
+        return tuple(dict.fromkeys(reading.key.channel for reading in self.readings))
+
+    @cached_property
+    def reference(self) -> str:
+        """The channel whose focus the sensor is held to: green, where there is one."""
+        return "G" if "G" in self.channels else self.channels[0]
+
+    @cached_property
+    def tiled(self) -> bool:
+        """Whether observations are of tiles of the field."""
+        return any(reading.key.tile is not None for reading in self.readings)
+
+    @cached_property
+    def groups(self) -> Indices:
+        """(n,) number of each observation's channel and tile."""
+        names = [(r.key.channel, r.key.tile) for r in self.readings]
+        places = {name: k for k, name in enumerate(dict.fromkeys(names))}
+        return np.array([places[name] for name in names], dtype=np.intp)
+
+    def by_group(self, rows: Floats) -> Floats:
+        """(groups, ...) sums over the observations (n, ...) of each group."""
+        order, first = self._group_order
+        return np.asarray(np.add.reduceat(rows if order is None else rows[order], first, axis=0))
+
+    @cached_property
+    def _group_order(self) -> tuple[Indices | None, Indices]:
+        """Places that bring groups together, None where they are, and where each group begins."""
+        order = np.argsort(self.groups, kind="stable")
+        first = np.flatnonzero(np.diff(self.groups[order], prepend=-1))
+        return None if np.array_equal(order, np.arange(len(order))) else order, first
+
+    @cached_property
+    def columns(self) -> tuple[Column, ...]:
+        """Global parameters of the session."""
+        return tuple(self._columns())
+
+    @cached_property
+    def local_columns(self) -> tuple[Column, ...]:
+        """Parameters that each channel and tile has for itself: none without tiles."""
+        if not self.tiled:
+            return ()
+        far = max(reading.range_mm for reading in self.readings)
+        return (
+            Column(FOCUS, (), 0.0, SETTINGS.axial_colour_std * far, 1e-3 * far),
+            Column(LATERAL_COLOUR, (), 0.0, SETTINGS.loose_size, 1e-4),
+            *(Column(MODE, (j,), 0.0, SETTINGS.mode_std, 1e-2) for j in self._upper_modes),
+        )
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, Name], int]:
+        return {(column.kind, column.name): k for k, column in enumerate(self.columns)}
+
+    def index(self, kind: str, *name: str | float) -> int:
+        """Place of a column. Raises KeyError for one that is not estimated."""
+        return self._places[kind, name]
+
+    def best_focus(self, channel: str) -> Floats:
+        """(columns,) combination of the columns that is a channel's best focus."""
+        combination = np.zeros(len(self.columns))
+        combination[self.index(FOCUS)] = 1.0
+        if channel != self.reference:
+            combination[self.index(AXIAL_COLOUR, channel)] = 1.0
+        return combination
+
+    def of_channel(self, label: str, channel: str) -> Name:
+        """Name of the column of a part's number: the light's width is each channel's own."""
+        return (label, channel) if label == SPECTRUM_WIDTH else (label,)
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """(columns,) each: least and largest values."""
+        low = np.full(len(self.columns), -np.inf)
+        high = np.full(len(self.columns), np.inf)
+        at = self.index(FOCAL_LENGTH)
+        focal_mm = self.columns[at].value
+        low[at], high[at] = 0.5 * focal_mm, 2 * focal_mm
+        at = self.index(F_NUMBER)
+        low[at], high[at] = 0.5 * self.columns[at].value, 2 * self.columns[at].value
+        at = self.index(MAGNIFICATION)
+        low[at], high[at] = np.log(SETTINGS.magnification_bounds)
+        low[self.index(FOCUS)] = 1.05 * focal_mm
+        return low, high
+
+    def scatter(self) -> Floats:
+        """(values,) variances of an observation's values about what the laws give."""
+        variance = np.zeros(self.values)
+        variance[: len(self.noll)] = self.laws.mode_scatter**2
+        variance[self.defocus] = self.laws.defocus_scatter**2
+        variance[-2] = self.laws.cone_scatter**2
+        variance[-1] = self.laws.size_scatter**2
+        return variance
+
+    def lens(self, theta: Floats) -> ThinLens:
+        """The lens at a point (columns,)."""
+        focal_mm, f_number, pupils = (float(theta[self.index(kind)]) for kind in GEOMETRY[:3])
+        return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
+
+    def true(self, theta: Floats, local: Floats) -> Floats:
+        """(n, values) values in light as stated. theta: (columns,); local: (groups, local columns)."""
+        layout = self._layout
+        own = local[self.groups]
+        true = layout.linear @ theta + np.einsum("nvl,nl->nv", layout.local, own)
+        true[:, self._law_rows] += self._laws(self._arguments(theta, own)).T
+        return np.asarray(true)
+
+    def predicted(self, theta: Floats, local: Floats) -> Floats:
+        """(n, values) that the observations should measure.
+
+        Light of another wavelength than stated makes the same picture through a cone narrower by as much, with paths
+        shorter by as much: N grows with the wavelength's error, the modes shrink.
+        """
+        true = self.true(theta, local)
+        return np.asarray(true + self._by_wavelength(true) * theta[self._wavelengths, None])
+
+    def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
+        """(n, values, columns) of `predicted`, and (n, values, local columns)."""
+        layout = self._layout
+        by_argument = self._law_slopes(self._arguments(theta, local[self.groups]))
+        whole = layout.linear.copy()
+        whole[:, self._law_rows] += np.einsum("lan,anc->nlc", by_argument, layout.arguments)
+        own = layout.local.copy()
+        own[:, self._law_rows] += np.einsum("lan,anc->nlc", by_argument, layout.local_arguments)
+        shrunk = 1 - theta[self._wavelengths, None, None]
+        modes = slice(0, len(self.noll))
+        whole[:, modes] *= shrunk
+        own[:, modes] *= shrunk
+        n = np.arange(len(self.readings))
+        whole[n, :, self._wavelengths] = self._by_wavelength(self.true(theta, local))
+        return whole, own
+
+    def in_stated_light(self, slopes: Floats) -> Floats:
+        """(n, values, columns) slopes of `true`: without those by the wavelength."""
+        slopes = slopes.copy()
+        slopes[np.arange(len(slopes)), :, self._wavelengths] = 0.0
+        return slopes
+
+    @property
+    def _upper_modes(self) -> list[int]:
+        return [j for j in self.noll if j != DEFOCUS]
+
+    @property
+    def _law_rows(self) -> list[int]:
+        """Places of defocus, ln of the cone and ln of the scale."""
+        return [self.defocus, self.values - 2, self.values - 1]
+
+    @cached_property
+    def _wavelengths(self) -> Indices:
+        """(n,) column of each observation's wavelength."""
+        return np.array([self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp)
+
+    def _by_wavelength(self, true: Floats) -> Floats:
+        """(n, values) slopes by the relative error of the light's wavelength."""
+        slope = np.zeros_like(true)
+        slope[:, : len(self.noll)] = -true[:, : len(self.noll)]
+        slope[:, -2] = 1.0
+        return slope
+
+    def _columns(self) -> Iterator[Column]:
+        stated = self.stated
+        far = max(reading.range_mm for reading in self.readings)
+        focal, f_number = stated.focal_length, stated.f_number
+        yield Column(FOCAL_LENGTH, (), focal.value, focal.std, 1e-2 * focal.value)
+        yield Column(F_NUMBER, (), f_number.value, f_number.std, 1e-2 * f_number.value)
+        yield Column(MAGNIFICATION, (), 0.0, SETTINGS.magnification_log_std, 0.1)
+        yield Column(TAPE, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
+        yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
+        yield Column(CONE, (), 0.0, self.laws.cone_std, 1e-2)
+        homings = sorted({homing for reading in self.readings for homing in reading.homings})
+        for homing in homings[1:]:
+            yield Column(HOMING, (homing,), 0.0, stated.homing_std_mm, 1e-2)
+        for station in sorted({reading.station for reading in self.readings}):
+            yield Column(STEPS, (station,), 0.0, stated.range_std_mm, 1e-2)
+        yield Column(FOCUS, (), far, 100 * far, 1e-3 * far)
+        for channel in self.channels:
+            error = stated.wavelength_std.get(channel, 0.0)
+            yield Column(WAVELENGTH, (channel,), 0.0, error, 1e-3)
+            if channel != self.reference:
+                axial = SETTINGS.axial_colour_std * far
+                yield Column(AXIAL_COLOUR, (channel,), 0.0, axial, 1e-3 * far)
+                yield Column(LATERAL_COLOUR, (channel,), 0.0, SETTINGS.lateral_colour_std, 1e-4)
+        names = (self.of_channel(label, c) for c in self.channels for label in self.parts)
+        for name in dict.fromkeys(names):
+            yield Column(PART, name, 0.0, SETTINGS.part_std, 1e-3)
+        yield from () if self.tiled else self._mode_columns()
+
+    def _mode_columns(self) -> Iterator[Column]:
+        for j in self._upper_modes:
+            yield Column(COMMON_MODE, (j,), 0.0, SETTINGS.mode_std, 1e-2)
+            for channel in self.channels:
+                yield Column(MODE, (channel, j), 0.0, SETTINGS.colour_modes_std, 1e-2)
+
+    @cached_property
+    def _layout(self) -> Layout:
+        n, own = len(self.readings), len(self.local_columns)
+        size = len(self.columns)
+        layout = Layout(
+            np.zeros((n, self.values, size)),
+            np.zeros((n, self.values, own)),
+            np.zeros((6, n, size)),
+            np.zeros((6, n, own)),
+            np.zeros((6, n)),
+        )
+        layout.offset[3] = [reading.range_mm for reading in self.readings]
+        by_channel = {channel: self._linear(channel) for channel in self.channels}
+        for k, reading in enumerate(self.readings):
+            layout.linear[k] = by_channel[reading.key.channel]
+            layout.arguments[:, k] = self._argument_slopes(reading)
+        if own:
+            layout.local_arguments[4, :, 0] = 1.0
+            layout.local[:, -1, 1] = 1.0
+            for column, j in enumerate(self._upper_modes, 2):
+                layout.local[:, self.noll.index(j), column] = 1.0
+        return layout
+
+    def _linear(self, channel: str) -> Floats:
+        """(values, columns) of a channel's observations, laws apart."""
+        rows = np.zeros((self.values, len(self.columns)))
+        rows[-2, self.index(CONE)] = 1.0
+        rows[-1, self.index(SIZE)] = 1.0
+        if channel != self.reference:
+            rows[-1, self.index(LATERAL_COLOUR, channel)] = 1.0
+        for row, j in enumerate(self.noll):
+            if j != DEFOCUS and not self.tiled:
+                rows[row, self.index(COMMON_MODE, j)] = 1.0
+                rows[row, self.index(MODE, channel, j)] = 1.0
+        for row, label in enumerate(self.parts, len(self.noll)):
+            rows[row, self.index(PART, *self.of_channel(label, channel))] = 1.0
+        return rows
+
+    def _argument_slopes(self, reading: Reading) -> Floats:
+        """(6, columns) of the laws' arguments: f, N, ln mp, true range, best focus of the channel, of the reference."""
+        slopes = np.zeros((6, len(self.columns)))
+        for row, kind in enumerate(GEOMETRY[:3]):
+            slopes[row, self.index(kind)] = 1.0
+        slopes[3:, self.index(TAPE)] = 1.0
+        slopes[3, self.index(STEPS, reading.station)] = 1.0
+        for homing in dict.fromkeys(reading.homings):
+            if (column := self._places.get((HOMING, (homing,)))) is not None:  # all but the first
+                slopes[3, column] = reading.homings.count(homing) / len(reading.homings)
+        slopes[4] += self.best_focus(reading.key.channel)
+        slopes[5] += self.best_focus(self.reference)
+        return slopes
+
+    def _arguments(self, theta: Floats, own: Floats) -> Floats:
+        """(6, n) of the laws. own: (n, local columns)."""
+        layout = self._layout
+        local = np.einsum("anl,nl->an", layout.local_arguments, own)
+        return np.asarray(layout.offset + layout.arguments @ theta + local)
+
+    def _laws(self, arguments: Floats) -> Floats:
+        """(3, ...) defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale. arguments: (6, ...)."""
+        f, n, pupils = arguments[:3]
+        lens = ThinLens(*cast(tuple[float, float, float], (f, n, np.exp(pupils))))  # arrays of lenses
+        ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
+        colour = lens.in_colour(focus, reference)
+        ranges = np.maximum(ranges, 1.01 * colour.focal_length_mm)
+        return np.stack(
+            [
+                defocus_waves(colour, ranges, focus, self.stated.reference_nm, self.stated.convention),
+                np.log(colour.working_f_number(focus)),
+                np.log(lens.chief_ray_scale(ranges, reference)),
+            ]
+        )
+
+    def _law_slopes(self, arguments: Floats) -> Floats:
+        """(3, 6, n) derivatives of the laws by their arguments, by central differences."""
+        steps = STEP * np.maximum(np.abs(arguments), 0.1)
+        moves = steps[:, None] * np.eye(len(steps))[:, :, None]
+        ahead = self._laws(arguments[:, None] + moves)
+        behind = self._laws(arguments[:, None] - moves)
+        return np.asarray((ahead - behind) / (2 * steps))
+
+
+def _twice(keys: Sequence[Key]) -> list[str]:
+    seen = set[Key]()
+    return [str(key) for key in keys if key in seen or seen.add(key)]  # type: ignore[func-returns-value]

@@ -1,0 +1,375 @@
+"""Which optimum of each observation is right, with which sign, and whether the observation belongs to the session.
+
+One discrete choice for each observation, the session's parameters given; the parameters are least squares, the choices
+given. Coordinate ascent alternates between the two: the penalised log-likelihood never falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc
+
+from labkit.estimation.block_solve import Point
+from labkit.estimation.candidate import Candidate, Observed
+from labkit.estimation.lens_fit import LensFit, Measurements, crossing, fit_lens, focus_slope
+from labkit.estimation.lens_model import Laws, LensModel
+from labkit.estimation.settings import SETTINGS
+from labkit.estimation.stated import Stated
+from labkit.key import Key
+from labkit.types import Bools, Floats, Indices
+
+MOST_ROUNDS = 200
+OUT = -1
+
+
+@dataclass(frozen=True)
+class Options:
+    """All candidates of n observations and their twins, padded to the same number.
+
+    Attributes
+    ----------
+    values : (n, options, values)
+    covariance : (n, options, values, values)
+    gain : (n, options) log-likelihood beside the observation's best, -inf where there is no such option
+    cost : (n,) log-likelihood that leaving an observation out costs
+    shortening : (n, options, 2)
+    """
+
+    values: Floats
+    covariance: Floats
+    gain: Floats
+    cost: Floats
+    shortening: Floats
+
+    @classmethod
+    def of(cls, observed: Sequence[Observed], size: int) -> Options:
+        """size: values of an observation."""
+        most = 2 * max(len(one.candidates) for one in observed)
+        n = len(observed)
+        options = cls(
+            np.zeros((n, most, size)),
+            np.broadcast_to(np.eye(size), (n, most, size, size)).copy(),
+            np.full((n, most), -np.inf),
+            np.zeros(n),
+            np.zeros((n, most, 2)),
+        )
+        for k, one in enumerate(observed):
+            best = max((c.log_likelihood for c in one.candidates), default=0.0)
+            explained = any(c.explained for c in one.candidates)
+            options.cost[k] = SETTINGS.outlier_cost if explained else SETTINGS.doubtful_cost
+            for at, candidate in enumerate(one.candidates):
+                measured = candidate.measured
+                here = [2 * at, 2 * at + 1]
+                options.values[k, here] = measured.values, measured.values * measured.signs
+                options.covariance[k, here] = measured.covariance
+                options.covariance[k, here[1]] *= np.outer(measured.signs, measured.signs)
+                options.gain[k, here] = candidate.log_likelihood - best
+                options.shortening[k, here] = measured.shortening
+        return options
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The choice for every observation, and the lens that follows.
+
+    Attributes
+    ----------
+    observed : all observations
+    choice : (n,) place among the observation's candidates and their twins, 2 k for candidate k, 2 k + 1 for its twin;
+        -1 where there is none
+    members : (n,) whether the observation belongs to the session
+    lens : the session's estimate from the members
+    objective : penalised log-likelihood of the choice
+    open_channels : whose signs the ranges leave open
+    """
+
+    observed: tuple[Observed, ...]
+    choice: Indices
+    members: Bools
+    lens: LensFit
+    objective: float
+    open_channels: tuple[str, ...] = ()
+
+    @property
+    def strangers(self) -> list[Key]:
+        """Keys of observations that were fitted and do not belong."""
+        fitted = self.choice != OUT
+        return [self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)]
+
+    def candidate(self, k: int) -> tuple[Candidate, int]:
+        """The chosen candidate of observation k, and its sign."""
+        place, twin = divmod(int(self.choice[k]), 2)
+        return self.observed[k].candidates[place], 1 - 2 * twin
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """The problem of one set of laws: options, and what a choice comes to."""
+
+    observed: tuple[Observed, ...]
+    options: Options
+    model: LensModel
+    groups: Indices
+
+    def measured(self, choice: Indices, members: Bools) -> Measurements:
+        """As chosen, without calibration's and model's shares, which no choice hangs on."""
+        n = np.arange(len(choice))
+        at = np.maximum(choice, 0)
+        none = np.zeros_like(self.options.covariance[n, at])
+        values = self.options.values[n, at].copy()
+        values[:, -1] += self.options.shortening[n, at, 0]
+        return Measurements(values, self.options.covariance[n, at], none, none, members)
+
+    def fit(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[LensFit, float]:
+        """The lens of a choice, and the penalised log-likelihood."""
+        lens = fit_lens(self.model, self.measured(choice, members), start)
+        n = np.flatnonzero(members)
+        gained = float(self.options.gain[n, choice[n]].sum()) + 0.5 * self.model.values * len(n)
+        fitted = np.isfinite(self.options.gain).any(axis=1)
+        return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[fitted & ~members].sum())
+
+    def occam(self, choice: Indices, members: Bools) -> float:
+        """Log-likelihood that members lose by what looser laws than the strictest would let them scatter."""
+        noise = self.options.covariance[np.flatnonzero(members), choice[members]]
+        strict = replace(self.model, laws=Laws().rough()).scatter()
+        spread = np.linalg.slogdet(noise + np.diag(self.model.scatter()))[1]
+        return 0.5 * float(np.sum(spread - np.linalg.slogdet(noise + np.diag(strict))[1]))
+
+    def ascend(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[Indices, Bools, LensFit, float]:
+        """Change choices while that raises the penalised log-likelihood.
+
+        In each round every group of observations changes its most promising member; if all changes together do not
+        raise the objective, the most promising one alone is tried.
+        """
+        lens, value = self.fit(choice, members, start)
+        for _ in range(MOST_ROUNDS):
+            wanted, promise = self._proposals(lens, choice, members)
+            for places in self._batches(promise):
+                changed, inside = choice.copy(), members.copy()
+                inside[places] = wanted[places] != OUT
+                changed[places] = np.where(inside[places], wanted[places], choice[places])
+                if not inside.any():
+                    continue
+                trial, reached = self.fit(changed, inside, lens.solved.point)
+                print(_, len(places), value, reached, promise[places].max())
+                if reached > value + 1e-6:
+                    choice, members, lens, value = changed, inside, trial, reached
+                    break
+            else:
+                break
+        return choice, members, lens, value
+
+    def _batches(self, promise: Floats) -> Iterator[Indices]:
+        """Observations to change: the most promising of each group at once, then alone, one after the other."""
+        order = np.argsort(-promise)
+        order = order[promise[order] > 0]
+        _, first = np.unique(self.groups[order], return_index=True)
+        best = order[np.sort(first)]
+        if len(best) > 1:
+            yield best
+        yield from (order[k : k + 1] for k in range(min(len(order), 8)))
+
+    def _proposals(self, lens: LensFit, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
+        """(n,) the best option of each observation by what all others predict, and what it promises to gain."""
+        predicted, covariance = lens.predictions
+        rest = self.options.values - predicted[:, None]
+        rest[..., -1] += self.options.shortening[..., 0]
+        chi2 = np.empty(self.options.gain.shape)
+        for at in range(chi2.shape[1]):
+            noise = self.options.covariance[:, at] + covariance
+            chi2[:, at] = np.einsum("nv,nv->n", rest[:, at], np.linalg.solve(noise, rest[:, at, :, None])[..., 0])
+        worth = self.options.gain - 0.5 * (chi2 - self.model.values)
+        best = np.argmax(worth, axis=1)
+        n = np.arange(len(best))
+        stays = np.where(members, worth[n, np.maximum(choice, 0)], -self.options.cost)
+        inside = worth[n, best] >= -self.options.cost
+        wanted = np.where(inside, best, OUT)
+        promise = np.maximum(worth[n, best], -self.options.cost) - stays
+        promise[~np.isfinite(self.options.gain).any(axis=1)] = 0.0
+        same = np.where(members, wanted == choice, wanted == OUT)
+        return wanted, np.where(same, 0.0, promise)
+
+
+def select(observed: Sequence[Observed], stated: Stated, before: Selection | None = None) -> Selection:
+    """Choose candidate, sign and membership of every observation, and estimate the lens.
+
+    Parameters
+    ----------
+    observed : observations of known range with their candidates; those without any are predicted
+    stated : the plan's numbers
+    before : an earlier selection of the same observations in the same order, whose choices are where this one starts
+
+    Returns
+    -------
+    The likeliest choice. Laws that members contradict beyond chance are loosened as far as the evidence asks.
+
+    Raises
+    ------
+    ValueError : no observation has a candidate, or a key is there twice
+    """
+    observed = tuple(observed)
+    first = next((one.candidates[0].measured for one in observed if one.candidates), None)
+    if first is None:
+        raise ValueError("no observation has a candidate: there is nothing to select from")
+    options = Options.of(observed, len(first.values))
+    readings = tuple(one.reading for one in observed)
+    model = LensModel(readings, first.noll, first.parts, stated)
+    choices = [
+        _Choices(observed, options, replace(model, laws=laws.rough()), model.groups)
+        for laws in (Laws(), Laws(mode_scatter=SETTINGS.mode_scatter_waves[-1]))
+    ]
+    start = _started(choices[0], before)
+    ends = [one.ascend(*start) for one in choices[:1]]
+    if not ends[0][1].all():  # outliers: modes that differ from range to range may explain them
+        ends.append(choices[1].ascend(*start))
+    best = int(np.argmax([end[3] - one.occam(end[0], end[1]) for one, end in zip(choices, ends, strict=False)]))
+    choice, members, _, value = ends[best]
+    lens = exact_lens(observed, choice, members, stated)
+    is_open = _open_channels(choices[best], choice, members, value)
+    return Selection(observed, choice, members, lens, value, is_open)
+
+
+def exact_lens(observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated) -> LensFit:
+    """The lens of chosen candidates under the strictest laws that they do not contradict."""
+    measured, tilt_std, own_tilt = _measurements(observed, choice, members)
+    first = next(one.candidates[0].measured for one in observed if one.candidates)
+    model = LensModel(tuple(one.reading for one in observed), first.noll, first.parts, stated, Laws(), tilt_std)
+    if own_tilt.size:
+        measured.covariance[:, -1, -1] += own_tilt**2
+    strict = fit_lens(model, measured)
+    stations = {one.reading.station for one, member in zip(observed, members, strict=True) if member}
+    if strict.p_value >= SETTINGS.contradiction_chance or len(stations) < 2:
+        return strict
+    free = {"cone_std": SETTINGS.loose_cone, "size_scatter": SETTINGS.loose_size}
+    looser = [Laws(**free)]
+    for scatter in SETTINGS.mode_scatter_waves:
+        looser += [Laws(mode_scatter=scatter), Laws(mode_scatter=scatter, **free)]
+    fits = [fit_lens(replace(model, laws=laws), measured, strict.solved.point) for laws in looser]
+    return max([strict, *fits], key=lambda fit: fit.log_evidence)
+
+
+def _measurements(
+    observed: Sequence[Observed], choice: Indices, members: Bools
+) -> tuple[Measurements, float, Floats]:
+    """Chosen candidates, the common error of all sizes by the target's tilt, and (n,) each one's own where it has one."""
+    size = len(next(one.candidates[0].measured.values for one in observed if one.candidates))
+    n = len(observed)
+    values, tilts = np.zeros((n, size)), np.zeros((n, 2))
+    covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
+    calibration, poor = np.zeros((n, size, size)), np.zeros((n, size, size))
+    for k in np.flatnonzero(choice != OUT):
+        place, twin = divmod(int(choice[k]), 2)
+        measured = observed[k].candidates[place].measured
+        measured = measured.twin() if twin else measured
+        values[k], covariance[k], calibration[k] = measured.values, measured.covariance, measured.calibration
+        tilts[k] = measured.shortening
+        if measured.model.size:
+            poor[k] = measured.model
+    common = _common_tilt(tilts[members])
+    values[:, -1] += tilts[:, 0] if common is None else common[0]
+    return (
+        Measurements(values, covariance, calibration, poor, members),
+        0.0 if common is None else common[1],
+        tilts[:, 1] if common is None else np.empty(0),
+    )
+
+
+def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
+    """The tilt of the observation that knows it best, where all agree; None where they do not. tilts: (m, 2)."""
+    best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
+    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.tilt_floor**2)))
+    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.same_tilt_chance else None
+
+
+def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
+    """Choices to start from: earlier ones, or each observation's likeliest candidate with the sign that ranges tell."""
+    fitted = np.isfinite(choices.options.gain).any(axis=1)
+    choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
+    members = fitted.copy()
+    known = np.zeros(len(fitted), bool)
+    if before is not None:
+        known = (before.choice != OUT) & fitted
+        choice[known], members[known] = before.choice[known], before.members[known]
+    for places in _groups(choices, ~known & fitted):
+        choice[places] += _signs(choices, places, choice, known)
+        known[places] = True
+    return choice, members
+
+
+def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:
+    """Observations of each channel and tile, those seen at most ranges first."""
+    places = np.flatnonzero(wanted)
+    order = places[np.argsort(choices.groups[places], kind="stable")]
+    parts = np.split(order, np.flatnonzero(np.diff(choices.groups[order])) + 1)
+    return sorted((part for part in parts if part.size), key=lambda part: -part.size)
+
+
+def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) -> Indices:
+    """(m,) 0 for the candidate, 1 for its twin, of one group's observations.
+
+    With the range defocus passes from negative to positive once: of m ranges the first k are negative. Each k is tried
+    with the slope of defocus over range, with modes that stay, and with the modes of what is known.
+    """
+    model = choices.model
+    ranges = np.array([choices.observed[k].reading.range_mm for k in places])
+    order = np.argsort(ranges, kind="stable")
+    both = choices.options.values[places[:, None], choice[places][:, None] + [0, 1]]  # each candidate and its twin
+    positive = (both[:, 0, model.defocus] < 0).astype(int)
+    like = np.median(_modes(choices, choice, np.flatnonzero(known)), axis=0) if known.any() else None
+    best, least = positive, np.inf
+    for negative in range(len(places) + 1):
+        turned = positive.copy()
+        turned[order[:negative]] = 1 - positive[order[:negative]]
+        values = both[np.arange(len(places)), turned]
+        cost = _misfit(model, ranges, values, like)
+        if cost < least - 1e-9:
+            best, least = turned, cost
+    return best
+
+
+def _modes(choices: _Choices, choice: Indices, places: Indices) -> Floats:
+    return choices.options.values[places, choice[places], : len(choices.model.noll)]
+
+
+def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | None) -> float:
+    """chi2, about, of a group's values (m, values) beside the law of defocus and modes that stay."""
+    focus = crossing(ranges, values[:, model.defocus], model)
+    focal_mm = model.stated.focal_length.value
+    line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
+    slack = SETTINGS.rough_waves**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
+    modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
+    cost = float(np.sum((values[:, model.defocus] - line) ** 2 / slack))
+    cost += float(np.sum((modes - modes.mean(axis=0)) ** 2)) / SETTINGS.rough_waves**2
+    if like is not None:
+        cost += float(np.sum((modes - np.delete(like, model.defocus)) ** 2)) / SETTINGS.colour_modes_std**2
+    return cost
+
+
+def _open_channels(choices: _Choices, choice: Indices, members: Bools, value: float) -> tuple[str, ...]:
+    """Channels whose next choice of signs is hardly less likely. Of tiles none is asked: the field knows them together."""
+    if choices.model.tiled:
+        return ()
+    found = []
+    for channel in choices.model.channels:
+        of = [k for k in np.flatnonzero(members) if choices.observed[k].reading.key.channel == channel]
+        stations = {choices.observed[k].reading.station for k in of}
+        if len(stations) < 2:
+            continue
+        of.sort(key=lambda k: choices.observed[k].reading.range_mm)
+        defocus = choices.options.values[of, choice[of], choices.model.defocus]
+        below = defocus < 0
+        for negative in range(len(of) + 1):
+            wanted = np.arange(len(of)) < negative
+            if np.array_equal(wanted, below):
+                continue
+            other = choice.copy()
+            turned = np.array(of)[wanted != below]
+            other[turned] ^= 1
+            if choices.fit(other, members)[1] > value - SETTINGS.clear_gain:
+                found.append(channel)
+                break
+    return tuple(found)

@@ -1,0 +1,499 @@
+"""The session's estimate, one loop: select, predict, fit again what is badly predicted, until nothing changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+
+import numpy as np
+
+from labkit.analysis.panel import as_shown
+from labkit.analysis.stated_parts import stated_parts, stated_spectrum, wanted_parts
+from labkit.analysis.observe import Observation
+from labkit.errors import FitError, LostTasksError
+from labkit.estimation.camera import CameraChoice, Parts
+from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, label_of, observed
+from labkit.estimation.lens_fit import LensFit, fit_lens
+from labkit.estimation.lens_model import Laws
+from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima
+from labkit.estimation.select import OUT, Selection, select
+from labkit.estimation.settings import SETTINGS
+from labkit.estimation.stated import Stated
+from labkit.execute import Run, say
+from labkit.imaging.model import Optics
+from labkit.inference.missing_parts import with_part
+from labkit.optics.lens import ThinLens
+from labkit.plan import Plan
+from labkit.target import Target
+from labkit.types import Floats, Progress
+from labkit.uncertain import Uncertain
+
+NAMED = 3
+"""Fits under way that progress names."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search, as it travels to a worker."""
+
+    label: str
+    optics: Optics
+    target: Target
+    views: Views
+    guesses: Guesses
+
+
+def fit_task(task: Task) -> Found:
+    """Do one search."""
+    return find_optima(
+        task.optics, task.target, task.views, task.guesses, progress=lambda step: say(f"{task.label}: {step}")
+    )
+
+
+def estimate(
+    observations: Sequence[Observation],
+    plan: Plan,
+    target: Target,
+    run: Run,
+    progress: Progress,
+    patience_s: float = np.inf,
+    plain: bool = False,
+) -> Estimate:
+    """Estimate every wavefront of a session, and the lens that they have in common.
+
+    Parameters
+    ----------
+    observations : the session's, in order
+    plan, target : what they were taken with
+    run : maps the searches
+    progress : called with what is under way
+    patience_s : processor time of one search, after which it makes no further start
+    plain : whether camera parts that the plan does not state stay out of the model
+
+    Raises
+    ------
+    FitError : no observation could be fitted
+    """
+    loop = _Loop(tuple(observations), plan, target, run, progress, patience_s)
+    loop.explore()
+    return loop.ended(plain)
+
+
+@dataclass
+class _Loop:
+    """The state of the loop.
+
+    Attributes
+    ----------
+    found : by place of the observation, optima with the present parts in the model
+    parts : camera parts in the model beside the plan's
+    starts : by place, predictions that were climbed from
+    deep : places that were searched without limit
+    again : places that were fitted again from a prediction because they were doubted
+    lost : by label, why a fit was lost
+    """
+
+    observations: tuple[Observation, ...]
+    plan: Plan
+    target: Target
+    run: Run
+    progress: Progress
+    patience_s: float
+    found: dict[int, Found] = field(default_factory=dict)
+    parts: Parts = Parts()
+    starts: dict[int, list[Floats]] = field(default_factory=dict)
+    deep: set[int] = field(default_factory=set)
+    again: set[int] = field(default_factory=set)
+    lost: dict[str, str] = field(default_factory=dict)
+    made: int = 0
+    camera: CameraChoice = field(init=False)
+    _selected: tuple[dict[int, Found], Selection | None] | None = None
+
+    def __post_init__(self) -> None:
+        self.stated = Stated.of(self.plan)
+        first, last = self.plan.fit.zernike_noll
+        self.noll = tuple(range(first, last + 1))
+        places = range(len(self.observations))
+        self.ranged = [k for k in places if is_ranged(self.observations[k], self.noll)]
+        self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
+
+    # the loop
+
+    def explore(self) -> None:
+        """Fit until every observation has the optimum that the session predicts, or was asked for it."""
+        while guesses := self._next():
+            self._fit(guesses)
+            self._choose_parts()
+
+    def _next(self) -> dict[int, Guesses]:
+        """What to fit next, by place: nothing once nothing is left to gain."""
+        places = [k for k in range(len(self.observations)) if label_of(self.observations[k]) not in self.lost]
+        left = [k for k in places if k not in self.found]
+        if not self.found:
+            return dict.fromkeys(self._anchors(left), self._from_nothing(deep=False)) if left else {}
+        if doubtful := self._undecided():
+            return dict.fromkeys(doubtful, self._from_nothing(deep=True))
+        selection = self.selection()
+        if left:
+            return self._predicted(left, selection)
+        return self._badly_predicted(selection) if selection is not None else {}
+
+    def _anchors(self, places: Sequence[int]) -> list[int]:
+        """The reference channel at the nearest and the farthest range; one observation where ranges are unknown."""
+        channels = [self.observations[k].channel for k in places]
+        first = "G" if "G" in channels else channels[0]
+        of = [k for k in places if self.observations[k].channel == first]
+        ranges = {k: r for k in of if (r := self.observations[k].measured_range_mm) is not None}
+        if not ranges:
+            return of[:1]
+        return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
+
+    def _undecided(self) -> list[int]:
+        """Fits to search further: none is explained, and they do not confirm each other either."""
+        if any(found.best.verdict.accepted for found in self.found.values()):
+            return []
+        selection = self.selection()
+        if selection is not None:
+            stations = {one.reading.station for one, member in zip(selection.observed, selection.members, strict=True) if member}
+            fitted = selection.choice != OUT
+            if len(stations) > 1 and selection.members[fitted].all():
+                return []
+        return [k for k in self.found if k not in self.deep]
+
+    def _from_nothing(self, *, deep: bool) -> Guesses:
+        cone = self._engraved_cone()
+        alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
+        return Guesses(
+            cone.std / cone.value, deep=deep or alone, alone=alone, score=True, patience_s=self.patience_s
+        )
+
+    def _predicted(self, left: Sequence[int], selection: Selection | None) -> dict[int, Guesses]:
+        """First fits of observations: where defocus is predicted from there; else of each channel the clearest one.
+
+        Far from focus an optimum is plain; near focus, where wrong optima are close, a fit starts from what others predict.
+        """
+        if selection is None:
+            waves = self._clearest().waves
+            return {k: self._guess(modes=(waves,)) for k in left}
+        predicted, covariance = selection.lens.predictions
+        at = selection.lens.model.defocus
+        rows = {k: row for row, k in enumerate(self.ranged)}
+        sure, leaders = dict[int, Guesses](), dict[str, tuple[float, int]]()
+        for k in left:
+            if k not in rows:
+                sure[k] = self._guess(modes=(self._clearest().waves,))
+                continue
+            waves = predicted[rows[k], : len(self.noll)]
+            if covariance[rows[k], at, at] < SETTINGS.sure_waves**2:
+                sure[k] = self._guess(starts=(waves,))
+                continue
+            channel = self.observations[k].channel
+            leaders[channel] = max(leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k))
+        for _, k in leaders.values():
+            sure[k] = self._guess(modes=(predicted[rows[k], : len(self.noll)],))
+        return sure
+
+    def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
+        """Fits to make again from what the others predict: strangers, and members whose residuals are not noise alone.
+
+        Where modes differ from range to range, every fit is tried with the modes of the others: the likelihood decides.
+        """
+        lens = selection.lens
+        if not lens.model.laws.shared:
+            lens = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
+        predicted, _ = lens.predictions
+        doubted = dict[int, Guesses]()
+        anyone = any(found.best.verdict.accepted for found in self.found.values())
+        for row, k in enumerate(self.ranged):
+            if k not in self.found or selection.choice[row] == OUT:
+                continue
+            candidate, sign = selection.candidate(row)
+            measured = candidate.measured if sign > 0 else candidate.measured.twin()
+            waves = predicted[row, : len(self.noll)]
+            far = np.linalg.norm(measured.waves - waves) > SETTINGS.other_optimum_waves
+            doubtful = not selection.members[row] or not selection.lens.model.laws.shared
+            doubtful = doubtful or (anyone and not candidate.explained)
+            if far and doubtful and self._new(k, waves):
+                doubted[k] = self._guess(starts=(waves,))
+        self.again |= doubted.keys()
+        return doubted
+
+    def _new(self, k: int, waves: Floats) -> bool:
+        """Whether no climb of an observation began near a wavefront."""
+        before = self.starts.get(k, [])
+        far = all(np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before)
+        return far and len(before) < SETTINGS.most_predictions
+
+    def _guess(self, starts: tuple[Floats, ...] = (), modes: tuple[Floats, ...] = ()) -> Guesses:
+        known = self._clearest().verdict.accepted
+        alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
+        return Guesses(
+            SETTINGS.shared_cone_std if known else self._from_nothing(deep=False).f_number_std,
+            starts=starts,
+            modes=modes,
+            deep=alone,
+            alone=alone,
+            score=True,
+            patience_s=self.patience_s,
+        )
+
+    # fits
+
+    def _fit(self, guesses: Mapping[int, Guesses]) -> None:
+        """Search, and add what is found."""
+        selection = self.selection() if self.found else None
+        tasks = {k: self._task(k, guess, self._optics(k, selection)) for k, guess in guesses.items()}
+        doing = "fitting" if self.found else "searching from nothing"
+        for k, found in self._done(tasks, doing):
+            self.found[k] = self.found[k].joined(found) if k in self.found else found
+        for k, guess in guesses.items():
+            self.starts.setdefault(k, []).extend(guess.starts)
+            self.deep |= {k} if guess.deep else set()
+
+    def _done(self, tasks: Mapping[int, Task], doing: str) -> Iterator[tuple[int, Found]]:
+        """Results as they come; the finest pictures, of the shortest wavelength, are begun first."""
+        order = sorted(tasks, key=lambda k: tasks[k].optics.wavelength_um)
+        under_way = {k: tasks[k].label for k in order}
+        left = sum(k not in self.found for k in range(len(self.observations)))
+        total = self.made + max(left, len(tasks))
+        try:
+            self.progress(self.made, total, f"{doing}: {_some(list(under_way.values()))}")
+            for index, found in self.run(fit_task, [tasks[k] for k in order]):
+                self.made += 1
+                del under_way[order[index]]
+                self.progress(self.made, total, f"{doing}: {_some(list(under_way.values()))}" if under_way else doing)
+                yield order[index], found
+        except LostTasksError as error:
+            self.lost |= {task.label: why for task, why in error.lost}
+
+    def _task(self, k: int, guesses: Guesses, optics: Optics) -> Task:
+        o = self.observations[k]
+        target = as_shown(self.plan, self.target, o.channel)
+        return Task(label_of(o), optics, target, Views(o.frames, o.poses, o.noise), guesses)
+
+    def _optics(self, k: int, selection: Selection | None) -> Optics:
+        """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
+        observation = self.observations[k]
+        optics = reduce(with_part, sorted(self.parts), optics_of(self.plan, observation.channel))
+        if not self.found:
+            return replace(optics, f_number=self._engraved_cone().value)
+        if selection is not None and k in self.ranged:
+            predicted, _ = selection.lens.predictions
+            return optics.shaped(predicted[self.ranged.index(k), len(self.noll) : -1])
+        return optics.shaped(self._clearest().optics.shape)
+
+    def _clearest(self) -> Optimum:
+        """The fit to begin others from where no lens predicts them: explained, and farthest from focus."""
+        best = [found.best for found in self.found.values()]
+        return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
+
+    def _engraved_cone(self) -> Uncertain:
+        ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
+        return engraved_cone(self.plan, ranges)
+
+    # choices
+
+    def selection(self) -> Selection | None:
+        """The choices for all observations of known range; None where none is fitted."""
+        if self._selected is None or not _same(self._selected[0], self.found):
+            self._selected = dict(self.found), self._select()
+        return self._selected[1]
+
+    def _select(self) -> Selection | None:
+        every = [observed(self.observations[k], self.found.get(k)) for k in self.ranged]
+        if not any(one.candidates for one in every):
+            return None
+        return select(every, self.stated)
+
+    def chosen(self, k: int) -> Optimum:
+        """The optimum of observation k, with the session's sign where it has one."""
+        selection = self.selection()
+        found = self.found[k]
+        if selection is None or k not in self.ranged or selection.choice[self.ranged.index(k)] == OUT:
+            return found.best.canonical()
+        place, twin = divmod(int(selection.choice[self.ranged.index(k)]), 2)
+        usable = [one for one in found.optima if not one.verdict.undetermined]
+        return usable[place].twin() if twin else usable[place]
+
+    # camera parts
+
+    def _choose_parts(self) -> None:
+        """Take in the camera parts that the fits show, once those from nothing are made and once all are."""
+        if not self.found or not (len(self.found) <= 2 or len(self.found) == len(self.observations)):
+            return
+        fits = {k: (self.observations[k].channel, self.chosen(k)) for k in self.found}
+        if len(self.found) < len(self.observations):
+            explained = {k: fit for k, fit in fits.items() if fit[1].verdict.accepted}
+            fits = explained or fits
+        self._ends = {k: fit[1] for k, fit in fits.items()}
+        parts = self.camera.chosen(fits, self.parts)
+        if parts != self.parts:
+            refitted = dict(self._refits[parts])
+            self.parts = parts
+            rest = [k for k in self.found if k not in refitted]
+            refitted |= self._with_parts(rest, parts)
+            self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
+
+    def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
+        """Climb fits again, each from its end, with other camera parts."""
+        made = self._climbed(places, parts, score=True)
+        return made
+
+    def _climbed(self, places: Sequence[int], parts: Parts, *, score: bool) -> dict[int, Optimum]:
+        tasks = {}
+        for k in places:
+            end = self._end(k, parts)
+            optics = with_parts_of(optics_of(self.plan, self.observations[k].channel), parts, end.optics)
+            guess = Guesses(
+                SETTINGS.shared_cone_std, starts=(end.waves,), deep=False, score=score, patience_s=self.patience_s
+            )
+            tasks[k] = self._task(k, guess, optics)
+        made = {k: found.best for k, found in self._done(tasks, "fitting with other parts of the camera")} if tasks else {}
+        self._refits.setdefault(parts, {}).update(made)
+        return made
+
+    def _end(self, k: int, parts: Parts) -> Optimum:
+        """The end to climb on from: of the most similar choice of parts that was fitted."""
+        fitted = [(names, made[k]) for names, made in self._refits.items() if k in made]
+        fitted.append((self.parts, self.chosen(k)))
+        return min(fitted, key=lambda one: len(one[0] ^ parts))[1]
+
+    @property
+    def _refits(self) -> dict[Parts, dict[int, Optimum]]:
+        return self.__dict__.setdefault("_refits_made", {})
+
+    # the end
+
+    def ended(self, plain: bool) -> Estimate:
+        """The estimate; without parts that the plan does not state, it is climbed once more, for comparison or instead."""
+        self._refuse_none()
+        whole = self._as_estimate()
+        self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
+        if not self.parts:
+            return self._asked(whole, self.camera.missing, self.camera.with_missing)
+        bare = self._without_found(whole)
+        if not plain:
+            return replace(self._asked(whole, (), {}), without_found=bare)
+        missing = (*self.camera.missing, *sorted(self.parts))
+        full = {k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)}
+        return self._asked(bare, missing, full, adopted=False)
+
+    def _asked(
+        self, session: Estimate, missing: tuple[str, ...], full: Mapping[int, Optimum], adopted: bool = True
+    ) -> Estimate:
+        """The estimate with what is known of parts that its model lacks."""
+        with_missing = tuple(full.get(k) for k in sorted(self.found))
+        tried = tuple(self.camera.tried if adopted else [replace(one, adopted=False) for one in self.camera.tried])
+        return replace(session, tried=tried, missing=missing, with_missing=with_missing if missing else ())
+
+    def _without_found(self, whole: Estimate) -> Estimate:
+        """The session as the plan states its camera, every fit climbed from where it is right with all parts."""
+        places = sorted(self.found)
+        bare = self._climbed(places, Parts(), score=False)
+        fits = tuple(
+            replace(fit, optimum=_like(bare.get(k, fit.optimum), fit.optimum))
+            for k, fit in zip(places, whole.fits, strict=True)
+        )
+        lens = None
+        if whole.lens is not None:
+            lens = self._lens_of(fits, whole)
+        return replace(whole, fits=fits, lens=lens)
+
+    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate) -> LensFit:
+        from labkit.estimation.select import exact_lens
+
+        every = [observed(self.observations[k], None) for k in self.ranged]
+        choice = np.full(len(every), OUT)
+        members = np.zeros(len(every), bool)
+        for place, fit in enumerate(fits):
+            row = like.rows[place]
+            if row is None:
+                continue
+            every[row] = replace(every[row], candidates=(fit.optimum.candidate,))
+            choice[row] = 0
+            members[row] = place in like.members
+        return exact_lens(every, choice, members, self.stated)
+
+    def _as_estimate(self) -> Estimate:
+        selection = self.selection()
+        places = sorted(self.found)
+        fits = tuple(LocalFit(self.observations[k], self.chosen(k), self.found[k]) for k in places)
+        lost = tuple(self._left_out())
+        if selection is None:
+            return Estimate(fits, lost=lost)
+        rows = tuple(self.ranged.index(k) if k in self.ranged else None for k in places)
+        members = tuple(i for i, row in enumerate(rows) if row is not None and selection.members[row])
+        strangers = tuple(
+            i for i, row in enumerate(rows) if row is not None and selection.choice[row] != OUT and i not in members
+        )
+        mended = tuple(i for i in members if places[i] in self.again)
+        return Estimate(fits, selection.lens, rows, members, strangers, mended, selection.open_channels, lost=lost)
+
+    def _left_out(self) -> list[str]:
+        """Observations without a fit, in words."""
+        fitted = {label_of(self.observations[k]) for k in self.found}
+        lost = [(label, why) for label, why in self.lost.items() if label not in fitted]
+        return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
+
+    def _refuse_none(self) -> None:
+        if not self.found:
+            raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
+
+
+def optics_of(plan: Plan, channel: str) -> Optics:
+    """Light, sensor and lens of a plan's channel, the cone as engraved."""
+    light = next(c for c in plan.channel if c.name == channel)
+    first, last = plan.fit.zernike_noll
+    fitted, given = stated_parts(plan)
+    return Optics(
+        wavelength_um=light.wavelength_nm * 1e-3,
+        reference_um=plan.reference_wavelength_nm * 1e-3,
+        f_number=plan.lens.f_number,
+        pitch_um=plan.sensor.pixel_pitch_um,
+        active_um=plan.sensor.active_um,
+        noll=tuple(range(first, last + 1)),
+        spectrum=stated_spectrum(light),
+        parts=fitted,
+        given=given,
+    )
+
+
+def with_parts_of(stated: Optics, parts: Parts, like: Optics) -> Optics:
+    """A plan's optics with more parts, and the numbers that a fit has for those that both have."""
+    optics = reduce(with_part, sorted(parts), stated)
+    known = dict(zip((*like.shape_labels, "f_number"), like.shape, strict=True))
+    shape = [
+        known.get(label, value)
+        for label, value in zip((*optics.shape_labels, "f_number"), optics.shape, strict=True)
+    ]
+    return optics.shaped(np.array(shape))
+
+
+def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
+    """The f-number at the sensor by the engraving, of a lens focused among some ranges.
+
+    Its error holds what the pupils make of it, as long as their magnification is not known.
+    """
+    lens, stated = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), plan.lens.stated_f_number
+    cone = float(lens.working_f_number(float(np.mean(ranges_mm)))) if ranges_mm else lens.f_number
+    pupils = (cone / lens.f_number - 1) * SETTINGS.magnification_log_std
+    return Uncertain(cone, cone * float(np.hypot(stated.std / lens.f_number, pupils)))
+
+
+def _like(optimum: Optimum, other: Optimum) -> Optimum:
+    """An optimum or its twin, whichever is nearer another."""
+    twin = optimum.twin()
+    nearer = np.linalg.norm(twin.waves - other.waves) < np.linalg.norm(optimum.waves - other.waves)
+    return twin if nearer else optimum
+
+
+def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:
+    return found.keys() == other.keys() and all(found[k] is other[k] for k in found)
+
+
+def _some(labels: Sequence[str]) -> str:
+    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
+    return ", ".join(labels[:NAMED]) + more
+
+

@@ -1,0 +1,193 @@
+"""Where to climb from: wavefronts that other frames predict, a sweep over defocus, a small problem near focus, chance.
+
+Each function yields states of the first frame for a climb over the whole likelihood, the most promising first. None is at
+zero: there the likelihood has a saddle, every even mode's derivative vanishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from time import process_time
+
+import numpy as np
+
+from labkit.imaging.model import Optics
+from labkit.inference.fisher_scoring import Problem, Solution, State, maximize
+from labkit.inference.goodness_of_fit import judge
+from labkit.inference.phase_retrieval import START_WAVES, PhaseRetrieval, Retrieved
+from labkit.inference.sketch import Sketches, sweep
+from labkit.types import Floats
+
+SEARCH_STEPS = 25
+"""Steps of a climb while searching: those that end in the best optimum take 10 to 20."""
+
+SEARCH_TOLERANCE = 0.3
+"""Standard errors: an optimum of part of the band is 0.001 to 0.002 waves, about one, from the whole band's."""
+
+SWEPT = 3
+"""Best values of a sweep that are started from."""
+
+PLAUSIBLE = 0.005
+"""Share of a sweep's excess variance that right optima of part of the band leave, at most."""
+
+ENOUGH = 8
+"""Starts that come back to the best optimum. A better one to which as many starts lead has escaped that many with a chance
+of 1 in 2^8."""
+
+SAME_OPTIMUM = 0.5
+"""Log-likelihoods that differ by less, which is one standard error, belong to one optimum."""
+
+
+@dataclass
+class Log:
+    """What a search has met so far.
+
+    Attributes
+    ----------
+    most : starts that the search may make
+    ends_at : process time after which no start is made, the user's cap
+    progress : called with what is done
+    starts : made so far
+    others : modes, waves RMS, and minus the log-likelihood of optima that starts led to
+    returns : starts that came back to the best optimum
+    """
+
+    most: int
+    ends_at: float
+    progress: Callable[[str], None]
+    starts: int = 0
+    others: list[tuple[Floats, float]] = field(default_factory=list)
+    returns: int = 0
+
+    @property
+    def late(self) -> bool:
+        """Whether the user's cap is reached."""
+        return process_time() > self.ends_at
+
+    @property
+    def over(self) -> bool:
+        """Whether no further start is to be made."""
+        return self.late or self.settled or self.starts >= self.most
+
+    @property
+    def settled(self) -> bool:
+        """Whether starts came back to the best optimum often enough."""
+        return self.returns >= ENOUGH
+
+    def met(self, end: Solution) -> None:
+        """Note where a start ended, unless that is known."""
+        if all(abs(end.objective + misfit) > SAME_OPTIMUM for _, misfit in self.others):
+            self.others.append((end.state.waves, -end.objective))
+
+
+def predicted(sketches: Sketches, states: Sequence[State], log: Log) -> Iterator[State]:
+    """States that other frames predict, their poses settled."""
+    for state in states:
+        log.starts += 1
+        yield settle(sketches.problem(state, sketches.band), state)
+
+
+def at_known_modes(sketches: Sketches, states: Sequence[State], log: Log) -> Iterator[State]:
+    """Where the modes but defocus are predicted: the best two values of a sweep over defocus."""
+    for one in states:
+        for state in sweep(sketches, one)[:2]:
+            log.starts += 1
+            yield searched_from(sketches.problem(state, sketches.band), state).state
+
+
+def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool) -> Iterator[State]:
+    """From nothing: the ends of the best values of a sweep, in part of the band; near focus those of the small problem too.
+
+    doubt_near_focus: near focus wrong optima are so close that the residuals of one range hardly tell them apart.
+    """
+    log.progress("defocus sweep")
+    given = sweep(sketches, first)[:SWEPT]
+    near = sketches.near(given[0])
+    end = searched_from(sketches.problem(given[0], sketches.band), given[0])
+    log.starts += 1
+    plausible = _excess(sketches, end.state) < PLAUSIBLE * _excess(sketches, given[0])
+    if plausible and not (doubt_near_focus and sketches.near(end.state)):
+        yield end.state
+    if near:
+        settled = settle(sketches.problem(given[0], sketches.band), given[0])
+        yield from retrieved(sketches, settled, [state.waves for state in given], log)
+    ends = [end]
+    for state in given[1:]:
+        ends.append(searched_from(sketches.problem(state, sketches.band), state))
+        log.starts += 1
+    best = max(ends, key=lambda one: one.objective).state
+    if best is not end.state or not plausible:
+        yield best
+    if not sketches.near(best):
+        yield from at_random(sketches, best, log)
+    elif not near:
+        yield from retrieved(sketches, best, [], log)
+
+
+def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Log) -> Iterator[State]:
+    """Optima of the small problem at a state's pose, the best first, until starts come back to the best."""
+    small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
+    before, made = log.starts, Retrieved(tuple(given))
+    rng = np.random.default_rng(sketches.seed)
+    while not log.over:
+        made = small.to_next_candidate(made, rng)
+        if made.candidate is None:
+            break
+        log.starts = before + made.starts
+        log.progress(f"start {log.starts}")
+        log.others = [(optimum.state.waves, optimum.misfit / 2) for optimum in made.optima]
+        yield made.candidate
+        log.returns = made.optima[0].met
+
+
+def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
+    """From reversed defocus and at random, until the best end of one frame comes back time and again."""
+    problem = sketches.problem(state, 1.0)
+    best = maximize(problem, state, max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
+    log.met(best)
+    origin, made = best.state, 0
+    rng = np.random.default_rng(sketches.seed)
+    while not log.over:
+        end = searched_from(problem, further_start(origin, made, sketches.optics, rng))
+        made += 1
+        log.starts += 1
+        log.met(end)
+        log.progress(f"start {log.starts} of {log.most} at most")
+        if end.objective > best.objective + SAME_OPTIMUM:
+            best, log.returns = end, 0
+            yield end.state
+        elif end.objective > best.objective - SAME_OPTIMUM:
+            log.returns += 1
+
+
+def settle(problem: Problem, start: State) -> State:
+    """Climb a few steps in pose, light and noise alone."""
+    return maximize(problem, start, free_waves=False, max_steps=4, tolerance=1.0).state
+
+
+def searched_from(problem: Problem, start: State) -> Solution:
+    """Climb from a start, pose and light first.
+
+    All freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame.
+    """
+    return maximize(problem, settle(problem, start), max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
+
+
+def further_start(origin: State, made: int, optics: Optics, rng: np.random.Generator) -> State:
+    """The start after `made` others: defocus reversed, which leads out of half of the wrong optima, then at random."""
+    defocus = optics.noll[0] == 4
+    if defocus and made == 0:
+        return replace(origin, waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0))
+    direction = rng.normal(size=origin.waves.size)
+    waves = direction / np.linalg.norm(direction) * rng.uniform(*START_WAVES)
+    waves *= optics.wavelength_um / optics.reference_um
+    if defocus and rng.random() < 0.5:
+        waves[0] = origin.waves[0]
+    return replace(origin, waves=waves)
+
+
+def _excess(sketches: Sketches, state: State) -> float:
+    """Variance that a state leaves unexplained in part of the band."""
+    problem = sketches.problem(state, sketches.band)
+    return judge(problem, state, problem.relative(state)).excess
