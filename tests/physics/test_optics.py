@@ -158,39 +158,6 @@ def test_slopes_in_single_precision_are_the_jacobian() -> None:
         assert np.abs(slope - exact).max() < 1e-6 * np.abs(exact).max()
 
 
-def test_a_psf_leaves_a_remainder_of_third_order_after_its_first_two_derivatives() -> None:
-    pupil, rng = Pupil(0.55, 0.45, 4.0, 1.0, 96, (2, *EVERY_MODE)), np.random.default_rng(2)
-    waves, way = rng.normal(0, 0.1, 13), rng.normal(size=13)
-    psf, slopes = pupil.psf_jacobian(waves)
-    bend = sum(((1 if i == j else 2) * way[i] * way[j]) * second for i, j, second in pupil.psf_hessian(waves))
-
-    def remainder(h: float) -> float:
-        return float(
-            np.abs(pupil.psf(waves + h * way) - psf - h * np.tensordot(way, slopes, 1) - h**2 / 2 * bend).max()
-        )
-
-    # half the step leaves an eighth, but for the fourth order
-    assert remainder(4e-4) / remainder(2e-4) == pytest.approx(8, rel=0.02)
-
-
-def test_each_second_derivative_of_a_psf_is_the_slope_of_a_slope() -> None:
-    pupil, waves = Pupil(0.55, 0.45, 4.0, 1.0, 64, (4, 5, 8)), np.array([0.2, -0.1, 0.05])
-    seconds = {(i, j): second for i, j, second in pupil.psf_hessian(waves)}
-    assert list(seconds) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-    for (i, j), second in seconds.items():
-        step = 1e-4 * np.eye(3)[j]
-        difference = (pupil.psf_jacobian(waves + step)[1][i] - pupil.psf_jacobian(waves - step)[1][i]) / 2e-4
-        # of the fourth derivative a share of (2 pi 1e-4 Z)^2 / 6, Z up to 3 at the rim
-        assert np.abs(second - difference).max() < 2e-6 * np.abs(second).max()
-
-
-def test_without_wavefront_the_psfs_curvature_in_defocus_is_the_strehl_ratios() -> None:
-    pupil = Pupil(0.45, 0.45, 4.0, 0.72, 600, (4,))
-    (_, _, second), centre = next(pupil.psf_hessian(np.zeros(1))), (300, 300)
-    # sinc(sqrt(12) a)^2 = 1 - (2 pi)^2 a^2 + ...; a pupil 240 samples across counts its rim to 1e-3
-    assert second[centre] / pupil.psf(np.zeros(1))[centre] == pytest.approx(-2 * (2 * np.pi) ** 2, rel=2e-3)
-
-
 @pytest.mark.parametrize(
     ("waves", "says"),
     [
@@ -201,7 +168,7 @@ def test_without_wavefront_the_psfs_curvature_in_defocus_is_the_strehl_ratios() 
 )
 def test_a_wavefront_that_is_none_is_refused(waves: list[complex], says: str) -> None:
     pupil = Pupil(0.55, 0.45, 4.0, 1.0, 64, (4, 5))
-    for use in (pupil.psf, pupil.psf_jacobian, lambda w: next(pupil.psf_hessian(w))):
+    for use in (pupil.psf, pupil.psf_jacobian):
         with pytest.raises(ValueError, match=says):
             use(np.array(waves))
 
