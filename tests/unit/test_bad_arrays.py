@@ -19,6 +19,7 @@ from labkit.experiments.methods.optimum_tests import (
 )
 from labkit.experiments.methods.psf_basis import PsfBasis, shipped_psf_basis
 from labkit.experiments.methods.psf_hessian import psf_hessian
+from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.experiments.methods.strehl_candidates import (
     highest_on_shell,
     is_trivial,
@@ -35,7 +36,7 @@ from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import Detector, FrameData, low_orders, predict
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import disc_area, smooth_disc
+from labkit.optics.pupil import smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge

@@ -51,25 +51,29 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
 
 def _add_frame(total: Floats, problem: Problem, state: State, k: int, at_frame: Integers, blocks: list[slice]) -> None:
     """Add the information of frame `k`. at_frame: rows of its pose and light; blocks: the modes'."""
-    frame, detector = problem.frames[k], state.detectors()[k]
-    drawing = problem.model.draw([state.poses[k]])
-    (evaluation,) = problem.model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
-    of = slopes(evaluation, frame, detector)
-    both, cross, square = of.weights()
-    noise = len(total) - NOISE + np.arange(NOISE)
-    total[np.ix_(at_frame, at_frame)] += of.of_mean * both @ of.of_mean.T
-    _add(total, at_frame, noise, of.of_mean * cross @ of.of_variance.T)
-    total[np.ix_(noise, noise)] += of.of_variance * square @ of.of_variance.T
-    factor = detector.scale * frame.light(detector.unevenness)
-    for i, rows in enumerate(blocks):
-        here = problem.model.slopes(state.waves, drawing, frame.used, rows) * factor
-        at = np.arange(rows.start, rows.stop)
+    model = problem.model
+    frame = problem.frames[k]
+    detector = state.detectors()[k]
+    drawing = model.draw([state.poses[k]])
+    (evaluation,) = model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
+    by_frame = slopes(evaluation, frame, detector)
+    mean = by_frame.of_mean
+    variance = by_frame.of_variance
+    both, cross, square = by_frame.weights()
+    at_noise = len(total) - NOISE + np.arange(NOISE)
+    total[np.ix_(at_frame, at_frame)] += mean * both @ mean.T
+    _add(total, at_frame, at_noise, mean * cross @ variance.T)
+    total[np.ix_(at_noise, at_noise)] += variance * square @ variance.T
+    counts = detector.scale * frame.light(detector.unevenness)
+    for i, block in enumerate(blocks):
+        here = model.slopes(state.waves, drawing, frame.used, block) * counts
+        at = np.arange(block.start, block.stop)
         total[np.ix_(at, at)] += here * both @ here.T
-        _add(total, at, at_frame, here * both @ of.of_mean.T)
-        _add(total, at, noise, here * cross @ of.of_variance.T)
-        for columns in blocks[i + 1 :]:
-            there = problem.model.slopes(state.waves, drawing, frame.used, columns) * factor
-            _add(total, at, np.arange(columns.start, columns.stop), here * both @ there.T)
+        _add(total, at, at_frame, here * both @ mean.T)
+        _add(total, at, at_noise, here * cross @ variance.T)
+        for later in blocks[i + 1 :]:
+            there = model.slopes(state.waves, drawing, frame.used, later) * counts
+            _add(total, at, np.arange(later.start, later.stop), here * both @ there.T)
 
 
 def _add(total: Floats, rows: Integers, columns: Integers, block: Floats) -> None:
