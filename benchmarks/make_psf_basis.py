@@ -1,18 +1,20 @@
-"""Makes labkit/inference/psf_basis.npz by Algorithm 4.9: `python -m benchmarks.make_psf_basis` (6 minutes)."""
+"""Compute labkit/experiments/methods/psf_basis.npz by Algorithm 4.9, in six minutes.
+
+python -m benchmarks.make_psf_basis
+"""
 
 import io
 from pathlib import Path
 
 import numpy as np
 
-import labkit.inference
+from labkit.experiments import methods
 from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves, upright
+from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free
 from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
-from labkit.inference.bounds import expected
 from labkit.inference.fisher_scoring import Problem, maximize
 from labkit.inference.likelihood import predict
-from labkit.inference.optimum_tests import find_psf_basis
 from labkit.inference.sketch import NEAR_WINDOW
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
@@ -26,7 +28,7 @@ def main() -> None:
         rng = np.random.default_rng([SEED, seed])
         trial = draw_trial(rng)
         truth = trial.state(trial.waves)
-        problem = expected(Problem(model, (trial.frame,), trial.noise), truth)
+        problem = noise_free(Problem(model, (trial.frame,), trial.noise), truth)
         for _ in range(STARTS):
             end = maximize(problem, trial.state(random_waves(rng, len(NOLL), 0.2)), max_steps=40, tolerance=0.1)
             if np.linalg.norm(trial.error(end.state.waves)) > 0.02:
@@ -36,7 +38,7 @@ def main() -> None:
     basis = find_psf_basis(cases, DEGREES)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, directions=basis.directions.astype(np.float32))
-    path = Path(labkit.inference.__file__).with_name("psf_basis.npz")
+    path = Path(methods.__file__).with_name("psf_basis.npz")
     write_atomically(path, buffer.getvalue())
     print(f"{len(cases)} wrong optima of {WAVEFRONTS * STARTS} starts; {path.stat().st_size} bytes")
 

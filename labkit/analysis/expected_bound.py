@@ -9,11 +9,11 @@ import numpy as np
 
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import parameter_names
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State
 from labkit.inference.identifiability import Bound, bound_of
 from labkit.inference.likelihood import FrameData
+from labkit.inference.parameter_names import parameter_names
 from labkit.plan import Channel, Plan, Sensor
 from labkit.target import Target
 from labkit.types import Bools, Floats

@@ -6,14 +6,15 @@ from functools import cache
 import numpy as np
 
 from labkit.experiments.camera import Camera
+from labkit.experiments.methods.bounds import fisher_information
 from labkit.finder.find_target import find_target
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import fisher_information, parameter_names
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront, twin_signs
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import FrameData
+from labkit.inference.parameter_names import parameter_names
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
 from labkit.types import Floats

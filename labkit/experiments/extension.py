@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from labkit.errors import InputError
+from labkit.experiments.methods.smooth_extension import fill
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.imaging.extend import fill
 from labkit.report.style import panels
 from labkit.types import Bools, Floats
 

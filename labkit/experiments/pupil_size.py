@@ -5,9 +5,9 @@ import scipy.fft
 from matplotlib.figure import Figure
 
 from labkit.experiments.conditions import random_waves
+from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.experiments.runner import Claim, Outcome, Setting
 from labkit.optics.psf import Pupil
-from labkit.optics.pupil import disc_area
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 11))  # the thesis's seven modes

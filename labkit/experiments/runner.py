@@ -12,12 +12,13 @@ from time import perf_counter
 from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from labkit.errors import InputError
 from labkit.execute import run_all
 from labkit.experiments.studies import STUDIES
 from labkit.files import write_atomically
-from labkit.report.style import plain_logs, png, styled
+from labkit.report.style import png, styled
 from labkit.types import Progress
 
 Task = TypeVar("Task")
@@ -88,11 +89,25 @@ def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[s
         writer.writerows(outcome.rows)
         with styled():
             figure = outcome.draw()
-            plain_logs(figure)
+            _label_logs_plainly(figure)
         write_atomically(folder / f"{name}.csv", table.getvalue().encode())
         write_atomically(folder / f"{name}.png", png(figure))
         write_atomically(folder / f"{name}.json", json.dumps(summary, indent=1).encode() + b"\n")
     return summary
+
+
+def _label_logs_plainly(figure: Figure) -> None:
+    """Label logarithmic axes with plain numbers: the report's style sets no formulas."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log":
+                low, high = axis.get_view_interval()
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(_twos_and_fives if high < 1000 * low else NullFormatter())
+
+
+def _twos_and_fives(value: float, _: object) -> str:
+    return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
 
 
 def _or_none(value: float) -> float | None:

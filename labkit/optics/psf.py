@@ -8,7 +8,6 @@ which changes the sign of every odd mode.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
 from typing import TypeVar
 
 import numpy as np
@@ -166,20 +165,6 @@ class Pupil:
         by = -1j * phase * turn
         change = (by @ pupil) @ turn.T + left @ by.T
         return np.asarray(2 * (np.conj(field) * change).real / light - 2 * psf)
-
-    def psf_hessian(self, waves: Floats) -> Iterator[tuple[int, int, Floats]]:
-        """Second derivatives of the PSF, per wave RMS squared: (i, j, (size, size)) for each pair of modes i <= j.
-
-        One at a time, to spare memory. waves: (modes,) waves RMS at the reference. Thesis (H.11) with the wavefront linear
-        in its modes, corrected: lambda_ref / lambda, and the normalisation.
-        """
-        pupil = self._pupil_function(waves)
-        field = self._to_image(pupil)
-        by_mode = [self._to_image(pupil * mode) for mode in self.modes]
-        factor = 8 * np.pi**2 * (self.reference_um / self.wavelength_um) ** 2 / self._light
-        for i, j in combinations_with_replacement(range(len(by_mode)), 2):
-            twice = self._to_image(pupil * self.modes[i] * self.modes[j])
-            yield i, j, np.asarray(factor * (np.conj(by_mode[i]) * by_mode[j] - np.conj(field) * twice).real)
 
 
 def diffraction_mtf(frequency: Floats) -> Floats:

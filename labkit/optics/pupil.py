@@ -10,13 +10,28 @@ REACH = 3  # of the edge's kernel, in samples
 
 
 def smooth_disc(offsets: Floats, radius: float) -> Floats:
-    """A disc under the kernel of central Lagrange interpolation over six samples, on a grid: (n, n), about 0 to 1.
+    """A disc smoothed by the kernel of central Lagrange interpolation over six samples.
 
-    offsets: (n,) coordinates of the samples along either axis, from the disc's centre. radius: in samples, 2 or more.
-    A transform of samples repeats with their frequency. What its copies add to a field, and what a soft edge takes from it, go
-    here with the sixth power of the distance from the centre; of `disc_area` with the first and second. G. Strang, G. Fix,
-    in Constructive Aspects of Functional Analysis (CIME, 1971). Raises ValueError for offsets of another shape or not finite,
-    and for no radius.
+    A transform of samples repeats with their frequency. The error of a field by its copies and by the smooth edge grows
+    with the sixth power of the distance from the centre; for a disc shaded by area, with the first and second power.
+
+    Parameters
+    ----------
+    offsets : (n,), coordinates of the samples along either axis from the disc's centre, samples
+    radius : samples, 2 or more
+
+    Returns
+    -------
+    (n, n), about 0 to 1
+
+    Raises
+    ------
+    ValueError
+        for offsets of another shape or not finite, and for a radius that is not positive
+
+    Notes
+    -----
+    G. Strang and G. Fix, in Constructive Aspects of Functional Analysis (CIME, 1971).
     """
     offsets = real_array("offsets", offsets, (None,), "samples")
     positive("radius", radius, "samples")
@@ -53,36 +68,3 @@ def _primitive(t: Floats) -> Floats:
     for piece in range(REACH):
         total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
     return np.copysign(total, t)
-
-
-def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:
-    """Area of the disc inside the rectangle from the centre to (x, y), odd in both x and y."""
-    sign = np.sign(x) * np.sign(y)
-    x, y = np.minimum(np.abs(x), radius), np.minimum(np.abs(y), radius)
-
-    def half_chord(t: Floats) -> Floats:
-        return np.asarray(np.sqrt((radius - t) * (radius + t)))  # as a difference of squares it may round to below 0
-
-    def under_arc(t: Floats) -> Floats:
-        return 0.5 * (t * half_chord(t) + radius**2 * np.arcsin(t / radius))
-
-    flat = np.minimum(x, half_chord(y))  # up to here the top of the rectangle is inside the disc
-    return sign * (y * flat + under_arc(x) - under_arc(flat))
-
-
-def disc_area(offsets: Floats, radius: float) -> Floats:
-    """The shaded aperture: area of a disc inside each unit square of a grid.
-
-    offsets: (n,) coordinates of the squares' centres along either axis, in samples from the disc's centre.
-    radius: in samples. Returns (n, n), 0..1. Thesis (G.1)-(G.3), in closed form.
-    Raises ValueError for offsets of another shape or not finite, and for no radius.
-    """
-    offsets = real_array("offsets", offsets, (None,), "samples")
-    positive("radius", radius, "samples")
-    low, high = offsets - 0.5, offsets + 0.5
-
-    def corner(rows: Floats, columns: Floats) -> Floats:
-        return _quadrant_area(columns[None, :], rows[:, None], radius)
-
-    area = corner(high, high) - corner(low, high) - corner(high, low) + corner(low, low)
-    return np.clip(area, 0.0, 1.0)

@@ -10,7 +10,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from labkit.types import Floats
 
@@ -119,20 +118,6 @@ def banded(axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line:
     """A curve with a band of one standard error."""
     axes.plot(x, value, color=colour, ls=line)
     axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
-
-
-def plain_logs(figure: Figure) -> None:
-    """Numbers of logarithmic axes without formulas, which the house's style leaves unset."""
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if axis.get_scale() == "log":
-                low, high = axis.get_view_interval()
-                axis.set_major_formatter("{x:g}")
-                axis.set_minor_formatter(_twos_and_fives if high < 1000 * low else NullFormatter())
-
-
-def _twos_and_fives(value: float, _: object) -> str:
-    return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
 
 
 def png(figure: Figure) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -86,10 +86,6 @@ class Roughness:
     def stiffness(self, norm: Norm) -> float:
         """What w^2 is multiplied by in a sample's second derivatives, the norm's own left out: 2 lambda / |f - mean|^2."""
         return 2 * self.strength / (self.held or norm).square * self._area
-
-    def of_strength(self, strength: float) -> Roughness:
-        """The same of another lambda."""
-        return replace(self, strength=strength)
 
     @property
     def _area(self) -> float:

@@ -9,18 +9,17 @@ import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
 from labkit.experiments.conditions import NOLL, Trial, draw_trial
-from labkit.inference.bounds import (
+from labkit.experiments.methods.bounds import (
     DETECTOR,
     bias_sensitivity,
     detector_information,
-    expected,
     fisher_information,
-    parameter_names,
     uniform_bound,
 )
 from labkit.inference.fisher_scoring import Problem, maximize
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import low_orders
+from labkit.inference.parameter_names import parameter_names
 from labkit.types import Floats
 
 
@@ -119,13 +118,6 @@ def test_a_singular_information_is_told_in_words() -> None:
 def test_what_is_no_information_is_refused(bad: Floats) -> None:
     with pytest.raises(ValueError, match="information"):
         bound_of(bad, ("a", "b"))
-
-
-def test_expected_frames_are_the_mean(trial: Trial) -> None:
-    state = trial.state(trial.waves)
-    mean = expected(trial.problem, state).frames[0].counts
-    misfit = (trial.frame.counts - mean).ravel()
-    assert misfit.std() == pytest.approx(np.sqrt(trial.read_noise**2 + mean.mean() / 2000), rel=0.03)
 
 
 COVARIANCE = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]]) * 1e-8

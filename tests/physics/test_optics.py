@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import astropy.units as u
 import numpy as np
@@ -12,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.integrate import quad
 from scipy.special import j1
 
+from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import disc_area, smooth_disc
+from labkit.optics.pupil import smooth_disc
 from labkit.optics.zernike import is_even, zernike
 from labkit.types import Floats
 
@@ -30,45 +29,6 @@ def test_modes_are_nolls_as_poppy_has_them(j: int) -> None:
     rho, theta = np.hypot(x, y), np.arctan2(y, x)
     theirs = poppy.zernike.zernike1(j, rho=rho, theta=theta, outside=0.0)
     np.testing.assert_allclose(zernike(j, rho, theta), theirs, atol=1e-11)
-
-
-@pytest.mark.parametrize("radius", [3.3, 20.0, 57.9])
-def test_a_shaded_disc_has_the_area_of_a_circle(radius: float) -> None:
-    half = int(np.ceil(radius)) + 1
-    assert disc_area(np.arange(-half, half + 1.0), radius).sum() == pytest.approx(np.pi * radius**2, rel=1e-12)
-
-
-def test_each_shaded_sample_holds_the_area_that_a_fine_raster_counts() -> None:
-    radius, many = 4.37, 200
-    fine = (np.arange(11 * many) + 0.5) / many - 5.5
-    inside = np.hypot(fine[:, None], fine) < radius
-    counted = inside.reshape(11, many, 11, many).mean(axis=(1, 3))
-    # a raster errs by less than one fine sample along the edge, which is at most two samples long
-    assert np.abs(disc_area(np.arange(-5.0, 6), radius) - counted).max() < 2 / many
-
-
-def test_no_radius_rounds_to_a_hole_in_the_pupil() -> None:
-    # of these the square by Python's power and that by NumPy's differ in the last digit, as of one in 2800
-    for radius in (34.29393254658977, 77.4230638885693, 106.99580188058677):
-        area = disc_area(np.arange(-np.ceil(radius), np.ceil(radius) + 1), radius)
-        assert area.sum() == pytest.approx(np.pi * radius**2, rel=1e-12)
-
-
-@pytest.mark.parametrize("radius", [0.3, 0.5, 0.8, 1.5, 6.02])
-def test_each_shaded_sample_holds_the_exact_area_of_small_and_large_discs(radius: float) -> None:
-    at = np.arange(-7.0, 8.0)
-
-    def chord(x: float, bottom: float) -> float:  # of the disc at x, inside a sample from bottom to bottom + 1
-        half = np.sqrt(max(radius**2 - x**2, 0.0))
-        return float(max(min(half, bottom + 1) - max(-half, bottom), 0.0))
-
-    for row, col in [(0, 0), (0, 1), (1, 1), (-2, 0), (4, -4), (3, 5), (-6, 0), (6, 1)]:
-        left, bottom = col - 0.5, row - 0.5
-        kinks = [left, left + 1, -radius, radius]
-        kinks += [s * np.sqrt(max(radius**2 - y**2, 0)) for s in (-1, 1) for y in (bottom, bottom + 1)]
-        kinks = sorted(x for x in kinks if left <= x <= left + 1)
-        area = sum(quad(chord, a, b, args=(bottom,))[0] for a, b in pairwise(kinks) if b > a)
-        assert disc_area(at, radius)[row + 7, col + 7] == pytest.approx(area, abs=1e-8)
 
 
 @pytest.mark.parametrize(("edge", "limits"), [(smooth_disc, (1e-7, 1.4e-6, 5e-6)), (disc_area, (5e-5, 2.5e-4, 1.6e-4))])
@@ -158,39 +118,6 @@ def test_slopes_in_single_precision_are_the_jacobian() -> None:
         assert np.abs(slope - exact).max() < 1e-6 * np.abs(exact).max()
 
 
-def test_a_psf_leaves_a_remainder_of_third_order_after_its_first_two_derivatives() -> None:
-    pupil, rng = Pupil(0.55, 0.45, 4.0, 1.0, 96, (2, *EVERY_MODE)), np.random.default_rng(2)
-    waves, way = rng.normal(0, 0.1, 13), rng.normal(size=13)
-    psf, slopes = pupil.psf_jacobian(waves)
-    bend = sum(((1 if i == j else 2) * way[i] * way[j]) * second for i, j, second in pupil.psf_hessian(waves))
-
-    def remainder(h: float) -> float:
-        return float(
-            np.abs(pupil.psf(waves + h * way) - psf - h * np.tensordot(way, slopes, 1) - h**2 / 2 * bend).max()
-        )
-
-    # half the step leaves an eighth, but for the fourth order
-    assert remainder(4e-4) / remainder(2e-4) == pytest.approx(8, rel=0.02)
-
-
-def test_each_second_derivative_of_a_psf_is_the_slope_of_a_slope() -> None:
-    pupil, waves = Pupil(0.55, 0.45, 4.0, 1.0, 64, (4, 5, 8)), np.array([0.2, -0.1, 0.05])
-    seconds = {(i, j): second for i, j, second in pupil.psf_hessian(waves)}
-    assert list(seconds) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-    for (i, j), second in seconds.items():
-        step = 1e-4 * np.eye(3)[j]
-        difference = (pupil.psf_jacobian(waves + step)[1][i] - pupil.psf_jacobian(waves - step)[1][i]) / 2e-4
-        # of the fourth derivative a share of (2 pi 1e-4 Z)^2 / 6, Z up to 3 at the rim
-        assert np.abs(second - difference).max() < 2e-6 * np.abs(second).max()
-
-
-def test_without_wavefront_the_psfs_curvature_in_defocus_is_the_strehl_ratios() -> None:
-    pupil = Pupil(0.45, 0.45, 4.0, 0.72, 600, (4,))
-    (_, _, second), centre = next(pupil.psf_hessian(np.zeros(1))), (300, 300)
-    # sinc(sqrt(12) a)^2 = 1 - (2 pi)^2 a^2 + ...; a pupil 240 samples across counts its rim to 1e-3
-    assert second[centre] / pupil.psf(np.zeros(1))[centre] == pytest.approx(-2 * (2 * np.pi) ** 2, rel=2e-3)
-
-
 @pytest.mark.parametrize(
     ("waves", "says"),
     [
@@ -201,7 +128,7 @@ def test_without_wavefront_the_psfs_curvature_in_defocus_is_the_strehl_ratios() 
 )
 def test_a_wavefront_that_is_none_is_refused(waves: list[complex], says: str) -> None:
     pupil = Pupil(0.55, 0.45, 4.0, 1.0, 64, (4, 5))
-    for use in (pupil.psf, pupil.psf_jacobian, lambda w: next(pupil.psf_hessian(w))):
+    for use in (pupil.psf, pupil.psf_jacobian):
         with pytest.raises(ValueError, match=says):
             use(np.array(waves))
 

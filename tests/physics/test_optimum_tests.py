@@ -5,19 +5,18 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
-from labkit.inference.fisher_scoring import Problem, State, maximize
-from labkit.inference.optimum_tests import (
-    OptimumTest,
-    against,
+from labkit.experiments.methods.optimum_tests import (
+    SignificanceTest,
     bootstrap,
+    bootstrapped,
     embedding,
-    find_psf_basis,
     one_sided,
     rao_score,
-    shipped_psf_basis,
     two_sided,
     wilson_hilferty,
 )
+from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free, shipped_psf_basis
+from labkit.inference.fisher_scoring import Problem, State, maximize
 from labkit.types import Floats
 
 
@@ -55,13 +54,13 @@ def test_statistics_of_drawn_data_follow_their_fast_forms(trial: Trial, right: S
     drawn = bootstrap(trial.problem, right, statistics, np.random.default_rng(31), 24)
     assert kstest(drawn[:, 0], "norm").pvalue > 1e-3
     assert kstest(drawn[:, 1], chi2(4).cdf).pvalue > 1e-3
-    assert against(one_sided(trial.problem, wrong), drawn[:, 0]).p_value == 1 / 25
+    assert bootstrapped(one_sided(trial.problem, wrong), drawn[:, 0]).p_value == 1 / 25
 
 
 def test_a_bootstrapped_p_value_is_a_rank() -> None:
     drawn = np.arange(1.0, 100.0)
     for statistic, p_value in ((95.5, 0.05), (95.0, 0.06), (1e3, 0.01), (0.0, 1.0)):
-        assert against(OptimumTest("any", statistic, 0.5), drawn).p_value == pytest.approx(p_value)
+        assert bootstrapped(SignificanceTest("any", statistic, 0.5), drawn).p_value == pytest.approx(p_value)
 
 
 def test_rao_of_a_linear_model_is_the_fall_of_the_misfit() -> None:
@@ -85,3 +84,10 @@ def test_algorithm_4_9_finds_a_direction_that_is_common_to_its_cases(trial: Tria
     basis = find_psf_basis([(problem, wrong, weights)], 1, half_width=10)
     assert basis.directions.shape == (1, 21, 21)
     assert embedding(problem, wrong, basis).p_value < 1e-6
+
+
+def test_noise_free_frames_are_the_mean(trial: Trial) -> None:
+    state = trial.state(trial.waves)
+    mean = noise_free(trial.problem, state).frames[0].counts
+    misfit = (trial.frame.counts - mean).ravel()
+    assert misfit.std() == pytest.approx(np.sqrt(trial.read_noise**2 + mean.mean() / 2000), rel=0.03)

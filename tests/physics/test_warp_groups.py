@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labkit.imaging.warp_groups import DEGREES, WarpGroup, warp, warp_derivatives
+from labkit.experiments.methods.warp_groups import DEGREES, WarpGroup, warp, warp_derivatives
 
 CENTRE = (3.0, 4.0)
 

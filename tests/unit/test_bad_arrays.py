@@ -9,27 +9,34 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.experiments.methods.bounds import bias_sensitivity, detector_information, uniform_bound
+from labkit.experiments.methods.optimum_tests import (
+    SignificanceTest,
+    bootstrap,
+    bootstrapped,
+    rao_score,
+    wilson_hilferty,
+)
+from labkit.experiments.methods.psf_basis import PsfBasis, shipped_psf_basis
+from labkit.experiments.methods.psf_hessian import psf_hessian
+from labkit.experiments.methods.shaded_aperture import disc_area
+from labkit.experiments.methods.strehl_candidates import (
+    highest_on_shell,
+    is_trivial,
+    rotated,
+    strehl,
+    strehl_candidates,
+)
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import bias_sensitivity, detector_information, uniform_bound
-from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State, maximize
 from labkit.inference.goodness_of_fit import judge
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import Detector, FrameData, low_orders, predict
-from labkit.inference.optimum_tests import (
-    OptimumTest,
-    PsfBasis,
-    against,
-    bootstrap,
-    rao_score,
-    shipped_psf_basis,
-    wilson_hilferty,
-)
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
 from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import disc_area, smooth_disc
+from labkit.optics.pupil import smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge
@@ -57,7 +64,7 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "smooth_disc": ("offsets", np.arange(-4.0, 5), lambda v: smooth_disc(v, 2.5)),
     "psf": ("waves", np.ones(2), PUPIL.psf),
     "psf_jacobian": ("waves", np.ones(2), PUPIL.psf_jacobian),
-    "psf_hessian": ("waves", np.ones(2), lambda v: list(PUPIL.psf_hessian(v))),
+    "psf_hessian": ("waves", np.ones(2), lambda v: list(psf_hessian(PUPIL, v))),
     "pose": ("v", POSE.v, lambda v: Pose(v, (1.0, 1.0))),
     "corners": ("corners_px", POSE.corners_px(), lambda v: Pose.from_corners(v, (2.0, 2.0))),
     "means waves": ("waves", np.zeros(2), lambda v: MODEL.means(v, DRAWING, [USED])),
@@ -84,12 +91,12 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "rao gradient": ("gradient", np.ones(3), lambda v: rao_score(v, np.eye(3))),
     "rao information": ("information", np.eye(3), lambda v: rao_score(np.ones(3), v)),
     "PSF basis": ("directions", np.ones((2, 3, 3)), PsfBasis),
-    "against": ("drawn", np.ones(3), lambda v: against(OptimumTest("any", 1.0, 1.0), v)),
+    "bootstrapped": ("drawn", np.ones(3), lambda v: bootstrapped(SignificanceTest("any", 1.0, 1.0), v)),
     "rotated": ("waves", np.ones(12), lambda v: rotated(v, 0.1)),
     "strehl": ("waves", np.ones(12), strehl),
     "highest_on_shell": ("start", np.ones(12), lambda v: highest_on_shell(v, 0.1)),
     "is_trivial": ("other", np.ones(12), lambda v: is_trivial(np.ones(12), v, 0.01)),
-    "candidates": ("waves", np.ones(12), candidates),
+    "strehl_candidates": ("waves", np.ones(12), strehl_candidates),
 }
 
 

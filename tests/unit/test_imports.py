@@ -38,6 +38,11 @@ ROOMS = [
 
 LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
 
+MATHEMATICS = (
+    *("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"),
+    "labkit/experiments/methods",
+)
+
 FILES_AND_DEVICES = {"csv", "json", "pathlib", "rawpy", "serial", "shutil", "tifffile", "usb"}
 
 
@@ -101,11 +106,7 @@ def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> No
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in ("drivers", "targets")] == []
 
 
-@pytest.mark.parametrize(
-    "path",
-    modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"),
-    ids=name,
-)
+@pytest.mark.parametrize("path", modules(*MATHEMATICS), ids=name)
 def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
     assert [dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES] == []
 
@@ -160,6 +161,6 @@ def test_no_driver_reaches_a_simulator() -> None:
 
 
 def test_the_mathematics_reaches_no_session_and_no_device() -> None:
-    for path in modules("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"):
+    for path in modules(*MATHEMATICS):
         below = {"session", "raw", "devices", "acquisition", "drivers", "analysis", "report"}
         assert {m for m in reached(path) if room(m) in below} == set(), name(path)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 import scipy.fft
@@ -13,12 +14,20 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class Sampling:
-    """S: a signal known on one grid around a torus, read on another, finer or coarser, that shares its first sample.
+    """Resampling S of a signal on a torus, from one grid to a finer or coarser grid with the same first sample.
 
-    source, result: samples along each axis, before and after; as many axes as one likes, ratios whole or not, sizes even or
-    odd. A coarser grid aliases, as a sensor does. The frequency n/2 of an even n is split into (1 + j)/2 and (1 - j)/2 of
-    itself at +n/2 and -n/2, which keeps its energy: from one grid to a finer one nothing is lost, and S^T S is the identity
-    times the ratio of sizes. Raises ValueError for sizes that are no positive whole numbers.
+    A coarser grid aliases, as a sensor does. The frequency n/2 of an even n is split into (1 + j)/2 and (1 - j)/2 of
+    itself at +n/2 and -n/2. The split keeps its energy: a finer grid loses nothing, and S^T S is the identity times the
+    ratio of sizes.
+
+    Parameters
+    ----------
+    source, result : samples along each axis, before and after; any number of axes, ratios whole or not
+
+    Raises
+    ------
+    ValueError
+        for sizes that are not positive whole numbers, or of different numbers of axes
     """
 
     source: tuple[int, ...]
@@ -35,14 +44,14 @@ class Sampling:
         object.__setattr__(self, "_folds", folds)
 
     def apply(self, signal: Floats) -> Floats:
-        """The signal (*source) on the other grid, (*result). Thesis (2.68)."""
+        """The signal (*source) resampled to (*result). Thesis (2.68)."""
         signal = real_array("signal", signal, self.source, "radiance")
         for axis, fold in enumerate(self._folds):
             signal = _through(signal, axis, fold) * (fold.shape[0] / fold.shape[1])
         return signal
 
     def adjoint(self, values: Floats) -> Floats:
-        """`apply`'s transpose: (*result) -> (*source)."""
+        """The transpose of `apply`, from (*result) to (*source)."""
         values = real_array("values", values, self.result, "radiance")
         for axis, fold in enumerate(self._folds):
             values = _through(values, axis, scipy.sparse.csr_array(fold.conj().T))
@@ -50,11 +59,25 @@ class Sampling:
 
 
 def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: float) -> tuple[int, int]:
-    """Whole numbers of samples (source, result) whose quotient is a ratio, nearly: the fewest that are enough.
+    """The smallest grid sizes (source, result) whose quotient is a ratio within a tolerance.
 
-    ratio: source to result, above 0; tolerance: relative, between 0 and 1; source_least, result_least: samples at least.
-    Of all that hold |source / result - ratio| <= tolerance ratio the one with the least result, and of these the nearest.
-    Raises ValueError for other numbers. Thesis (5.28)-(5.32) and Figure 5.3, which may break (5.32) for ratios below 1.
+    Of all pairs with |source / result - ratio| <= tolerance ratio, the pair with the smallest result is returned; of
+    these, the nearest to the ratio.
+
+    Parameters
+    ----------
+    ratio : source to result, above 0
+    source_least, result_least : lower limits, samples
+    tolerance : relative, between 0 and 1
+
+    Raises
+    ------
+    ValueError
+        for numbers out of these limits
+
+    Notes
+    -----
+    Thesis (5.28)-(5.32) and Figure 5.3, which may break (5.32) for ratios below 1.
     """
     if not (math.isfinite(ratio) and ratio > 0):
         raise ValueError(f"ratio = {ratio}: a finite number of samples to a sample, above 0, is needed")
@@ -62,16 +85,19 @@ def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: fl
         raise ValueError(f"tolerance = {tolerance}: a relative error between 0 and 1 is needed")
     if source_least < 1 or result_least < 1:
         raise ValueError(f"source_least = {source_least}, result_least = {result_least}: at least one sample is needed")
-    result = max(result_least, math.ceil(source_least / ((1 + tolerance) * ratio)))
+    # in whole numbers: rounding would decide which pairs at the very tolerance fit
+    wanted = Fraction(ratio)
+    allowed = Fraction(tolerance) * wanted
+    result = max(result_least, math.ceil(source_least / (wanted + allowed)))
     while True:
-        source = max(source_least, round(ratio * result))
-        if abs(source / result - ratio) <= tolerance * ratio:
+        source = max(source_least, round(wanted * result))
+        if abs(Fraction(source, result) - wanted) <= allowed:
             return source, result
         result += 1
 
 
 def _fold(source: int, result: int) -> scipy.sparse.csr_array:
-    """(result, source) from the DFT on one grid to that on the other, but for the ratio of sizes. Thesis (2.61)-(2.69)."""
+    """(result, source) map between the DFTs on both grids, up to the ratio of sizes. Thesis (2.61)-(2.69)."""
     line = np.arange(-(source // 2), source // 2 + 1)
     share = np.ones(line.size, complex)
     if source % 2 == 0:
@@ -80,7 +106,9 @@ def _fold(source: int, result: int) -> scipy.sparse.csr_array:
 
 
 def _through(signal: Floats, axis: int, fold: scipy.sparse.csr_array) -> Floats:
-    """A real signal whose spectrum along one axis is folded."""
+    """Fold the spectrum of a real signal along one axis."""
     spectrum = scipy.fft.fft(np.moveaxis(signal, axis, 0), axis=0)
-    folded = np.asarray(fold @ spectrum.reshape(fold.shape[1], -1)).reshape(fold.shape[0], *spectrum.shape[1:])
-    return np.asarray(np.moveaxis(scipy.fft.ifft(folded, axis=0).real, 0, axis))
+    size, others = fold.shape[0], spectrum.shape[1:]
+    folded = np.asarray(fold @ spectrum.reshape(fold.shape[1], -1))
+    result = scipy.fft.ifft(folded.reshape(size, *others), axis=0).real
+    return np.asarray(np.moveaxis(result, 0, axis))

@@ -15,17 +15,26 @@ from labkit.types import Floats
 
 TAPS = np.array([-1, 0, 1, 2])
 KEYS = np.array([[0.0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
-"""[tap, power]: a sample's weight as a polynomial of how far the point lies past the one before it, 0..1."""
+"""[tap, power]: the weight of a sample, a polynomial of the point's distance, 0 to 1, past the sample before it."""
 
 MAX_ORDER = 2
 
 
 @dataclass(frozen=True)
 class Cubic:
-    """An image on a torus of whole-numbered samples, read at points between them.
+    """Interpolation at points between the samples of an image on a torus.
 
-    shape: (rows, columns) of the image. row, col: (points,) in samples; whatever the torus's sides, they wrap around.
-    Its first derivatives are continuous, its second ones jump at the samples. Raises ValueError for other arrays.
+    The first derivatives of the interpolated image are continuous, the second ones jump at the samples.
+
+    Parameters
+    ----------
+    shape : (rows, columns) of the image
+    row, col : (points,), samples; points outside the image wrap around
+
+    Raises
+    ------
+    ValueError
+        for an empty image, and for arrays of other shapes or not finite
     """
 
     shape: tuple[int, int]
@@ -39,19 +48,29 @@ class Cubic:
         object.__setattr__(self, "col", real_array("col", self.col, self.row.shape, "samples"))
 
     def apply(self, image: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
-        """(points,) values, or derivatives of the given orders, 0..2, by row and by column (per sample to that order)."""
+        """Interpolated values, or their derivatives.
+
+        Parameters
+        ----------
+        image : (rows, columns)
+        by_row, by_col : orders of the derivative, 0 to 2
+
+        Returns
+        -------
+        (points,), per sample to the power of each order
+        """
         image = real_array("image", image, self.shape, "radiance")
         return np.asarray(sum(weight * image.flat[index] for index, weight in self._terms(by_row, by_col)))
 
     def adjoint(self, values: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
-        """`apply`'s transpose: (points,) values spread over an image (rows, columns)."""
+        """The transpose of `apply`: values (points,) to an image (rows, columns)."""
         values = real_array("values", values, self.row.shape, "radiance")
         size = self.shape[0] * self.shape[1]
         terms = self._terms(by_row, by_col)
         return np.asarray(sum(np.bincount(index, weight * values, size) for index, weight in terms)).reshape(self.shape)
 
     def _terms(self, by_row: int, by_col: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-        """For each of the 16 neighbours its flat index and its weight, (points,) each."""
+        """Flat indices and weights, (points,) each, of the 16 neighbours in turn."""
         row_index, row_weight = _taps(self.row, self.shape[0], by_row)
         col_index, col_weight = _taps(self.col, self.shape[1], by_col)
         for i, wi in zip(row_index, row_weight, strict=True):
@@ -60,7 +79,7 @@ class Cubic:
 
 
 def _taps(at: Floats, side: int, order: int) -> tuple[NDArray[np.intp], Floats]:
-    """Indices and weights, (4, points) each, of one axis."""
+    """Indices and weights of the four neighbours along one axis, (4, points) each."""
     if not 0 <= order <= MAX_ORDER:
         raise ValueError(f"a derivative of order {order}: allowed are 0 to {MAX_ORDER}")
     before = np.floor(at)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from labkit.imaging.extend import fill, guard_band, roughness
+from labkit.experiments.methods.smooth_extension import fill, guard_band, roughness
 
 SHAPES = st.sampled_from([(7,), (8,), (5, 6), (6, 6), (3, 4, 5)])
 

@@ -1,6 +1,6 @@
 """Perspective and its subgroups of fewer degrees of freedom, with first and second derivatives (thesis, Appendices C, D).
 
-    dof  parameters x                            what moves
+    dof  parameters x                            motion
     1    angle                                   rotation
     2    shifts                                  translation
     3    shifts, angle                           rotation and translation
@@ -9,8 +9,8 @@
     6    shifts, matrix column by column         affine
     8    the same, and two of perspective        any plane onto any other
 
-Shifts are in samples, angles in radians from the first axis to the second, the rest has no unit but the last two, which
-are per sample. Coordinates are (row, column).
+Shifts are in samples, angles in radians from the first axis to the second. The two parameters of perspective are per
+sample, all others without unit. Coordinates are (row, column).
 """
 
 from dataclasses import dataclass
@@ -18,28 +18,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.arrays import real_array
-from labkit.imaging.cubic import Cubic
+from labkit.experiments.methods.cubic import Cubic
 from labkit.types import Floats
 
 DEGREES = (1, 2, 3, 4, 5, 6, 8)
 
-# Which x are the two shifts, the two magnifications and the angle; None: fixed at 0, 1 and 0.
-TURNING: dict[int, tuple[int | None, ...]] = {
+ROTATING: dict[int, tuple[int | None, ...]] = {
     1: (None, None, None, None, 0),
     2: (0, 1, None, None, None),
     3: (0, 1, None, None, 2),
     4: (0, 1, 2, 2, 3),
     5: (0, 1, 2, 3, 4),
 }
-FIXED = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+"""By dof: the places in x of two shifts, two magnifications and the angle; None: fixed at its value in `AT_REST`."""
 
-# Where x stands in the matrix, row and column, in the groups that are linear in x.
+AT_REST = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+
 LINEAR = ((0, 2), (1, 2), (0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
+"""(row, column) in the matrix of each parameter of the groups that are linear in x."""
+
+SINGULAR = 1e-12  # determinant over the cube of the largest entry; an inverse keeps four digits there
 
 
 @dataclass(frozen=True, slots=True)
 class WarpGroup:
-    """The transformations of dof degrees of freedom. Raises ValueError for any but 1, 2, 3, 4, 5, 6 and 8."""
+    """The transformations of `dof` degrees of freedom.
+
+    Raises
+    ------
+    ValueError
+        for a `dof` that is not in `DEGREES`
+    """
 
     dof: int
 
@@ -48,17 +57,23 @@ class WarpGroup:
             raise ValueError(f"dof = {self.dof}: allowed is one of {DEGREES}")
 
     def identity(self) -> Floats:
-        """(dof,) the parameters that move nothing."""
-        if self.dof in TURNING:
-            parameters = np.zeros(self.dof)
-            for place, fixed in zip(TURNING[self.dof], FIXED, strict=True):
-                if place is not None:
-                    parameters[place] = fixed
-            return parameters
-        return np.array([0.0, 0, 1, 0, 0, 1, 0, 0][: self.dof])
+        """(dof,) parameters of the identity."""
+        if self.dof not in ROTATING:
+            return np.array([0.0, 0, 1, 0, 0, 1, 0, 0][: self.dof])
+        parameters = np.zeros(self.dof)
+        for place, value in zip(ROTATING[self.dof], AT_REST, strict=True):
+            if place is not None:
+                parameters[place] = value
+        return parameters
 
     def matrix(self, x: Floats) -> Floats:
-        """(3, 3) homography of (row, column, 1). x: (dof,). Raises ValueError for another shape or not finite x."""
+        """(3, 3) homography of (row, column, 1) for parameters x (dof,).
+
+        Raises
+        ------
+        ValueError
+            for x of another shape, or not finite
+        """
         return self._matrices(x)[0]
 
     def matrix_derivatives(self, x: Floats) -> tuple[Floats, Floats]:
@@ -66,20 +81,36 @@ class WarpGroup:
         return self._matrices(x)[1:]
 
     def to_object(self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)) -> Floats:
-        """Where an image's points come from: the coordinates through the inverse of the matrix, thesis (D.3).
+        """Object coordinates of image points, by the inverse of the matrix.
 
-        where: (2, ...) rows and columns in samples; centre: the point that rotations and magnifications leave in place.
-        Returns (2, ...). Raises ValueError for another shape, for a matrix without an inverse, and for points on or
-        beyond the horizon of a perspective.
+        Parameters
+        ----------
+        x : (dof,)
+        where : (2, ...), rows and columns, samples
+        centre : the fixed point of rotations and magnifications, samples
+
+        Returns
+        -------
+        (2, ...), samples
+
+        Raises
+        ------
+        ValueError
+            for other shapes, a singular matrix, and points on or beyond the horizon of a perspective
+
+        Notes
+        -----
+        Thesis (D.3).
         """
-        inverse, points = self._inverse(x, centre), _homogeneous(where)
-        return _projected(np.tensordot(inverse, points, 1))
+        inverse = self._inverse(x, centre)
+        return _projected(np.tensordot(inverse, _homogeneous(where), 1))
 
     def to_object_derivatives(
         self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Floats, Floats]:
         """First (dof, 2, ...) and second (dof, dof, 2, ...) derivatives of `to_object` by x. Thesis (D.7)-(D.15)."""
-        inverse, points = self._inverse(x, centre), _homogeneous(where)
+        inverse = self._inverse(x, centre)
+        points = _homogeneous(where)
         about = _about(centre)
         first, second = (np.linalg.inv(about) @ d @ about for d in self.matrix_derivatives(x))
         once = first @ inverse  # dV/dx_i V^-1, in the centred frame
@@ -87,44 +118,56 @@ class WarpGroup:
         by_x = -inverse @ once
         by_xx = inverse @ (twice + twice.swapaxes(0, 1) - second @ inverse)
         here = np.tensordot(inverse, points, 1)
-        y, slopes, bends = here[:2] / here[2], np.tensordot(by_x, points, 1), np.tensordot(by_xx, points, 1)
-        ds, dw = slopes[:, :2] / here[2], slopes[:, None, 2] / here[2]  # (dof, 2, ...) and (dof, 1, ...)
-        gradient = ds - y * dw
+        slopes = np.tensordot(by_x, points, 1)
+        bends = np.tensordot(by_xx, points, 1)
+        y = here[:2] / here[2]
+        by_point = slopes[:, :2] / here[2]  # (dof, 2, ...)
+        by_depth = slopes[:, None, 2] / here[2]  # (dof, 1, ...)
+        gradient = by_point - y * by_depth
         hessian = bends[:, :, :2] / here[2] - y * (bends[:, :, None, 2] / here[2])
-        hessian -= gradient[:, None] * dw[None] + gradient[None] * dw[:, None]
+        hessian -= gradient[:, None] * by_depth[None] + gradient[None] * by_depth[:, None]
         return gradient, hessian
 
     def _inverse(self, x: Floats, centre: tuple[float, float]) -> Floats:
-        """(3, 3) of (D.3): L^-1 V^-1 L, L moving the centre to the origin."""
-        matrix, about = self.matrix(x), _about(centre)
-        if not abs(np.linalg.det(matrix)) > 1e-12 * np.abs(matrix).max() ** 3:
+        """(3, 3) matrix of (D.3): L^-1 V^-1 L, where L moves the centre to the origin."""
+        matrix = self.matrix(x)
+        about = _about(centre)
+        if not abs(np.linalg.det(matrix)) > SINGULAR * np.abs(matrix).max() ** 3:
             raise ValueError(f"x = {np.asarray(x)} makes a singular matrix: the plane would lie edge on")
         return np.asarray(np.linalg.inv(about) @ np.linalg.inv(matrix) @ about)
 
     def _matrices(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """The matrix, its first and its second derivatives."""
         x = real_array("x", x, (self.dof,), "samples, radians and ratios")
-        if self.dof in TURNING:
-            return self._turning(x)
-        matrix, first = np.diag([0.0, 0, 1]), np.zeros((self.dof, 3, 3))
+        if self.dof in ROTATING:
+            return self._rotating(x)
+        matrix = np.diag([0.0, 0, 1])
+        first = np.zeros((self.dof, 3, 3))
         for i, place in enumerate(LINEAR[: self.dof]):
-            matrix[place], first[(i, *place)] = x[i], 1.0
+            matrix[place] = x[i]
+            first[(i, *place)] = 1.0
         return matrix, first, np.zeros((self.dof, self.dof, 3, 3))
 
-    def _turning(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rotation times magnifications, derived by all five parameters and then by those that x gives."""
-        places = TURNING[self.dof]
+    def _rotating(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Rotation times magnifications: derivatives by shifts, magnifications and angle, then by x."""
+        places = ROTATING[self.dof]
         choose = np.array([[float(place == i) for i in range(self.dof)] for place in places])  # d (five) / d x
-        down, right, tall, wide, angle = choose @ x + np.where(choose.any(axis=1), 0.0, FIXED)
-        c, s = np.cos(angle), np.sin(angle)
-        turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])  # and its derivative
-        size, unit = np.diag([tall, wide]), np.eye(2)
-        matrix, first, second = np.eye(3), np.zeros((5, 3, 3)), np.zeros((5, 5, 3, 3))
-        matrix[:2, :2], matrix[:2, 2] = turn @ size, (down, right)
+        five = choose @ x + np.where(choose.any(axis=1), 0.0, AT_REST)
+        c, s = np.cos(five[4]), np.sin(five[4])
+        turn = np.array([[c, -s], [s, c]])
+        turned = np.array([[-s, -c], [c, -s]])  # its derivative
+        size = np.diag(five[2:4])
+        matrix = np.eye(3)
+        matrix[:2, :2] = turn @ size
+        matrix[:2, 2] = five[:2]
+        first = np.zeros((5, 3, 3))
+        second = np.zeros((5, 5, 3, 3))
         first[0, 0, 2] = first[1, 1, 2] = 1.0
-        first[4, :2, :2], second[4, 4, :2, :2] = turned @ size, -turn @ size
-        for k in (0, 1):
-            first[2 + k, :2, :2] = turn @ np.diag(unit[k])
-            second[2 + k, 4, :2, :2] = second[4, 2 + k, :2, :2] = turned @ np.diag(unit[k])
+        first[4, :2, :2] = turned @ size
+        second[4, 4, :2, :2] = -turn @ size
+        for k, unit in enumerate(np.eye(2)):
+            first[2 + k, :2, :2] = turn @ np.diag(unit)
+            second[2 + k, 4, :2, :2] = second[4, 2 + k, :2, :2] = turned @ np.diag(unit)
         return (
             matrix,
             np.einsum("pi,pab->iab", choose, first),
@@ -133,9 +176,26 @@ class WarpGroup:
 
 
 def warp(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> Floats:
-    """Values (...) of an image moved by a transformation about its middle, by Keys' cubic on a torus. Thesis (D.2).
+    """Move an image by a transformation about its middle: Keys' cubic on a torus.
 
-    image: (rows, columns); where: (2, ...) points of the moved image, in samples. Raises ValueError for other shapes.
+    Parameters
+    ----------
+    image : (rows, columns), radiance
+    group, x : the transformation and its parameters (dof,)
+    where : (2, ...), points of the moved image, samples
+
+    Returns
+    -------
+    (...), radiance at the points
+
+    Raises
+    ------
+    ValueError
+        for other shapes
+
+    Notes
+    -----
+    Thesis (D.2).
     """
     image = _image(image)
     at = group.to_object(x, where, _middle(image))
@@ -153,7 +213,8 @@ def warp_derivatives(image: Floats, group: WarpGroup, x: Floats, where: Floats) 
     cubic = _cubic(image, at)
     orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
     r, c, rr, rc, cc = (cubic.apply(image, *order).reshape(at.shape[1:]) for order in orders)
-    slope, bend = np.stack([r, c]), np.stack([np.stack([rr, rc]), np.stack([rc, cc])])
+    slope = np.stack([r, c])
+    bend = np.stack([np.stack([rr, rc]), np.stack([rc, cc])])
     gradient = np.einsum("a...,ia...->i...", slope, by_x)
     hessian = np.einsum("a...,ija...->ij...", slope, by_xx)
     return gradient, hessian + np.einsum("ab...,ia...,jb...->ij...", bend, by_x, by_x)
@@ -172,17 +233,18 @@ def _cubic(image: Floats, at: Floats) -> Cubic:
 
 
 def _about(centre: tuple[float, float]) -> Floats:
-    """(3, 3) L: moves the centre to the origin."""
+    """(3, 3) translation L of the centre to the origin."""
     return np.array([[1.0, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1]])
 
 
 def _homogeneous(where: Floats) -> Floats:
+    """(3, ...) homogeneous coordinates of points (2, ...)."""
     where = real_array("where", where, (2, *[None] * (np.ndim(where) - 1)), "samples")
     return np.concatenate([where, np.ones((1, *where.shape[1:]))])
 
 
 def _projected(points: Floats) -> Floats:
-    """(2, ...) of homogeneous (3, ...)."""
+    """(2, ...) points of homogeneous coordinates (3, ...)."""
     # the third coordinate is one over that of the object's own point, which is positive on the visible side
     if beyond := np.count_nonzero(points[2] <= 0):
         raise ValueError(

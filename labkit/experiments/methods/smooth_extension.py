@@ -1,6 +1,6 @@
-"""The smoothest torus through known samples: guard bands and holes filled with the least bandwidth (thesis 2.28-2.32).
+"""Smooth periodic extension of known samples: guard bands and holes filled with the least bandwidth (thesis 2.28-2.32).
 
-Smooth means little spectral energy times squared frequency, which is the integral of the squared gradient of the signal's
+The measure of smoothness is spectral energy times squared frequency: the integral of the squared gradient of the signal's
 continuous, periodic, band-limited extension.
 """
 
@@ -13,16 +13,32 @@ from labkit.errors import FitError
 from labkit.types import Bools, Floats
 
 TOLERANCE = 1e-8
-"""Of the gradient on the unknown samples, relative to that of holes filled with the mean."""
+"""Norm of the gradient on the unknown samples, relative to the norm with holes filled by the mean."""
 
-ROUNDING = 1e-14
-MAX_STEPS = 1000
+ROUNDING = 1e-14  # relative to the whole gradient, for signals that need no filling
+MAX_STEPS = 1000  # 80 are usual
 
 
 def roughness(signal: Floats) -> tuple[float, Floats]:
-    """Half the summed squared gradient, radiance^2 per sample^2, and its derivative by each sample. Thesis (2.31), (2.32).
+    """Half the summed squared gradient, and its derivative by each sample.
 
-    signal: any number of axes, periodic. Raises ValueError for one that is no finite array.
+    Parameters
+    ----------
+    signal : any number of axes, periodic, radiance
+
+    Returns
+    -------
+    value : radiance^2 per sample^2
+    derivative : shape of `signal`, radiance per sample^2
+
+    Raises
+    ------
+    ValueError
+        for a signal that is not finite
+
+    Notes
+    -----
+    Thesis (2.31), (2.32).
     """
     signal = real_array("signal", signal, np.shape(signal), "radiance")
     slope = _filtered(signal, _weights(signal.shape))
@@ -30,11 +46,25 @@ def roughness(signal: Floats) -> tuple[float, Floats]:
 
 
 def fill(signal: Floats, known: Bools) -> Floats:
-    """The signal with its unknown samples replaced by the smoothest ones; the known ones stay as they are, to the bit.
+    """Replace the unknown samples of a signal by those of least roughness; known samples keep every bit.
 
-    signal: any number of axes, periodic; unknown samples may hold anything. known: mask of the same shape. The solution is
-    unique; conjugate gradients on the unknown samples find it. Raises ValueError for other arrays or where nothing is known,
-    FitError should the gradients not converge. Thesis (2.28)-(2.32).
+    The solution is unique. Conjugate gradients on the unknown samples converge to it.
+
+    Parameters
+    ----------
+    signal : any number of axes, periodic, radiance; unknown samples may hold any value, NaN too
+    known : mask of the same shape
+
+    Raises
+    ------
+    ValueError
+        for arrays of other shapes, known samples that are not finite, or a mask without known samples
+    FitError
+        where conjugate gradients do not converge
+
+    Notes
+    -----
+    Thesis (2.28)-(2.32).
     """
     known = mask_array("known", known, np.shape(signal))
     if not known.any():
@@ -49,7 +79,7 @@ def fill(signal: Floats, known: Bools) -> Floats:
 
 
 def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
-    """What the unknown samples of a filled signal lack, by conjugate gradients. Thesis (2.31), (2.32)."""
+    """(unknown samples,) change of a filled signal that minimises its roughness, by conjugate gradients."""
 
     def on_unknown(weights: Floats) -> LinearOperator:
         def apply(step: Floats) -> Floats:
@@ -59,10 +89,11 @@ def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
 
         return LinearOperator((count, count), matvec=apply, dtype=np.float64)
 
-    weights, lowest = _weights(unknown.shape), (2 * np.pi / max(unknown.shape)) ** 2
+    weights = _weights(unknown.shape)
+    lowest = (2 * np.pi / max(unknown.shape)) ** 2
     count = int(np.count_nonzero(unknown))
-    # F^H W^-1 F conditions all of them, holes, guard bands and scattered samples: 60-80 steps, where without it a guard
-    # band takes 700, and where with W^-2 scattered samples take 200
+    # F^H W^-1 F preconditions holes, guard bands and scattered samples alike: 60 to 80 steps. Without it a guard band
+    # takes 700; with F^H W^-2 F scattered samples take 200.
     step, failed = cg(
         on_unknown(weights),
         -_filtered(filled, weights)[unknown],
@@ -77,21 +108,39 @@ def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
 
 
 def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
-    """The image in the middle of a larger torus of the given shape, smoothly extended around it. Thesis Figure 2.8.
+    """Extend an image smoothly to a larger torus, with the image in the middle.
 
-    It starts at (larger - smaller) // 2 along each axis. Raises ValueError for a shape that cannot hold it.
+    Parameters
+    ----------
+    image : any number of axes, radiance
+    shape : of the torus, samples
+
+    Returns
+    -------
+    (*shape); the image begins at (larger - smaller) // 2 along each axis
+
+    Raises
+    ------
+    ValueError
+        for a shape that cannot hold the image
+
+    Notes
+    -----
+    Thesis Figure 2.8.
     """
     image = real_array("image", image, np.shape(image), "radiance")
     if len(shape) != image.ndim or any(large < small for large, small in zip(shape, image.shape, strict=True)):
         raise ValueError(f"shape {shape} (samples) cannot hold an image of shape {image.shape}")
     inside = tuple(slice(start := (n - m) // 2, start + m) for n, m in zip(shape, image.shape, strict=True))
-    torus, known = np.zeros(shape), np.zeros(shape, bool)
-    torus[inside], known[inside] = image, True
+    torus = np.zeros(shape)
+    known = np.zeros(shape, bool)
+    torus[inside] = image
+    known[inside] = True
     return fill(torus, known)
 
 
 def _weights(shape: tuple[int, ...]) -> Floats:
-    """W^2, squared frequencies in radians per sample, on the half of the spectrum that a real signal has."""
+    """W^2, squared frequencies (radians per sample)^2, on the half spectrum of a real signal."""
     frequencies = [scipy.fft.fftfreq(n) for n in shape[:-1]] + [scipy.fft.rfftfreq(shape[-1])]
     return np.asarray(sum((2 * np.pi * f) ** 2 for f in np.meshgrid(*frequencies, indexing="ij", sparse=True)))
 

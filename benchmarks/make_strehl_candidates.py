@@ -1,20 +1,23 @@
-"""Makes labkit/inference/candidates.npz, the shells of thesis (4.39): `python -m benchmarks.make_candidates`."""
+"""Compute the shells of thesis (4.39), labkit/experiments/methods/strehl_candidates.npz.
+
+python -m benchmarks.make_strehl_candidates
+"""
 
 import io
 from pathlib import Path
 
 import numpy as np
 
-import labkit.inference
+from labkit.experiments import methods
+from labkit.experiments.methods.strehl_candidates import NOLL, highest_on_shell, is_trivial, strehl
 from labkit.files import write_atomically
-from labkit.inference.candidates import NOLL, highest_on_shell, is_trivial, strehl
 
 SHELLS = np.arange(0.02, 0.2001, 0.02)
 STARTS, SEED, SAME = 100, 39, 0.1  # starts a shell; the same maximum within this share of its RMS
 
 
 def main() -> None:
-    """Many maximisations on every shell, begun at random and at what the shell below had; the different ends are kept."""
+    """Maximise on every shell from random starts and the maxima of the shell below; keep the different ends."""
     rng = np.random.default_rng(SEED)
     rms, waves, below = [], [], np.empty((0, len(NOLL)))
     for shell in SHELLS:
@@ -31,7 +34,7 @@ def main() -> None:
         print(f"{shell:.2f} waves: {len(ends)} maxima, Strehl ratio {worst:.4f} to {best:.4f}", flush=True)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, rms=np.array(rms), waves=np.array(waves, np.float32))
-    path = Path(labkit.inference.__file__).with_name("candidates.npz")
+    path = Path(methods.__file__).with_name("strehl_candidates.npz")
     write_atomically(path, buffer.getvalue())
     print(f"{path.stat().st_size} bytes")
 

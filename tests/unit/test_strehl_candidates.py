@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, approx_fprime, minimize
 
-from labkit.inference.candidates import NOLL, candidates, is_trivial, rotated, shipped, strehl
+from labkit.experiments.methods.strehl_candidates import (
+    NOLL,
+    is_trivial,
+    rotated,
+    shipped_perturbations,
+    strehl,
+    strehl_candidates,
+)
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import zernike
 from labkit.types import Floats
@@ -37,7 +44,7 @@ def test_rotation_turns_the_modes() -> None:
 
 
 def test_shipped_ones_are_maxima_of_their_shells_and_not_each_other() -> None:
-    shells, found = shipped()
+    shells, found = shipped_perturbations()
     assert set(np.round(shells, 2)) == set(np.round(np.arange(0.02, 0.201, 0.02), 2))
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), shells, rtol=1e-6)
     for rms, waves in zip(shells, found, strict=True):
@@ -50,7 +57,7 @@ def test_shipped_ones_are_maxima_of_their_shells_and_not_each_other() -> None:
 
 
 def test_they_beat_other_directions_by_far() -> None:
-    shells, found = shipped()
+    shells, found = shipped_perturbations()
     rng = np.random.default_rng(3)
     random = rng.normal(size=(300, 12))
     at_random = max(strehl(0.2 * w / np.linalg.norm(w))[0] for w in random)
@@ -58,10 +65,10 @@ def test_they_beat_other_directions_by_far() -> None:
 
 
 def test_candidates_lie_on_the_shell_around_a_wavefront() -> None:
-    around = candidates(WAVES)
+    around = strehl_candidates(WAVES)
     np.testing.assert_allclose(np.linalg.norm(around - WAVES, axis=1), 0.2, rtol=1e-6)
     with pytest.raises(ValueError, match=r"waves has shape \(3,\); \(12,\) is needed"):
-        candidates(np.zeros(3))
+        strehl_candidates(np.zeros(3))
 
 
 def test_a_psf_changes_less_along_them_than_along_others() -> None:
@@ -75,4 +82,4 @@ def test_a_psf_changes_less_along_them_than_along_others() -> None:
     def change(around: Floats) -> float:
         return float(np.median([np.abs(pupil.psf(w) - psf).max() for w in around]))
 
-    assert change(candidates(waves)) < 0.9 * change(waves + others)
+    assert change(strehl_candidates(waves)) < 0.9 * change(waves + others)

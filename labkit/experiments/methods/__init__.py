@@ -1,0 +1,1 @@
+"""Methods of the thesis that no command but `study` needs: warps, sampling, bounds, tests of an optimum."""

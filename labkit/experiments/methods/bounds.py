@@ -1,0 +1,179 @@
+"""Cramér-Rao bounds: of the wavefront, of a detector's parameters, of biased estimates (thesis §3.4, §3.5)."""
+
+import numpy as np
+import scipy.linalg
+
+from labkit.arrays import positive, real_array, symmetric
+from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, State
+from labkit.inference.likelihood import slopes
+from labkit.types import Floats, Integers
+
+
+def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:
+    """Information over all parameters of all frames, computed in little memory.
+
+    The derivatives of at most twice `modes_at_once` modes of one frame are held at a time (thesis Figure 3.4). The price
+    is that derivatives are computed more than once.
+
+    Parameters
+    ----------
+    problem : frames, model and the prior of the noise
+    state : where the information is evaluated
+    modes_at_once : modes of a block
+
+    Returns
+    -------
+    (p, p), parameters in the order of `State.moved`
+
+    Raises
+    ------
+    ValueError
+        for a block without modes
+
+    Notes
+    -----
+    Thesis (3.15), (3.19), (3.28).
+    """
+    positive("modes_at_once", modes_at_once, "modes")
+    modes = state.waves.size
+    common = state.unevenness.size + NOISE
+    size = modes + PER_FRAME * len(problem.frames) + common
+    total = np.zeros((size, size))
+    blocks = [slice(k, min(k + modes_at_once, modes)) for k in range(0, modes, modes_at_once)]
+    for k in range(len(problem.frames)):
+        first = modes + k * PER_FRAME
+        of_frame = np.arange(first, first + PER_FRAME)
+        of_light = np.arange(size - common, size - NOISE)
+        _add_frame(total, problem, state, k, np.concatenate([of_frame, of_light]), blocks)
+    total[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
+    return total
+
+
+def _add_frame(total: Floats, problem: Problem, state: State, k: int, at_frame: Integers, blocks: list[slice]) -> None:
+    """Add the information of frame `k`. at_frame: rows of its pose and light; blocks: the modes'."""
+    model = problem.model
+    frame = problem.frames[k]
+    detector = state.detectors()[k]
+    drawing = model.draw([state.poses[k]])
+    (evaluation,) = model.evaluate(state.waves, drawing, [frame.used], by_waves=False)
+    by_frame = slopes(evaluation, frame, detector)
+    mean = by_frame.of_mean
+    variance = by_frame.of_variance
+    both, cross, square = by_frame.weights()
+    at_noise = len(total) - NOISE + np.arange(NOISE)
+    total[np.ix_(at_frame, at_frame)] += mean * both @ mean.T
+    _add(total, at_frame, at_noise, mean * cross @ variance.T)
+    total[np.ix_(at_noise, at_noise)] += variance * square @ variance.T
+    counts = detector.scale * frame.light(detector.unevenness)
+    for i, block in enumerate(blocks):
+        here = model.slopes(state.waves, drawing, frame.used, block) * counts
+        at = np.arange(block.start, block.stop)
+        total[np.ix_(at, at)] += here * both @ here.T
+        _add(total, at, at_frame, here * both @ mean.T)
+        _add(total, at, at_noise, here * cross @ variance.T)
+        for later in blocks[i + 1 :]:
+            there = model.slopes(state.waves, drawing, frame.used, later) * counts
+            _add(total, at, np.arange(later.start, later.stop), here * both @ there.T)
+
+
+def _add(total: Floats, rows: Integers, columns: Integers, block: Floats) -> None:
+    """Add an off-diagonal block and its transpose."""
+    total[np.ix_(rows, columns)] += block
+    total[np.ix_(columns, rows)] += block.T
+
+
+DETECTOR = ("light c1", "ambient light c2", "gain c3", "black level c4", "read noise")
+
+
+def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
+    """Information of one frame on the five detector parameters of thesis (3.4); it is singular.
+
+    mu = c3 V (c1 u + c2) + c4 and Sigma = c3 (mu - c4) + read_noise^2, with u the relative image and V the illumination.
+
+    Parameters
+    ----------
+    relative : (pixels,), of the target's radiance
+    light : (pixels,), illumination relative to its mean
+    c : (5,), in the order of `DETECTOR`: electrons, electrons, counts per electron, counts, counts
+
+    Returns
+    -------
+    (5, 5)
+
+    Raises
+    ------
+    ValueError
+        for arrays of other shapes, or not finite
+    """
+    relative = real_array("relative", relative, (None,), "of the target's radiance")
+    light = real_array("light", light, relative.shape, "relative")
+    c1, c2, c3, _, read = real_array("c", c, (len(DETECTOR),), "electrons; counts per electron; counts")
+    electrons = light * (c1 * relative + c2)
+    zero = np.zeros_like(electrons)
+    one = np.ones_like(electrons)
+    means = np.stack([c3 * light * relative, c3 * light, electrons, one, zero])
+    variances = np.stack([c3**2 * light * relative, c3**2 * light, 2 * c3 * electrons, zero, 2 * read * one])
+    variance = c3**2 * electrons + read**2
+    return np.asarray((means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T)
+
+
+def uniform_bound(
+    covariance: Floats, index: int, multipliers: Floats, norm: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """The uniform Cramér-Rao bound of one parameter, over the norm of its bias's gradient.
+
+    Parameters
+    ----------
+    covariance : (p, p), of an unbiased estimate
+    index : of the parameter
+    multipliers : (n,), Lagrange's, above 0: a large one leaves little bias; in the parameter's unit, squared
+    norm : (p, p) C of ||d||^2 = d^T C d, the identity by default
+
+    Returns
+    -------
+    norm : (n,), delta of the bias's gradient d
+    variance : (n,), the bound, in the parameter's unit, squared
+
+    Raises
+    ------
+    ValueError
+        for a multiplier that is not positive, and for matrices that are not symmetric and finite
+
+    Notes
+    -----
+    Thesis (3.47), (3.48).
+    """
+    multipliers = real_array("multipliers", multipliers, (None,), "the parameter's unit squared")
+    if np.any(multipliers <= 0):
+        raise ValueError(f"multipliers, shape {multipliers.shape}: all must be above 0 (the parameter's unit squared)")
+    size = len(covariance)
+    covariance = symmetric("covariance", covariance, size, "of the parameters' units, squared")
+    norm = None if norm is None else symmetric("norm", norm, size, "of the parameters' units, inverse squared")
+    root = np.eye(size) if norm is None else np.asarray(scipy.linalg.sqrtm(norm).real)
+    inverse = np.linalg.inv(root)
+    beta, vectors = np.linalg.eigh(inverse @ covariance @ inverse)
+    part = (root[index] @ vectors) ** 2
+    lam = multipliers[:, None]
+    delta = np.sqrt(np.sum((beta / (lam + beta)) ** 2 * part, axis=1))
+    return delta, np.asarray(np.sum(lam**2 * beta / (lam + beta) ** 2 * part, axis=1))
+
+
+def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None) -> float:
+    """Slope of the uniform bound where the bias is zero, in the parameter's unit, squared.
+
+    It is -2 times the norm of the parameter's row of the covariance. Thesis §3.5.
+
+    Parameters
+    ----------
+    covariance : (p, p), of an unbiased estimate
+    index : of the parameter
+    norm : (p, p), as of `uniform_bound`
+
+    Raises
+    ------
+    ValueError
+        for a covariance that is not symmetric and finite
+    """
+    row = symmetric("covariance", covariance, len(covariance), "of the parameters' units, squared")[index]
+    weighted = row if norm is None else np.linalg.solve(norm, row)
+    return float(-2 * np.sqrt(row @ weighted))

@@ -1,0 +1,27 @@
+"""Names of the parameters of a fit, in the order of its information matrix."""
+
+from collections.abc import Sequence
+
+from labkit.imaging.warp import POSE_SIZE
+from labkit.inference.fisher_scoring import State
+from labkit.optics.zernike import mode_name
+
+OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
+
+
+def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
+    """Names of all parameters of a state, in the order of `State.moved`.
+
+    Parameters
+    ----------
+    state : where the information is evaluated
+    noll : the modes of its wavefront, by Noll's order
+
+    Returns
+    -------
+    one name a row of the information matrix
+    """
+    modes = [mode_name(j) for j in noll]
+    frames = [f"{name} of frame {k + 1}" for k in range(len(state.poses)) for name in OF_A_FRAME]
+    light = [f"unevenness {k + 1}" for k in range(state.unevenness.size)]
+    return (*modes, *frames, *light, "log gain", "log read variance")
