@@ -155,7 +155,6 @@ class _Choices:
                 if not inside.any():
                     continue
                 trial, reached = self.fit(changed, inside, lens.solved.point)
-                print(_, len(places), value, reached, promise[places].max())
                 if reached > value + 1e-6:
                     choice, members, lens, value = changed, inside, trial, reached
                     break
@@ -194,7 +193,9 @@ class _Choices:
         return wanted, np.where(same, 0.0, promise)
 
 
-def select(observed: Sequence[Observed], stated: Stated, before: Selection | None = None) -> Selection:
+def select(
+    observed: Sequence[Observed], stated: Stated, before: Selection | None = None, *, everyone: bool = False
+) -> Selection:
     """Choose candidate, sign and membership of every observation, and estimate the lens.
 
     Parameters
@@ -202,6 +203,7 @@ def select(observed: Sequence[Observed], stated: Stated, before: Selection | Non
     observed : observations of known range with their candidates; those without any are predicted
     stated : the plan's numbers
     before : an earlier selection of the same observations in the same order, whose choices are where this one starts
+    everyone : whether all observations belong, and all laws hold, whatever that costs
 
     Returns
     -------
@@ -216,6 +218,8 @@ def select(observed: Sequence[Observed], stated: Stated, before: Selection | Non
     if first is None:
         raise ValueError("no observation has a candidate: there is nothing to select from")
     options = Options.of(observed, len(first.values))
+    if everyone:
+        options.cost[:] = np.inf
     readings = tuple(one.reading for one in observed)
     model = LensModel(readings, first.noll, first.parts, stated)
     choices = [
@@ -223,33 +227,36 @@ def select(observed: Sequence[Observed], stated: Stated, before: Selection | Non
         for laws in (Laws(), Laws(mode_scatter=SETTINGS.mode_scatter_waves[-1]))
     ]
     start = _started(choices[0], before)
-    ends = [one.ascend(*start) for one in choices[:1]]
-    if not ends[0][1].all():  # outliers: modes that differ from range to range may explain them
+    ends = [choices[0].ascend(*start)]
+    fitted = np.isfinite(options.gain).any(axis=1)
+    if np.count_nonzero(fitted & ~ends[0][1]) > SETTINGS.few_outliers * np.count_nonzero(fitted):
         ends.append(choices[1].ascend(*start))
     best = int(np.argmax([end[3] - one.occam(end[0], end[1]) for one, end in zip(choices, ends, strict=False)]))
     choice, members, _, value = ends[best]
-    lens = exact_lens(observed, choice, members, stated)
+    lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
     is_open = _open_channels(choices[best], choice, members, value)
     return Selection(observed, choice, members, lens, value, is_open)
 
 
-def exact_lens(observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated) -> LensFit:
-    """The lens of chosen candidates under the strictest laws that they do not contradict."""
+def exact_lens(
+    observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated, *, laws: Laws | None = None
+) -> LensFit:
+    """The lens of chosen candidates under the strictest laws that they do not contradict, or under given ones."""
     measured, tilt_std, own_tilt = _measurements(observed, choice, members)
     first = next(one.candidates[0].measured for one in observed if one.candidates)
-    model = LensModel(tuple(one.reading for one in observed), first.noll, first.parts, stated, Laws(), tilt_std)
+    model = LensModel(tuple(one.reading for one in observed), first.noll, first.parts, stated, laws or Laws(), tilt_std)
     if own_tilt.size:
         measured.covariance[:, -1, -1] += own_tilt**2
-    strict = fit_lens(model, measured)
+    lens = fit_lens(model, measured)
     stations = {one.reading.station for one, member in zip(observed, members, strict=True) if member}
-    if strict.p_value >= SETTINGS.contradiction_chance or len(stations) < 2:
-        return strict
+    if laws is not None or lens.p_value >= SETTINGS.contradiction_chance or len(stations) < 2:
+        return lens
     free = {"cone_std": SETTINGS.loose_cone, "size_scatter": SETTINGS.loose_size}
     looser = [Laws(**free)]
     for scatter in SETTINGS.mode_scatter_waves:
         looser += [Laws(mode_scatter=scatter), Laws(mode_scatter=scatter, **free)]
-    fits = [fit_lens(replace(model, laws=laws), measured, strict.solved.point) for laws in looser]
-    return max([strict, *fits], key=lambda fit: fit.log_evidence)
+    fits = [fit_lens(replace(model, laws=one), measured, lens.solved.point) for one in looser]
+    return max([lens, *fits], key=lambda fit: fit.log_evidence)
 
 
 def _measurements(

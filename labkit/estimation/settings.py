@@ -47,6 +47,8 @@ class Settings:
     """Log-likelihood that leaving out an observation costs whose residuals are noise: chance exceeds it once in 10^8."""
     doubtful_cost: float = 10.0
     """The same where residuals are not noise alone: once in 500."""
+    few_outliers: float = 0.25
+    """Share of the observations that is left out rather than a law loosened."""
     clear_gain: float = 4.5
     """Log-likelihood between two choices of a channel's signs, below which the signs are open: three standard errors."""
 

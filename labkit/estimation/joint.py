@@ -1,0 +1,186 @@
+"""A climb over all frames of a session at once: does the estimate from two levels lose anything?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labkit.errors import LostTasksError
+from labkit.estimation.candidate import Candidate, Measured, Observed
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.lens_fit import LensFit
+from labkit.estimation.local import Views
+from labkit.estimation.select import exact_lens
+from labkit.estimation.stated import Stated
+from labkit.execute import Run
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.window import WINDOW_AIRY
+from labkit.inference.cone import expand
+from labkit.inference.fisher_scoring import Problem, Start, State
+from labkit.target import Target
+from labkit.types import Floats, Progress
+
+ROUNDS = 6
+SETTLED_STDS = 0.02
+"""Standard errors: the climb ends with a step shorter than this in every number."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One member's part of a step.
+
+    Attributes
+    ----------
+    views, target : its frames, and what they show
+    state, optics : where the member stands
+    values : (values,) that the session's step gives it, see `Measured`
+    explained : whether the model explains its frames
+    """
+
+    views: Views
+    target: Target
+    state: State
+    optics: Optics
+    values: Floats
+    explained: bool
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where a leg ended, and the likelihood about it."""
+
+    state: State
+    optics: Optics
+    measured: Measured
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The end of the climb.
+
+    Attributes
+    ----------
+    lens : the session there
+    differences : from the two levels, in standard errors, by number
+    log_likelihoods : of all frames, after each step
+    """
+
+    lens: LensFit
+    differences: dict[str, float]
+    log_likelihoods: tuple[float, ...]
+
+
+def climb(session: Estimate, targets: Sequence[Target], stated: Stated, run: Run, progress: Progress) -> Joint:
+    """Gauss-Newton over everything at once, from the two levels' end.
+
+    The parameters of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by
+    member, they leave the session's least squares, with each member's likelihood expanded anew about where the session
+    has it.
+
+    Raises
+    ------
+    ValueError : the session has no lens
+    """
+    if session.lens is None:
+        raise ValueError("the fits have no lens in common: there is nothing to climb together")
+    first = lens = session.lens
+    places = [(session.fits[k].optimum.state, session.fits[k].optics) for k in session.members]
+    likelihoods = list[float]()
+    for done in range(ROUNDS):
+        progress(done, ROUNDS, "climbing jointly")
+        before = lens
+        reached = _all_reached(session, targets, lens, places, run)
+        places = [(one.state, one.optics) for one in reached]
+        likelihoods.append(sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens))
+        lens = _lens_of(session, reached, first, stated)
+        if max(_differences(lens, before).values()) < SETTLED_STDS:
+            break
+    return Joint(lens, _differences(lens, first), tuple(likelihoods))
+
+
+def refined(session: Estimate, targets: Sequence[Target], stated: Stated, run: Run) -> Estimate:
+    """With the lens after the climb's first step, where camera parts were fitted.
+
+    In squares of a filter's spread a likelihood is less of a parabola than in all else, and the session's spread is beyond
+    what some fits alone make of it.
+    """
+    if session.lens is None or not any(session.fits[k].optics.parts for k in session.members):
+        return session
+    places = [(session.fits[k].optimum.state, session.fits[k].optics) for k in session.members]
+    try:
+        reached = _all_reached(session, targets, session.lens, places, run)
+    except LostTasksError:  # for lack of memory: the two levels' end stays
+        return session
+    return replace(session, lens=_lens_of(session, reached, session.lens, stated))
+
+
+def _all_reached(
+    session: Estimate,
+    targets: Sequence[Target],
+    lens: LensFit,
+    places: Sequence[tuple[State, Optics]],
+    run: Run,
+) -> list[Reached]:
+    """From where members stand, at a lens's values for them."""
+    predicted = lens.solved.predicted
+    legs = []
+    for k, (state, optics) in zip(session.members, places, strict=True):
+        fit, row = session.fits[k], session.rows[k]
+        o = fit.observation
+        explained = fit.optimum.verdict.accepted
+        legs.append(Leg(Views(o.frames, o.poses, o.noise), targets[k], state, optics, predicted[row], explained))
+    done = dict(run(reach, legs))
+    return [done[k] for k in range(len(legs))]
+
+
+def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit, stated: Stated) -> LensFit:
+    """The lens of members where they have got to, under the laws of another."""
+    at = {session.rows[k]: one for k, one in zip(session.members, reached, strict=True)}
+    rows = range(len(like.model.readings))
+    observed = [
+        Observed(reading, (Candidate(at[row].measured),) if row in at else ())
+        for row, reading in zip(rows, like.model.readings, strict=True)
+    ]
+    members = np.array([row in at for row in rows])
+    return exact_lens(observed, np.where(members, 0, -1), members, stated, laws=like.model.laws)
+
+
+def reach(leg: Leg) -> Reached:
+    """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
+    state, optics = expand(problem_at(leg, leg.optics, leg.state), Start(leg.state)).at(leg.values)
+    problem = problem_at(leg, optics, state)
+    expansion = expand(problem, Start(state))
+    measured = expansion.measured()
+    return Reached(state, optics, measured if leg.explained else expansion.poor(measured), expansion.objective)
+
+
+def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
+    """A leg's frames and a model of them about a state."""
+    frames = leg.views.frames
+    model = ForwardModel.build(
+        optics,
+        leg.target,
+        frames[0].counts.shape,
+        state.poses[0],
+        window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
+        shine=frames[0].shine,
+    )
+    return Problem(model, frames, leg.views.noise)
+
+
+def _prior_chi2(lens: LensFit) -> float:
+    columns = lens.model.columns
+    away = [(value - c.value) / c.prior_std for value, c in zip(lens.theta, columns, strict=True)]
+    return float(np.sum(np.square(away)))
+
+
+def _differences(one: LensFit, other: LensFit) -> dict[str, float]:
+    """Of every number, in standard errors."""
+    names = [" ".join(map(str, (column.kind, *column.name))) for column in one.model.columns]
+    std = np.sqrt(np.diag(other.errors))
+    return dict(zip(names, np.abs((one.theta - other.theta) / std).tolist(), strict=True))
+
+

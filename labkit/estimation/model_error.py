@@ -1,0 +1,64 @@
+"""How wrong a session may be whose model lacks a camera part that its frames show.
+
+A sandwich tells how residuals that are not noise scatter an estimate, not where they drag all fits alike. The same fits with
+the part say that. Estimates stay as the model has them; their errors hold the move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from labkit.estimation.candidate import Measured, twin_signs
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.local import PREDICTED_WAVES, Optimum
+from labkit.optics.wavefront import DEFOCUS
+from labkit.types import Floats
+
+
+def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
+    """(modes,) waves RMS and ln of the cone by which what is missing would move a wavefront. Of two twins the nearer counts."""
+    near = _near(optimum, with_missing)
+    return near.waves - optimum.waves, float(np.log(near.optics.f_number / optimum.optics.f_number))
+
+
+def confirmed(session: Estimate, index: int) -> bool:
+    """Whether a fit is at the optimum that explains its frames once the model has what it lacks."""
+    optimum, fullest = session.fits[index].optimum, session.fullest(index)
+    if optimum is fullest or not fullest.verdict.accepted:
+        return False
+    modes, _ = shift(optimum, fullest)
+    above_defocus = [k for k, j in enumerate(optimum.noll) if j != DEFOCUS]
+    return float(np.linalg.norm(modes[above_defocus])) < PREDICTED_WAVES
+
+
+def with_model_error(session: Estimate) -> Estimate:
+    """With the lens's errors as what is missing makes them."""
+    if session.lens is None or not any(session.with_missing):
+        return session
+    shifts = np.zeros_like(session.lens.measured.values)
+    for k in session.members:
+        row = session.rows[k]
+        assert row is not None
+        shifts[row] = _measured_shift(session.fits[k].optimum, session.fullest(k))
+    return replace(session, lens=session.lens.leaning(shifts))
+
+
+def _measured_shift(optimum: Optimum, with_missing: Optimum) -> Floats:
+    """(values,) of `Measured`; a part that the other has no more is one of numbers 0."""
+    here, there = optimum.measured, _near(optimum, with_missing).measured
+    known = _by_label(there)
+    moved = [known.get(label, 0.0) for label in (*here.noll, *here.parts)]
+    return np.asarray([*moved, *there.values[-2:]]) - here.values
+
+
+def _by_label(measured: Measured) -> dict[str | int, float]:
+    labels: list[str | int] = [*measured.noll, *measured.parts]
+    return dict(zip(labels, measured.values.tolist(), strict=False))
+
+
+def _near(optimum: Optimum, other: Optimum) -> Optimum:
+    """Another, or its twin, whichever is nearer."""
+    even = twin_signs(optimum.noll) < 0
+    return other.twin() if optimum.waves[even] @ other.waves[even] < 0 else other
