@@ -7,7 +7,8 @@ import numpy as np
 
 from labkit.experiments.camera import Camera
 from labkit.finder.find_target import find_target
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import fisher_information, parameter_names
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State

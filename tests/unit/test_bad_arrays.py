@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from labkit.finder.find_target import find_target, grey_image
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import bias_sensitivity, detector_information, uniform_bound
 from labkit.inference.candidates import candidates, highest_on_shell, is_trivial, rotated, strehl
