@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, numbers, together, worth
+from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
@@ -50,6 +51,17 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     assert climbed.solution.converged
     assert abs(rows - 0.2) < 3 * std[0] < 0.08
     assert abs(columns - 0.15) < 3 * std[1] < 0.15
+
+
+def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing() -> None:
+    frames = problem(LowPass(0.2, 0.15))
+    # a target that is no panel's: the panel's numbers are as their prior has them
+    shown = replace(frames, model=frames.model.shaped(replace(OPTICS, panel=Aperture())))
+    ours, plain = asked(shown), asked(frames)
+    assert ours.keys() == plain.keys()
+    for name, call in plain.items():
+        np.testing.assert_allclose(ours[name].information, call.information, rtol=1e-6)
+        np.testing.assert_allclose(ours[name].slope, call.slope, rtol=1e-6)
 
 
 def test_a_veil_is_climbed_to_with_its_width() -> None:
