@@ -13,7 +13,8 @@ import scipy.fft
 from labkit.execute import pin_threads
 from labkit.experiments.annealing import Task, work
 from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import maximize
 from labkit.optics.psf import Pupil

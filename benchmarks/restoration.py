@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 from scipy import ndimage
 
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.restoration.job import Colour, Job, Photograph
 from labkit.restoration.tiles import memory_bytes, restore_job
 

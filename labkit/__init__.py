@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from labkit.analysis.image import fit_image
     from labkit.devices.registry import open_devices
     from labkit.errors import LabkitError
-    from labkit.imaging.model import Optics
+    from labkit.imaging.optics import Optics
     from labkit.plan import Plan
     from labkit.report.html import write_report
     from labkit.results import Results, Wavefront
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "LabkitError": "errors",
-    "Optics": "imaging.model",
+    "Optics": "imaging.optics",
     "Plan": "plan",
     "Results": "results",
     "Session": "session.session",

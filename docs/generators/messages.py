@@ -54,6 +54,9 @@ SILENT = (
 )
 """Where only what is raised is a message: the rest is help, tables, units or pages."""
 
+SPOKEN = ("words", "finding")
+"""Attributes of parts of the camera that go into messages: their text is one wherever it is."""
+
 FEWEST_WORDS = 4
 """Of what is not raised; what varies counts as one."""
 
@@ -91,14 +94,24 @@ def messages_of(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):  # an f-string's own pieces, and docstrings, are no messages by themselves
         for child in ast.iter_child_nodes(node):
             child.parent = node  # type: ignore[attr-defined]
-    quiet = path.relative_to(ROOT).as_posix().startswith(SILENT)
+    silent, spoken = path.relative_to(ROOT).as_posix().startswith(SILENT), _spoken(tree)
     for node in ast.walk(tree):
-        text = template(node)
+        text, quiet = template(node), silent and node not in spoken
         if text and not _is_part(node) and not NO_PROSE.search(text):
             callee = _callee(node)
             words = len(WORD.findall(text)) + ("…" in text)
             if (callee in ERRORS and words > 1) or (not quiet and callee not in OTHERS and words >= FEWEST_WORDS):
                 yield " ".join(text.split())
+
+
+def _spoken(tree: ast.AST) -> set[ast.AST]:
+    """Everything within definitions of attributes that go into messages."""
+    spoken = set[ast.AST]()
+    for node in ast.walk(tree):
+        name = getattr(node, "name", getattr(getattr(node, "target", None), "id", ""))
+        if name in SPOKEN and isinstance(node, ast.FunctionDef | ast.AnnAssign):
+            spoken |= {*ast.walk(node)}
+    return spoken
 
 
 def template(node: ast.AST) -> str | None:

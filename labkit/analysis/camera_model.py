@@ -8,12 +8,10 @@ from functools import reduce
 
 from labkit.analysis.diagnosis import ALIKE, BLURS, called_for, commoner, idle, lacks, numbers, together, worth
 from labkit.analysis.fits_under_way import FitsUnderWay, same
-from labkit.analysis.local_fits import LocalFit, optics_of
+from labkit.analysis.local_fits import LocalFit, optics_of, wanted_parts
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.stated_parts import wanted_parts
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fit import canonical
-from labkit.inference.missing_parts import lacking, with_part, without_parts
 from labkit.inference.search import CALLED_FOR
 from labkit.results.model import PartTried
 
@@ -78,10 +76,10 @@ class CameraModel:
 
     def _made_alike(self) -> None:
         """Where some fits have parts and others not, the others are made again with them."""
-        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.parts))
-        names = [part.name for part in richest.parts]
-        poorer = [k for k, f in self.fits.items() if [part.name for part in f.fit.optics.parts] != names]
-        self._again(poorer, {k: replace(self.fits[k].fit.optics, parts=richest.parts) for k in poorer})
+        richest = max((f.fit.optics for f in self.fits.values()), key=lambda optics: len(optics.shared))
+        names = [part.name for part in richest.shared]
+        poorer = [k for k, f in self.fits.items() if [part.name for part in f.fit.optics.shared] != names]
+        self._again(poorer, {k: self.fits[k].fit.optics.sharing(richest) for k in poorer})
 
     def _better_with(self, name: str, places: Sequence[int]) -> bool:
         """Make all fits again with a part; whether some gain by it. Parts that have nothing left to do are taken out.
@@ -93,7 +91,7 @@ class CameraModel:
         def gained() -> float:
             return sum(self.fits[k].fit.objective - before[k].fit.objective for k in places)
 
-        self._again(list(before), {k: with_part(f.fit.optics, name) for k, f in before.items()})
+        self._again(list(before), {k: f.fit.optics.with_part(name) for k, f in before.items()})
         explained = any(self.fits[k].fit.verdict.accepted for k in places)
         least = max(CALLED_FOR, 0.0 if explained else SHARE * sum(before[k].unexplained for k in places))
         if gained() >= least:
@@ -114,7 +112,7 @@ class CameraModel:
         others = commoner(name, self.fits[places[0]].fit.optics)
         all_of_them = [others] if len(others) > 1 and numbers(others) <= numbers([name]) else []
         for instead in [*([other] for other in others), *all_of_them]:
-            optics = {k: reduce(with_part, instead, without_parts(f.fit.optics, [name])) for k, f in before.items()}
+            optics = {k: reduce(Optics.with_part, instead, f.fit.optics.without([name])) for k, f in before.items()}
             self._again(telling, optics)
             if sum(self.fits[k].fit.objective for k in telling) > reached - ALIKE * (len(instead) == 1):
                 self._again([k for k in before if k not in telling], optics)
@@ -127,7 +125,7 @@ class CameraModel:
         kept = [*kept, *wanted_parts(self.under_way.plan)]
         out = [part for part in idle([self.fits[k].fit.measured for k in places]) if part not in kept]
         if out:
-            self._again(list(self.fits), {k: without_parts(f.fit.optics, out) for k, f in self.fits.items()})
+            self._again(list(self.fits), {k: f.fit.optics.without(out) for k, f in self.fits.items()})
         return bool(out)
 
     def _has(self, name: str, places: Sequence[int]) -> bool:
@@ -155,10 +153,10 @@ class CameraModel:
         """
         whole, optics = dict(self.fits), dict[int, Optics]()
         for k, f in whole.items():
-            stated = lacking(optics_of(self.under_way.plan, f.channel))
-            found = [name for name in stated if name not in lacking(f.fit.optics)]
+            stated = optics_of(self.under_way.plan, f.channel).lacking
+            found = [name for name in stated if name not in f.fit.optics.lacking]
             if found:
-                optics[k] = without_parts(f.fit.optics, found)
+                optics[k] = f.fit.optics.without(found)
                 self.missing = tuple(dict.fromkeys((*self.missing, *found)))
         if not optics:
             return session

@@ -8,10 +8,10 @@ from functools import reduce
 import numpy as np
 from scipy.linalg import block_diag
 
-from labkit.imaging.model import Optics
-from labkit.imaging.parts import Aperture
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
 from labkit.inference.cone import Measured
-from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call, lacking
+from labkit.inference.missing_parts import Call
 from labkit.inference.search import CALLED_FOR
 
 ALIKE = 4.0
@@ -27,22 +27,25 @@ DROPPED = 8.0
 
 def lacks(optics: Iterable[Optics]) -> list[str]:
     """Parts that none of some optics have."""
-    names = [lacking(of) for of in optics]
+    names = [of.lacking for of in optics]
     return [name for name in names[0] if all(name in others for others in names)]
 
 
 def together(every: Sequence[Mapping[str, Call]], channels: Sequence[str]) -> dict[str, Call]:
-    """Of fits that share the camera, by name, where all lack the part. channels: theirs, each of which has a spectrum of its
-    own."""
+    """Of fits that share the camera, by name, where all lack the part. channels: theirs, which have some parts of their own."""
     names = [name for name in every[0] if all(name in of for of in every)]
-    whole = {name: reduce(Call.__add__, (of[name] for of in every)) for name in names}
-    if SPECTRUM in whole:
-        of = [
-            [e[SPECTRUM] for e, c in zip(every, channels, strict=True) if c == one] for one in dict.fromkeys(channels)
-        ]
-        calls = [reduce(Call.__add__, calls) for calls in of]
-        whole[SPECTRUM] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
-    return whole
+    return {name: _summed([of[name] for of in every], channels if KNOWN[name].per_channel else "") for name in names}
+
+
+def _summed(calls: Sequence[Call], channels: Sequence[str]) -> Call:
+    """Of one part, the calls of all fits. channels: theirs, if each channel has numbers of its own."""
+    if not channels:
+        return reduce(Call.__add__, calls)
+    each = [
+        reduce(Call.__add__, (call for call, of in zip(calls, channels, strict=True) if of == one))
+        for one in dict.fromkeys(channels)
+    ]
+    return Call(np.concatenate([c.slope for c in each]), block_diag(*(c.information for c in each)))
 
 
 def called_for(summed: Mapping[str, Call]) -> str | None:
@@ -56,8 +59,7 @@ def commoner(name: str, optics: Optics) -> list[str]:
     """Parts that blur much like another, are more common, and that optics lack; the most common first."""
     if name not in BLURS:
         return []
-    missing = lacking(optics)
-    return [other for other in BLURS[: BLURS.index(name)] if other in missing]
+    return [other for other in BLURS[: BLURS.index(name)] if other in optics.lacking]
 
 
 def numbers(names: Sequence[str]) -> int:
@@ -70,7 +72,7 @@ def worth(fits: Sequence[Measured]) -> dict[str, float]:
     worths = dict[str, float]()
     for measured in fits:
         names = [label.split(".")[0] for label in measured.parts]
-        for name in dict.fromkeys(name for name in names if name != Aperture.name):
+        for name in dict.fromkeys(name for name in names if name in KNOWN):
             at = len(measured.noll) + np.flatnonzero([n == name for n in names])
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))

@@ -7,7 +7,8 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State

@@ -13,20 +13,20 @@ from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.light_width import widest_light_nm
-from labkit.analysis.local_fits import PATIENCE_S, fit_task
+from labkit.analysis.local_fits import PATIENCE_S, fit_task, wanted_parts
 from labkit.analysis.model_error import with_model_error
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.session_parts import WORDS, model_parts, words_of_change, words_of_parts
+from labkit.analysis.session_parts import model_parts, words_of_change, words_of_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
 from labkit.analysis.split import find_change
-from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.steps import Steps
 from labkit.analysis.wavefronts import fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
+from labkit.imaging.parts import KNOWN
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.model import array_key, same_range
@@ -237,7 +237,7 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
                 if w.test.accepted
                 else "the optimum may be a wrong one, or the model lacks something"
             )
-            why += "".join(f", such as {WORDS[name]}" for name in w.missing) + "; its errors include that"
+            why += "".join(f", such as {KNOWN[name].words}" for name in w.missing) + "; its errors include that"
             left = f"(p = {w.test.p_value:.1g}, χ² per pixel {w.chi2_per_pixel:.2f})"
             doubts.append(f"{where}: what is left of the data is not noise alone {left}; {why}")
         if not low <= w.chi2_per_pixel <= high:

@@ -14,7 +14,7 @@ from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
 from labkit.errors import DataError
 from labkit.finder.find_target import find_target, grey_image
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.fit import canonical

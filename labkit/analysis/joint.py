@@ -12,7 +12,7 @@ from labkit.analysis.local_fits import LocalFit, Task, problem_at
 from labkit.analysis.session_fits import SessionFits
 from labkit.errors import LostTasksError
 from labkit.execute import Run
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import Start, State
 from labkit.types import Floats, Progress
@@ -81,7 +81,7 @@ def refined(session: SessionFits, run: Run) -> SessionFits:
     In squares of a filter's spread a likelihood is less of a parabola than in all else, and the session's spread lies beyond
     what some fits alone make of it.
     """
-    if session.lens is None or not any(f.fit.optics.parts for f in _members(session)):
+    if session.lens is None or not any(f.fit.optics.shared or f.fit.optics.panel for f in _members(session)):
         return session
     places = [(f.fit.state, f.fit.optics) for f in _members(session)]
     try:

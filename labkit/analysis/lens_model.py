@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from scipy.special import chdtrc
 
-from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.imaging.optics import ESTIMATED
 from labkit.inference.cone import Measured
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.plan import Plan
@@ -84,8 +84,9 @@ class Member:
 
 
 def whose(label: str, channel: str) -> tuple[str, ...]:
-    """Whose number a part's is: one camera's, but each channel has its own light."""
-    return (label, channel) if label == SPECTRUM_WIDTH else (label,)
+    """Whose number a part's is: one camera's, but of some parts each channel has its own."""
+    group = ESTIMATED[label.partition(".")[0]]
+    return (label, channel) if group.per_channel else (label,)
 
 
 @dataclass(frozen=True)

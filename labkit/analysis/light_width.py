@@ -7,7 +7,8 @@ from functools import reduce
 import numpy as np
 
 from labkit.analysis.session_fits import SessionFits
-from labkit.inference.missing_parts import SPECTRUM, Call
+from labkit.imaging.parts import SpectrumWidth
+from labkit.inference.missing_parts import Call
 from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
 
@@ -24,8 +25,8 @@ def widest_light_nm(session: SessionFits, plan: Plan) -> dict[str, float]:
     said = dict[str, list[Call]]()
     for k in session.trusted:
         local = session.fullest(k)
-        if local.channel in silent and SPECTRUM in local.fit.calls:
-            said.setdefault(local.channel, []).append(local.fit.calls[SPECTRUM])
+        if local.channel in silent and SpectrumWidth.name in local.fit.calls:
+            said.setdefault(local.channel, []).append(local.fit.calls[SpectrumWidth.name])
     return {name: silent[name] * _most(reduce(Call.__add__, calls)) for name, calls in said.items()}
 
 

@@ -9,15 +9,17 @@ import numpy as np
 
 from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member
 from labkit.analysis.observe import Observation
-from labkit.analysis.stated_parts import stated_parts, stated_spectrum
 from labkit.execute import say
-from labkit.imaging.model import ForwardModel, Optics
-from labkit.imaging.parts import Part
+from labkit.imaging.aperture import Aperture
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN, Part
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.optics.lens import ThinLens
+from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats
@@ -129,7 +131,7 @@ def optics_of(plan: Plan, channel: str) -> Optics:
     """Light, sensor and lens of a plan's channel, the cone as engraved."""
     light = next(c for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
-    fitted, given = stated_parts(plan)
+    stated = [found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None]
     return Optics(
         wavelength_um=light.wavelength_nm * 1e-3,
         reference_um=plan.reference_wavelength_nm * 1e-3,
@@ -137,10 +139,16 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
         noll=tuple(range(first, last + 1)),
-        spectrum=stated_spectrum(light),
-        parts=fitted,
-        given=given,
+        spectrum=None if light.spectrum is None else Spectrum.of_samples(*light.samples, light.wavelength_nm),
+        parts=tuple(part for part, fitted in stated if fitted),
+        given=tuple(part for part, fitted in stated if not fitted),
+        panel=Aperture.wanted(plan),
     )
+
+
+def wanted_parts(plan: Plan) -> list[str]:
+    """Return the names of the parts that a plan wants fitted, in any channel."""
+    return list(dict.fromkeys(part.name for c in plan.channel for part in optics_of(plan, c.name).parts))
 
 
 def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:

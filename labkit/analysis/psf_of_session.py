@@ -11,10 +11,9 @@ import numpy as np
 
 from labkit.analysis.local_fits import optics_of
 from labkit.errors import DataError, RawError, SessionError
-from labkit.imaging.model import Optics
-from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN, Part
 from labkit.optics.lens import ThinLens
-from labkit.optics.spectrum import Spectrum
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.raw.formats import recognise
@@ -93,15 +92,16 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     """Light, sensor and lens that a plan's photographs see with through one of a session's wavefronts."""
     channel = wavefront.channel
     optics = optics_of(plan, channel)
-    given = {part.name: part for part in optics.given} | {part.name: part for part in _parts(results.model_parts)}
+    given = {part.name: part for part in (*optics.given, *_found(results.model_parts))}
     return replace(
         optics,
         f_number=wavefront.f_number if math.isfinite(wavefront.f_number) else optics.f_number,
         reference_um=wavefront.reference_wavelength_nm * 1e-3,
         noll=wavefront.noll,
-        spectrum=wavefront.spectrum if optics.spectrum.fixed == Spectrum() else optics.spectrum.fixed,
+        spectrum=wavefront.spectrum if optics.spectrum is None else optics.spectrum,
         parts=(),
         given=tuple(given.values()),
+        panel=None,
     )
 
 
@@ -137,22 +137,7 @@ def session_modes(wavefront: Wavefront) -> tuple[Floats, Floats]:
     return wavefront.waves[kept], wavefront.covariance[np.ix_(kept, kept)]
 
 
-def _parts(found: Mapping[str, Uncertain]) -> list[Part]:
-    """Parts of the camera from the numbers that results keep of them; a smear's slant is not kept."""
-
-    def square(name: str) -> float:
-        return found[name].value ** 2 if name in found else 0.0
-
-    parts: list[Part] = []
-    for turned in (False, True):
-        name = LowPass(turned=turned).name
-        if f"{name}.rows_px" in found:
-            parts.append(LowPass(square(f"{name}.rows_px"), square(f"{name}.columns_px"), turned))
-    if "diffusion.sigma_px" in found:
-        parts.append(Diffusion(square("diffusion.sigma_px")))
-    if "smear.rows_px" in found:
-        parts.append(Smear(square("smear.rows_px"), square("smear.columns_px")))
-    if "veil.share" in found and math.isfinite(found["veil.share"].value):
-        scale = found.get("veil.scale_px")
-        parts.append(Veil(found["veil.share"].value, *([] if scale is None else [scale.value])))
-    return parts
+def _found(quantities: Mapping[str, Uncertain]) -> list[Part]:
+    """Return the parts of the camera by the quantities that results keep; of the light, a wavefront keeps its own."""
+    known = [part for part in KNOWN.values() if not part.per_channel]
+    return [found for part in known if (found := part.from_quantities(quantities)) is not None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from itertools import groupby
 
 import numpy as np
 
@@ -11,81 +10,42 @@ from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_results import as_focus, as_wavefronts
-from labkit.imaging.parts import Aperture
-from labkit.imaging.parts.veil import SCALE_PX
+from labkit.imaging.optics import ESTIMATED
+from labkit.imaging.parts import KNOWN
 from labkit.inference.fit import twin_signs
 from labkit.optics.metrics import psf_difference
 from labkit.optics.wavefront import FittedWavefront
-from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.results import Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-LOG_SCALE = "veil.log_scale"
-WORDS = {
-    "low_pass_filter": "an optical low-pass filter",
-    "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
-    "diffusion": "charge that diffuses between pixels",
-    "smear": "smear, by a shake or a rolling shutter",
-    "veil": "a veil of stray light",
-    "spectrum": "light of several wavelengths",
-}
-
 
 def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
-    """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
-    diffuses and smears, px, and of spectra, nm; a veil's share of the light and scale, px; shares that a panel's
-    stripes are lit over."""
+    """Return the data-sheet quantities of all parts of the camera, and of a panel, that were fitted, by key."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
+    groups = dict[tuple[str, ...], list[Uncertain]]()
+    for (label, *channel), number in numbers.items():
+        groups.setdefault((label.partition(".")[0], *channel), []).append(number)
+    channels = {channel.name: channel for channel in plan.channel}
+    names = list(dict.fromkeys(name for name, *_ in groups))
     found = dict[str, Uncertain]()
-    for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
-        values = dict(of)
-        if name == Aperture.name:
-            for key, value in values.items():
-                found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
-        elif name == "veil":
-            share, scale = values.values()
-            px = SCALE_PX * float(np.exp(scale.value))
-            found |= {f"{name}.share": share, f"{name}.scale_px": Uncertain(px, px * scale.std, "px")}
-        elif name == "spectrum":
-            for (_, channel), value in values.items():
-                nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
-                width = _root(value)
-                found[f"spectrum.{channel}.width_nm"] = Uncertain(nm * width.value, nm * width.std, "nm")
-        else:
-            squares = {key[0].split(".")[1].removesuffix("_px2"): value for key, value in values.items()}
-            squares.pop("across", None)
-            if name.startswith("low_pass_filter"):
-                found[f"{name}.spread_px"] = _root(_mean([*squares.values()]), "px")
-            found |= {f"{name}.{'sigma' if k == 'variance' else k}_px": _root(v, "px") for k, v in squares.items()}
+    for name, *channel in sorted(groups, key=lambda of: names.index(of[0])):
+        of = channels[channel[0]] if channel else None
+        found |= ESTIMATED[name].quantities(groups[name, *channel], of)
     return found
 
 
 def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
-    """What was found of the camera, and what is missing, a line each; not of parts that the plan wanted fitted."""
+    """Say what was found of the camera, and what is missing, a line each; not of parts that the plan wanted fitted."""
     lines = []
     if session.missing and session.lens is not None:
-        named = " and ".join(WORDS[name] for name in session.missing)
+        named = " and ".join(KNOWN[name].words for name in session.missing)
         lines.append(
             f"the photographs call for {named}, which the model lacks: errors hold how far that would move each number"
         )
-    for name in dict.fromkeys(key.split(".")[0] for key in found):
-        numbers = ", ".join(
-            f"{key.removeprefix(name + '.').replace('_px', '').replace('_nm', '')} {value}"
-            for key, value in found.items()
-            if key.startswith(name + ".") and not key.endswith("spread_px")
-        )
-        if name == Aperture.name:
-            across, down = found[f"{name}.lit_across"], found[f"{name}.lit_down"]
-            lines.append(
-                f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
-            )
-            continue
-        if name in wanted:
-            continue
-        lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}")
-    return lines
+    names = dict.fromkeys(key.partition(".")[0] for key in found)
+    return lines + [ESTIMATED[name].finding(found) for name in names if name not in wanted]
 
 
 def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> list[str]:
@@ -146,15 +106,3 @@ def _weighted(pairs: Floats) -> Uncertain:
     values, variances = pairs.T
     whole = float(np.sum(1 / variances))
     return Uncertain(float(np.sum(values / variances)) / whole, whole**-0.5)
-
-
-def _mean(values: Sequence[Uncertain]) -> Uncertain:
-    """Of independent numbers."""
-    many = len(values)
-    return Uncertain(sum(v.value for v in values) / many, float(np.sqrt(sum(v.std**2 for v in values))) / many)
-
-
-def _root(square: Uncertain, unit: str = "") -> Uncertain:
-    """Of a square that may be estimated below 0."""
-    root = float(np.sqrt(max(square.value, 0.0)))
-    return Uncertain(root, square.std / (2 * root) if root**2 > square.std else float(np.sqrt(square.std)), unit)

@@ -11,11 +11,10 @@ from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.model_error import confirmed, shift
 from labkit.analysis.session_fits import SessionFits
-from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
+from labkit.imaging.optics import Optics
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
-from labkit.optics.spectrum import Spectrum
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -30,7 +29,7 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
-        wavefronts[index] = _with(wavefronts[index], session.fits[index].fit.measured.parts, values, covariance)
+        wavefronts[index] = _with(wavefronts[index], session.fits[index].fit.optics, values, covariance)
     judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
@@ -66,11 +65,9 @@ def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
     return w
 
 
-def _with(w: Wavefront, parts: tuple[str, ...], values: Floats, covariance: Floats) -> Wavefront:
-    """A wavefront with a session's values for it, as of `Measured`."""
+def _with(w: Wavefront, optics: Optics, values: Floats, covariance: Floats) -> Wavefront:
+    """A wavefront with a session's values for it, as of `Measured`. optics: of its fit."""
     modes = len(w.noll)
-    if SPECTRUM_WIDTH in parts:
-        w = replace(w, spectrum=Spectrum.of_width(float(values[modes + parts.index(SPECTRUM_WIDTH)])).fixed)
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     blur = None
     if 4 in w.noll:
@@ -80,6 +77,7 @@ def _with(w: Wavefront, parts: tuple[str, ...], values: Floats, covariance: Floa
         blur = Uncertain(um * waves[w.noll.index(4)], float(np.sqrt(pull @ covariance @ pull)), "um")
     return replace(
         w,
+        spectrum=optics.shaped(values[modes:-1]).light.physical,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,
@@ -221,7 +219,7 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
         channel=observation.channel,
         wavelength_nm=round(optics.wavelength_um * 1e3, 6),
         reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
-        spectrum=optics.spectrum.fixed,
+        spectrum=optics.light.physical,
         f_number=fit.f_number,
         f_number_std=float(np.sqrt(fit.measured.covariance[-2, -2])) * fit.f_number,
         noll=fit.noll,

@@ -182,9 +182,8 @@ class _Chain(FitsUnderWay):
         law = len({f.member.stop for f in accepted if f.ranged}) > 1
         if law and known.lens is not None and observation.channel in known.lens.model.channels and task.ranged:
             predicted = predict(known.lens, task.as_member(nearest.fit.measured))
-            alike = replace(optics, parts=nearest.fit.optics.parts)
-            return replace(task, optics=alike).starting_at(predicted)
-        seen = replace(optics, f_number=nearest.fit.f_number, parts=nearest.fit.optics.parts)
+            return replace(task, optics=optics.sharing(nearest.fit.optics)).starting_at(predicted)
+        seen = replace(optics.sharing(nearest.fit.optics), f_number=nearest.fit.f_number)
         return replace(task, optics=seen, f_number_std=SHARED_CONE_STD, alike=(nearest.fit.waves,))
 
     def _tasks_again(self, known: SessionFits, lens: LensFit) -> dict[int, Task]:

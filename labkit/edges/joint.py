@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.identifiability import Bound, bound_of, inverse
 from labkit.inference.likelihood import Slopes

@@ -6,7 +6,7 @@ import numpy as np
 
 from labkit.arrays import real_array
 from labkit.edges.spread import edge_spread
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats
 
 EDGE_SIZE = 4

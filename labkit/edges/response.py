@@ -30,7 +30,7 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
     Errors are by the delta method, from defocus and the other modes as the fit knows them.
     """
     optics, region = fit.problem.optics_of(k), fit.problem.regions[k]
-    highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.spectrum.nodes)))
+    highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.light.nodes)))
     frequency = np.linspace(0, highest, POINTS)
     of = camera_slice(optics, fit.problem.waves(fit.state, k), fit.state.edge(k).angle, frequency)
     value = np.abs(of.value)

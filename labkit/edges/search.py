@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState, LensPrior, climb
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fit import twin_signs
 from labkit.optics.lens import PV_PER_RMS
 from labkit.types import Floats

@@ -13,7 +13,7 @@ import scipy.fft
 from numpy.polynomial import chebyshev
 from scipy.interpolate import make_interp_spline
 
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.optics.mtf import steepness, turning_transfer_function
 from labkit.optics.wavefront import FittedWavefront
 from labkit.types import Complexes, Floats
@@ -45,7 +45,7 @@ def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Float
     """
     lens: Complexes = np.zeros(frequency.size, complex)
     slopes: Complexes = np.zeros((len(optics.noll) + 1, frequency.size), complex)
-    for share, node in optics.spectrum.shares:
+    for share, node in optics.light.shares:
         value, slope = _lens_slice(optics, waves, azimuth, frequency, node)
         lens += share * value
         slopes += share * slope
@@ -111,7 +111,7 @@ def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) 
     """
     if not reach_um > 0:
         raise ValueError(f"reach_um = {reach_um:g}: a distance above 0 is needed (um)")
-    airy_um = optics.airy_um * min(optics.spectrum.nodes)
+    airy_um = optics.airy_um * min(optics.light.nodes)
     period_um = PERIODS * max(reach_um, LEAST_REACH * airy_um)
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
     of = camera_slice(optics, waves, azimuth, harmonic / period_um)
@@ -125,7 +125,7 @@ def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) 
     places = np.arange(-half, half + 1)
     at_um, rows = places * period_um / size, every[:, places]
     halo, slope = _other_edges(2 * np.pi * at_um / period_um)
-    tail = sum(share * node for share, node in optics.spectrum.shares) * 2 * optics.airy_um / np.pi**3
+    tail = sum(share * node for share, node in optics.light.shares) * 2 * optics.airy_um / np.pi**3
     rows[0] += 0.5 + tail * 2 * np.pi / period_um * halo
     rows[1] += tail * (2 * np.pi / period_um) ** 2 * slope
     spline = make_interp_spline(at_um, rows.T, k=5)

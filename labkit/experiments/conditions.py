@@ -8,7 +8,8 @@ import numpy as np
 from labkit.experiments.camera import Camera
 from labkit.experiments.methods.bounds import fisher_information
 from labkit.finder.find_target import find_target
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront, twin_signs

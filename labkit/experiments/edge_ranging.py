@@ -17,7 +17,7 @@ from labkit.edges.region import Region
 from labkit.edges.search import fit_depth, rough_edge
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.report.style import SOFT

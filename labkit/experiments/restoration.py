@@ -16,7 +16,7 @@ from labkit.errors import InputError
 from labkit.experiments.camera import Camera
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.report.style import panels
 from labkit.restoration.baselines import METHODS, interpolated, psf_of
 from labkit.restoration.colours import colour_coupling

@@ -12,7 +12,7 @@ from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD
 from labkit.analysis.psf_of_session import session_modes, session_optics, session_wavefront
 from labkit.edges.joint import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.optics.lens import ThinLens
@@ -46,7 +46,8 @@ def camera_of(plan: Plan, channel: str, results: Results | None, white: float, f
         optics = optics_of(plan, channel)
         cone = optics.f_number if focus_mm is None else float(_thin(plan).working_f_number(focus_mm))
         noll = (DEFOCUS, *(j for j in optics.noll if j != DEFOCUS))
-        optics = replace(optics, noll=noll, f_number=cone, given=(*optics.given, *_cameras(optics)), parts=())
+        given = (*optics.given, *_cameras(optics))
+        optics = replace(optics, noll=noll, f_number=cone, given=given, parts=(), panel=None)
         return Camera(channel, optics, LensPrior.unknown(len(noll) - 1), noise, given=False)
     mean, covariance = session_modes(wavefront := session_wavefront(results, channel))
     covariance = np.nan_to_num(covariance) + MODE_FLOOR**2 * np.eye(len(mean))

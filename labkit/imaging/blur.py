@@ -1,8 +1,7 @@
 """The transfer function of lens and pixel on a torus, and its derivatives (thesis 2.13, 2.45 corrected, Appendix H)."""
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -13,13 +12,11 @@ from labkit.imaging.halo import perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
-from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.optics.spectrum import Spectrum
 from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats, Floats32
 
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
-
-WIDTH_STEP, LEAST_STEP = 0.1, 1e-6  # of a spectrum's variance in its differences: a share of itself, and at least
 
 
 @dataclass(frozen=True)
@@ -27,8 +24,8 @@ class Blur:
     """Lens, light, pixel, and what the camera adds.
 
     pupil: the torus's sides are whole numbers of its PSF's samples; its wavelength is the one that the spectrum's nodes are
-    relative to. active_um: width of the pixel's active square, whatever the sampling period. parts, given: of the camera,
-    to be estimated and known.
+    relative to. active_um: width of the pixel's active square, whatever the sampling period. spectrum: of the light, those of
+    parts included. parts, given: of the camera, to be estimated and known.
 
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
@@ -61,7 +58,7 @@ class Blur:
         pupil.check_sampling(min(self.spectrum.nodes))
         pixel = np.sinc(torus.row_frequency * self.active_um), np.sinc(torus.column_frequency * self.active_um)
         shift = torus.shift(pupil.size // 2 * pupil.spacing_um)
-        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts) if any(part.values)]
+        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts) if not part.idle]
         airy_um = pupil.wavelength_um * pupil.f_number
         perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
         for name, value in (
@@ -146,24 +143,13 @@ class Blur:
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
         return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
 
-    def by_width(self, waves: Floats) -> Complexes64:
-        """Half plane of its derivative by the spectrum's variance, by differences. Raises ValueError where that is given."""
-        if self.spectrum.variance is None:
-            raise ValueError("the spectrum is given: it has no width to be estimated")
-        here, shares = self.spectrum.variance, defaultdict[float, float](float)
-        step = max(WIDTH_STEP * abs(here), LEAST_STEP)
-        above, below = (
-            min(here + step, WIDEST**2),
-            max(here - step, -(WIDEST**2)),
-        )  # one-sided where it can grow no more
-        for sign, variance in ((1, above), (-1, below)):
-            for share, node in Spectrum.of_width(variance).shares:
-                shares[node] += sign * share / (above - below)
+    def by_light(self, waves: Floats, slopes: Mapping[float, float]) -> Complexes64:
+        """Half plane of its derivative by a number of the light. slopes: of each node's weight, by node; their sum is 0."""
         departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
-        for node, share in shares.items():
-            departure += share * (self.pupil.stretched(waves / node, node) - self.pupil.stretched(0 * waves, node))
-            perfect += share * perfect_lens(self.torus, node * airy_um)
+        for node, slope in slopes.items():
+            departure += slope * (self.pupil.stretched(waves / node, node) - self.pupil.stretched(0 * waves, node))
+            perfect += slope * perfect_lens(self.torus, node * airy_um)
         return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
 
     def by_parts(self, waves: Floats, first: int = 0) -> Iterator[Complexes64]:
@@ -171,11 +157,15 @@ class Blur:
         if not self.parts[first:]:
             return
         places = [frequency.astype(np.float32) for frequency in self._per_pixel]
-        active = {k: part.transfer(*places) for k, part in enumerate(self.parts) if any(part.values)}
-        bare = _times(self._bare(waves, np.float32), *(part.transfer(*places) for part in self.given))
+        active = {k: part.transfer(*places) for k, part in enumerate(self.parts) if not part.idle}
+        given = [part.transfer(*places) for part in self.given if not part.idle]
+        bare = _times(self._bare(waves, np.float32), *given)
         for k, part in enumerate(self.parts[first:], first):
-            others = _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k))
-            for slope in part.slopes(*places):
+            for light in part.light_slopes():
+                yield self.by_light(waves, light)
+            slopes = part.slopes(*places)
+            others = _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k)) if slopes else bare
+            for slope in slopes:
                 yield np.asarray(others * slope.astype(np.float32, copy=False))
 
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:

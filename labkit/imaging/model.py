@@ -1,34 +1,29 @@
 """Parameters to the relative image on the pixels, with its exact Jacobian (thesis 2.70, 3.10; physics of Chapter II)."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 import scipy.fft
 
-from labkit.arrays import mask_array, positive
+from labkit.arrays import mask_array
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
-from labkit.imaging.parts import Aperture, Part, Veil
-from labkit.imaging.parts.veil import REACH_PX
+from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.imaging.window import WINDOW_AIRY, window_for
+from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
-from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.panel_target import PanelTarget
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 ROUGH_BAND = 1.0
-
-SPECTRUM_WIDTH = "spectrum.variance"
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
 GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))
@@ -49,87 +44,16 @@ class Evaluation:
     by_shine: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Optics:
-    """What is known of lens, light and sensor for one channel.
-
-    wavelength_um: of the light; reference_um: of the waves that wavefronts are counted in. f_number: of the beam that
-    reaches the sensor. pitch_um: of the pixels, whatever their colours; active_um: width of a pixel's active square. noll:
-    modes of the wavefront. spectrum: of the light, about its wavelength; parts: what the camera adds, to be estimated; given:
-    what else it adds, known. Raises ValueError for a
-    length or f-number that is not above 0.
-
-    >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
-    """
-
-    wavelength_um: float
-    reference_um: float
-    f_number: float
-    pitch_um: float
-    active_um: float
-    noll: tuple[int, ...] = tuple(range(4, 16))
-    spectrum: Spectrum = field(default_factory=Spectrum)
-    parts: tuple[Part, ...] = ()
-    given: tuple[Part, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
-            positive(name, getattr(self, name), "um")
-        positive("f_number", self.f_number, "unitless")
-
-    @property
-    def airy_um(self) -> float:
-        """lambda N, the unit of length of diffraction."""
-        return self.wavelength_um * self.f_number
-
-    @property
-    def shape(self) -> Floats:
-        """(n,) what may be estimated beside the wavefront: numbers of the parts, the spectrum's variance, ln N."""
-        width = [] if self.spectrum.variance is None else [self.spectrum.variance]
-        return np.array([*(value for part in self.parts for value in part.values), *width, math.log(self.f_number)])
-
-    @property
-    def shape_labels(self) -> tuple[str, ...]:
-        """What those before ln N are called."""
-        width = () if self.spectrum.variance is None else (SPECTRUM_WIDTH,)
-        return (*(f"{part.name}.{label}" for part in self.parts for label in part.labels), *width)
-
-    @property
-    def usual_shape(self) -> Floats:
-        """(n,) how much the shape differs among cameras, standard deviations: wide priors."""
-        width = [] if self.spectrum.variance is None else [WIDEST**2]
-        return np.array([*(usual for part in self.parts for usual in part.usual), *width, 1.0])
-
-    @property
-    def drawn(self) -> tuple[int, Aperture] | None:
-        """The part that the target is drawn by, and where its numbers begin in the shape; None without it."""
-        at = 0
-        for part in self.parts:
-            if isinstance(part, Aperture):
-                return at, part
-            at += len(part.labels)
-        return None
-
-    def shaped(self, shape: Floats) -> "Optics":
-        """The same of another shape (n,)."""
-        numbers = iter(map(float, shape))
-        parts = tuple(part.at([next(numbers) for _ in part.labels]) for part in self.parts)
-        spectrum = self.spectrum if self.spectrum.variance is None else Spectrum.of_width(next(numbers))
-        return replace(self, parts=parts, spectrum=spectrum, f_number=math.exp(next(numbers)))
-
-    def window_airy(self, waves: Floats) -> float:
-        """Width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
-        return window_for(self.noll, waves * (self.reference_um / self.wavelength_um))
-
-
 @dataclass(frozen=True)
 class ForwardModel:
     """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
 
-    rough: the same blur up to ROUGH_BAND, for the slopes that a climb goes by: docs/decisions.md. wrapped: (rows, columns) of
-    the frame, light that comes around the torus and is taken off. window_airy: width of the PSF's window, lambda N.
+    optics: as it was built for. rough: the same blur up to ROUGH_BAND, for the slopes that a climb goes by: docs/decisions.md.
+    wrapped: (rows, columns) of the frame, light that comes around the torus and is taken off. window_airy: width of the PSF's
+    window, lambda N.
     """
 
+    optics: Optics
     scene: Scene
     blur: Blur
     rough: Blur
@@ -169,10 +93,9 @@ class ForwardModel:
         the wavefront. spare: relative, by which `shaped` may make the cone wider. shine: of the target's places.
         """
         window_um = window_airy * optics.airy_um
-        cutoff = 1 / (optics.airy_um * (1 - spare) * optics.spectrum.shortest)
-        veiled = any(isinstance(part, Veil) for part in (*optics.parts, *optics.given))
-        reach_px = max(window_um / 2 / optics.pitch_um, REACH_PX if veiled else 0.0)
-        guard_px = guards(frame, reference, reach_px)
+        cutoff = 1 / (optics.airy_um * (1 - spare) * optics.shortest)
+        reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
+        guard_px = guards(frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0))
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         target = _lit(target, optics)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
@@ -185,20 +108,21 @@ class ForwardModel:
         fewer = replace(
             torus, oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)), band_limit_per_um=limit
         )
-        blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts, optics.given)
+        blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
-        return cls(Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
+        return cls(optics, Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
 
     def shaped(self, optics: Optics) -> "ForwardModel":
-        """The same of another `Optics.shape`; drawings serve both unless an `Aperture` is a part of it.
+        """The same of another `Optics.shape`; drawings serve both unless a panel's `Aperture` is in it.
 
         Raises ValueError for a cone wider than spared, in any of the light.
         """
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
-        blur = replace(self.blur, pupil=pupil, spectrum=optics.spectrum, parts=optics.parts)
+        blur = replace(self.blur, pupil=pupil, spectrum=optics.light, parts=optics.parts)
         target = _lit(self.scene.target, optics)
         scene = self.scene if target is self.scene.target else replace(self.scene, target=target)
-        return replace(self, scene=scene, blur=blur, rough=replace(blur, torus=self.rough.torus).simple)
+        rough = replace(blur, torus=self.rough.torus).simple
+        return replace(self, optics=optics, scene=scene, blur=blur, rough=rough)
 
     def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
         """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
@@ -206,22 +130,6 @@ class ForwardModel:
         scene = self.scene
         return ForwardModel.build(
             optics, scene.target, scene.torus.frame, reference, window_airy=window_airy, spare=spare, shine=scene.shine
-        )
-
-    @property
-    def optics(self) -> Optics:
-        """What it was built for."""
-        pupil, pitch_um, active_um = self.blur.pupil, self.scene.torus.pitch_um, self.blur.active_um
-        return Optics(
-            wavelength_um=pupil.wavelength_um,
-            reference_um=pupil.reference_um,
-            f_number=pupil.f_number,
-            pitch_um=pitch_um,
-            active_um=active_um,
-            noll=pupil.noll,
-            spectrum=self.blur.spectrum,
-            parts=self.blur.parts,
-            given=self.blur.given,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
@@ -259,10 +167,10 @@ class ForwardModel:
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
         if by_shape:
-            by_turns = self._by_shape(blur, waves, spectra, used)
-            if (drawn := self.optics.drawn) is not None:
-                self._draw_aperture([rows[drawn[0] :] for rows in by_turns], blur, single, drawing, used)
-            by_lens = [np.concatenate(both) for both in zip(by_lens, by_turns, strict=True)]
+            by_parts = self._turned(blur, blur.by_parts(waves), spectra, used)
+            by_panel = self._by_panel(blur, single, drawing, used)
+            by_cone = self._turned(blur, [blur.by_cone(waves)], spectra, used)
+            by_lens = [np.concatenate(rows) for rows in zip(by_lens, by_parts, by_panel, by_cone, strict=True)]
         kernels = (single, *blur.spread(single))
         by_pose = [
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
@@ -283,19 +191,9 @@ class ForwardModel:
             made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
         return made
 
-    def by_parts(
-        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int, by_width: bool
-    ) -> list[Floats]:
-        """(numbers, pixels) of each frame: derivatives by the numbers of the optics' parts from one on, and by their light's
-        width, if that is wanted too."""
-        turns = self.blur.by_parts(waves, first), [self.blur.by_width(waves)] if by_width else []
-        return self._turned(self.blur, chain(*turns), drawing.spectra, used)
-
-    def _by_shape(
-        self, blur: Blur, waves: Floats, spectra: Sequence[Complexes64], used: Sequence[Bools]
-    ) -> list[Floats]:
-        """(shape, pixels) of each frame, by `Optics.shape`."""
-        return self._turned(blur, self._turns(blur, waves), spectra, used)
+    def by_parts(self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int) -> list[Floats]:
+        """(numbers, pixels) of each frame: derivatives by the numbers of the optics' parts from one on."""
+        return self._turned(self.blur, self.blur.by_parts(waves, first), drawing.spectra, used)
 
     def _turned(
         self, blur: Blur, turns: Iterable[Complexes64], spectra: Sequence[Complexes64], used: Sequence[Bools]
@@ -307,20 +205,15 @@ class ForwardModel:
                 of_frame.append(self._seen(blur.torus.sample(spectrum, turn), u))
         return [np.array(of_frame).reshape(-1, int(u.sum())) for of_frame, u in zip(rows, used, strict=True)]
 
-    def _turns(self, blur: Blur, waves: Floats) -> Iterator[Complexes64]:
-        """Half planes of the transfer function's derivatives by `Optics.shape`."""
-        yield from blur.by_parts(waves)
-        if self.blur.spectrum.variance is not None:
-            yield replace(blur, spectrum=self.blur.spectrum).by_width(waves)
-        yield blur.by_cone(waves)
-
-    def _draw_aperture(
-        self, rows: Sequence[Floats], blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]
-    ) -> None:
-        """Fill rows (any, pixels) of each frame with the derivatives by a panel's aperture, which the target is drawn by."""
-        for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
-            for row, slope in zip(of_frame, slopes, strict=False):
-                row[:] = self._seen(blur.torus.sample(self._cut(blur, slope), transfer), u)
+    def _by_panel(self, blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
+        """(0 or 2, pixels) of each frame, by a panel's aperture, which the target is drawn by."""
+        count = 0 if self.optics.panel is None else len(self.optics.panel.labels)
+        rows = [np.zeros((count, int(u.sum()))) for u in used]
+        if count:
+            for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
+                for row, slope in zip(of_frame, slopes, strict=False):  # no slopes of a target that is no panel's
+                    row[:] = self._seen(blur.torus.sample(self._cut(blur, slope), transfer), u)
+        return rows
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> list[Floats32]:
         """(pixels,) each, by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
@@ -368,9 +261,9 @@ class ForwardModel:
 
 def _lit(target: Target, optics: Optics) -> Target:
     """The target as it shines with the optics' aperture, if that is estimated; itself where it does so already."""
-    if optics.drawn is None or not isinstance(target, PanelTarget) or target.aperture == optics.drawn[1].lit:
+    if optics.panel is None or not isinstance(target, PanelTarget) or target.aperture == optics.panel.lit:
         return target
-    return target.lit(*optics.drawn[1].lit)
+    return target.lit(*optics.panel.lit)
 
 
 def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:

@@ -16,7 +16,8 @@ import scipy.linalg
 import scipy.sparse
 
 from labkit.estimation.candidate import Measured
-from labkit.imaging.model import Evaluation, ForwardModel, Optics
+from labkit.imaging.model import Evaluation, ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.inference.identifiability import inverse
@@ -144,20 +145,13 @@ class Expansion:
         return self.problem.foreseen(self.state, step, self.evaluations)
 
     def with_parts(self, optics: Optics) -> Expansion:
-        """The same with more parts, behind those that it has, or with a width of the spectrum. They do nothing there, so that
-        all that is at hand stays right."""
+        """The same with more parts, behind those that it has. They do nothing there, so that all that is at hand is right."""
         problem, state = replace(self.problem, model=self.problem.model.shaped(optics)), self.state
-        have, old = len(self.optics.parts), len(self.optics.shape_labels)
-        numbers, width = sum(len(part.labels) for part in optics.parts[have:]), self.optics.spectrum.variance
-        wide = width is None and optics.spectrum.variance is not None
-        more = problem.model.by_parts(
-            state.waves, problem.draw(state), [f.used for f in problem.frames], first=have, by_width=wide
-        )
-        cone = state.waves.size + old
-        parts = cone if width is None else cone - 1
-        at = [parts] * numbers + [cone] * wide
+        used, have = [frame.used for frame in problem.frames], self.optics.parts
+        more = problem.model.by_parts(state.waves, problem.draw(state), used, first=len(have))
+        behind = state.waves.size + sum(len(part.labels) for part in have)
         evaluations = [
-            replace(each, by_waves=np.insert(each.by_waves, at, rows, axis=0))
+            replace(each, by_waves=np.insert(each.by_waves, [behind] * len(rows), rows, axis=0))
             for each, rows in zip(self.evaluations, more, strict=True)
         ]
         return _expansion(problem, state, evaluations)

@@ -6,18 +6,18 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, Measured
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.goodness_of_fit import Verdict
 from labkit.inference.likelihood import FrameData, predict
-from labkit.inference.missing_parts import Call, calls, lacking
+from labkit.inference.missing_parts import Call, calls
 from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.search import Record, Search
 from labkit.inference.sketch import Sketches
-from labkit.optics.spectrum import Spectrum
 from labkit.optics.zernike import is_even
 from labkit.target import Target
 from labkit.types import Floats
@@ -128,7 +128,7 @@ def fit_wavefront(
     model = ForwardModel.build(optics, target, frames[0].counts.shape, poses[0], spare=spare, shine=frames[0].shine)
     whole = Problem(model, tuple(frames), noise)
     first = _first_state(frames[0], poses[0], noise, len(optics.noll))
-    sketches = Sketches(replace(optics, spectrum=Spectrum()), target, frames[0], poses[0], noise)
+    sketches = Sketches(optics.in_one_wavelength(), target, frames[0], poses[0], noise)
     search = Search(whole, f_number_std, sketches, poses, first, rng, max_starts, ends_at, missing, alone, progress)
     given, swept = ([replace(first, waves=np.asarray(w, float)) for w in waves] for waves in (starts, alike))
     record = search.run(given, swept)
@@ -141,7 +141,7 @@ def _said(record: Record, f_number_std: float) -> dict[str, Call]:
     """By the best of a search, of what its model lacks."""
     assert record.best is not None
     expansion = record.best.freed.expansion
-    return calls(expansion, lacking(expansion.optics), f_number_std)
+    return calls(expansion, expansion.optics.lacking, f_number_std)
 
 
 def _as_fit(problem: Problem, record: Record) -> WavefrontFit:

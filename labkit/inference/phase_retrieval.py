@@ -12,7 +12,8 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import least_squares
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.inference.fisher_scoring import NoisePrior, State
 from labkit.inference.likelihood import FrameData, predict
 from labkit.optics.psf import Pupil

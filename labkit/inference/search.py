@@ -9,7 +9,7 @@ from time import process_time
 
 import numpy as np
 
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import Freed, free_cone

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State

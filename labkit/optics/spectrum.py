@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -18,22 +18,18 @@ KURTOSIS = 2.0
 """Fourth moment over the squared variance where only a width is known: 1.8 of a box, 3 of a Gaussian."""
 
 WIDEST = 0.08
-"""Standard deviation, relative, of a spectrum that is fitted; 40 nm of 500."""
+"""Largest standard deviation, relative, of a spectrum that is fitted; 40 nm of 500."""
 
 
 @dataclass(frozen=True)
 class Spectrum:
     """Relative wavelengths (n,), 1 the channel's nominal one, and their shares (n,) of the light, which sum to 1.
 
-    variance: relative, where the spectrum is known by its width alone and that may be estimated; it may be below 0 on the way,
-    where it sharpens as much as the positive one blurs. None where samples were given. stated: whether a plan states it: then
-    photographs are not asked for another.
+    Shares below 0 sharpen; only estimates on their way have such.
     """
 
     nodes: tuple[float, ...] = (1.0,)
     weights: tuple[float, ...] = (1.0,)
-    variance: float | None = None
-    stated: bool = field(default=False, compare=False)
 
     @classmethod
     def of_samples(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], nominal_nm: float) -> Spectrum:
@@ -58,13 +54,16 @@ class Spectrum:
 
     @classmethod
     def of_width(cls, variance: float) -> Spectrum:
-        """Symmetric about the nominal wavelength. variance: relative to its square; WIDEST^2 either way stands for more."""
+        """Symmetric about the nominal wavelength. variance: relative to its square; WIDEST^2 either way stands for more.
+
+        Below 0 the light sharpens as much as light of the positive variance blurs.
+        """
         variance = min(max(variance, -(WIDEST**2)), WIDEST**2)
         offset = float(np.sqrt(KURTOSIS * abs(variance)))
         if not offset:
-            return cls(variance=0.0)
+            return cls()
         side = float(np.sign(variance)) / (2 * KURTOSIS)
-        return cls((1 - offset, 1.0, 1 + offset), (side, 1 - 2 * side, side), variance)
+        return cls((1 - offset, 1.0, 1 + offset), (side, 1 - 2 * side, side))
 
     @property
     def shares(self) -> list[tuple[float, float]]:
@@ -72,20 +71,13 @@ class Spectrum:
         return list(zip(self.weights, self.nodes, strict=True))
 
     @property
-    def fixed(self) -> Spectrum:
-        """No longer to be estimated, and of one wavelength where it would sharpen."""
-        if self.variance is None:
-            return self
-        return replace(Spectrum.of_width(max(self.variance, 0.0)), variance=None)
+    def physical(self) -> Spectrum:
+        """Light that exists: of one wavelength where this would sharpen."""
+        return self if min(self.weights) >= 0 else Spectrum()
 
     def lines(self, nominal_nm: float) -> list[list[float]]:
         """[nm, share] of each wavelength."""
         return [[node * nominal_nm, share] for share, node in self.shares]
-
-    @property
-    def shortest(self) -> float:
-        """Relative, of all nodes that it may have: a fitted one may grow."""
-        return min(self.nodes) if self.variance is None else 1 - float(np.sqrt(KURTOSIS)) * WIDEST
 
 
 def _gauss(at: Floats, shares: Floats, count: int) -> tuple[Floats, Floats]:

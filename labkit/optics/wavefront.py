@@ -73,7 +73,7 @@ class FittedWavefront:
 
     def in_light(self, std_nm: float) -> FittedWavefront:
         """The same in light of a standard deviation about its wavelength; at most `labkit.optics.spectrum.WIDEST` of it."""
-        return replace(self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2).fixed)
+        return replace(self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2))
 
     @property
     def radians_per_wave(self) -> float:

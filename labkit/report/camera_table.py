@@ -4,36 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labkit.imaging.optics import ESTIMATED
 from labkit.optics.metrics import psf_difference
 from labkit.optics.strehl import strehl
 from labkit.report.best_focus import BestFocus
 from labkit.report.quantities import estimated, fixed
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results
-
-NAMES = {
-    "low_pass_filter": "low-pass filter",
-    "low_pass_filter_turned": "low-pass filter, turned by 45°",
-    "diffusion": "charge diffusion",
-    "smear": "smear",
-    "veil": "veil of stray light",
-    "spectrum": "spectrum",
-    "panel_pixels": "the panel's pixels",
-}
-"""Parts of the camera, as results name them, in words."""
-
-NUMBERS = {
-    "spread_px": "distance of its spots",
-    "rows_px": "along rows",
-    "columns_px": "along columns",
-    "sigma_px": "standard deviation",
-    "width_nm": "standard deviation",
-    "share": "of all light",
-    "scale_px": "distance over which it falls to 1/e",
-    "lit_across": "share of its third that a stripe is lit over",
-    "lit_down": "share of the pitch along it",
-}
-
 
 BOUND = "a bound: no more, with 95 % confidence"
 
@@ -43,8 +20,9 @@ def part_table(results: Results) -> Table | None:
     rows, before = list[Row](), ""
     for key, number in results.model_parts.items():
         part, *channel, what = key.split(".")
-        of = ", ".join([NUMBERS.get(what, what), *channel])
-        name = NAMES.get(part, part) if part != before else ""
+        meanings = ESTIMATED[part].meanings if part in ESTIMATED else {}
+        of = ", ".join([meanings.get(what, what), *channel])
+        name = _title(part) if part != before else ""
         rows.append(Row((name, of, number.unit, estimated(number)), first=bool(name)))
         before = part
     columns = (Column("part", text=True), Column("", text=True), Column("", text=True), Column("fitted"))
@@ -75,17 +53,20 @@ def light_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
 
 def missing_words(results: Results) -> str:
     """What the data call for that the model lacks, in words; nothing where it lacks nothing."""
-    return ", ".join(NAMES.get(name, name) for name in dict.fromkeys(name for w in results for name in w.missing))
+    return ", ".join(_title(name) for name in dict.fromkeys(name for w in results for name in w.missing))
 
 
 def tried_table(results: Results) -> Table:
     """Parts that the photographs were tested for: what each would gain, and whether it was taken in."""
-    rows = [
-        Row((NAMES.get(p.name, p.name), fixed(p.gain, 1), "taken in" if p.adopted else "")) for p in results.parts_tried
-    ]
+    rows = [Row((_title(p.name), fixed(p.gain, 1), "taken in" if p.adopted else "")) for p in results.parts_tried]
     columns = (
         Column("part", text=True),
         Column("gain", why="a log-likelihood, a test's statistic"),
         Column("", text=True),
     )
     return Table(columns, tuple(rows))
+
+
+def _title(name: str) -> str:
+    """Return a part's title; its name if this version of labkit does not know it."""
+    return ESTIMATED[name].title if name in ESTIMATED else name

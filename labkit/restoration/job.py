@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 
 from labkit.imaging.blur import Blur
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
 from labkit.restoration.grid import SceneGrid
@@ -88,7 +88,7 @@ class Job:
     def nyquist_samples(self) -> int:
         """To a pixel, that hold all that the lens passes."""
         optics = [colour.optics for colour in self.colours]
-        nyquist_um = min(o.airy_um * o.spectrum.shortest / 2 for o in optics)
+        nyquist_um = min(o.airy_um * o.shortest / 2 for o in optics)
         return math.ceil(self.pitch_um / nyquist_um * (1 - 1e-9))
 
     def of_samples(self, samples: int) -> Job:
@@ -193,12 +193,12 @@ def _from(motion: Floats, origin: Floats) -> Floats:
 def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     """Half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference wavelength."""
     torus, side_um = grid.pixels, min(grid.pixels.fine) * grid.pixels.spacing_um
-    cutoff = 1 / (optics.airy_um * optics.spectrum.shortest)
+    cutoff = 1 / (optics.airy_um * optics.shortest)
     finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
     spacing_um = torus.spacing_um / finer
     window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
     size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
     size = min(size, min(torus.fine) * finer)
     pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
-    blur = Blur(torus, pupil, optics.active_um, optics.spectrum, optics.parts, optics.given)
+    blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
     return grid.whole(blur.transfer(waves))

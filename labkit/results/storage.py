@@ -302,7 +302,8 @@ def _plan(entry: Json, folder: Path) -> Plan:
 
 def _unit(name: str) -> str:
     """That a number's name ends with."""
-    return next((unit for unit in ("px", "nm") if name.endswith(f"_{unit}")), "")
+    units = {"px": "px", "px2": "px²", "nm": "nm"}
+    return units.get(name.rpartition("_")[2], "")
 
 
 def _optional(value: Any) -> float:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.signal import fftconvolve
 
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.target import CellTarget
 from labkit.types import Floats
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.experiments.camera import Camera
 from labkit.experiments.picture_camera import PictureCamera
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.restoration.job import Colour, Job, Photograph
 from labkit.types import Floats
 

@@ -11,7 +11,7 @@ from labkit.edges.region import Edge, Region
 from labkit.edges.response import fitted_response
 from labkit.edges.search import fit_depth, fit_jointly, halves, rough_edge, twin
 from labkit.experiments.edge_camera import EdgeCamera
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.types import Floats
 

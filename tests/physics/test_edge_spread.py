@@ -8,7 +8,7 @@ import pytest
 from labkit.edges.region import Edge, Region, mean_and_slopes
 from labkit.edges.spread import camera_slice, edge_spread
 from labkit.experiments.edge_camera import EdgeCamera
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats

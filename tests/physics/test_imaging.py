@@ -153,7 +153,7 @@ def test_what_comes_around_the_torus_is_taken_off(model: ForwardModel, pose: Pos
     )
     scene = Scene(wider, CARPET, model.scene.cutoff_per_um, pose)
     blur = Blur(wider, model.blur.pupil, OPTICS.active_um)
-    wide = ForwardModel(scene, blur, blur, np.zeros(FRAME))
+    wide = ForwardModel(OPTICS, scene, blur, blur, np.zeros(FRAME))
     (ours,), (theirs,) = (m.means(WAVES, m.draw([pose]), [USED]) for m in (model, wide))
     # it varies by 1.6e-5 about 8.4e-5; left are 7e-8 RMS about 8e-6, which is ambient light
     assert np.ptp(model.wrapped) > 1e-5

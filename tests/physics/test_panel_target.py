@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labkit.errors import TargetError
+from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.parts import Aperture
 from labkit.panel_target import PanelTarget
 from labkit.target import CellTarget, low_pass
 from labkit.types import Floats
@@ -78,7 +78,7 @@ def test_slopes_by_the_aperture_are_differences(lying: bool) -> None:
 
 def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
     target = PanelTarget.of(CARPET, (54, 54), 0)
-    optics = replace(OPTICS, parts=(Aperture(0.03, -0.02),))
+    optics = replace(OPTICS, panel=Aperture(0.03, -0.02))
     model = ForwardModel.build(optics, target, (58, 60), POSE, spare=0.02)
     assert isinstance(model.scene.target, PanelTarget)
     assert model.scene.target.aperture == pytest.approx((0.88, 0.83))

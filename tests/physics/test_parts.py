@@ -12,7 +12,7 @@ from scipy.special import j0
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, Veil
+from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST, Spectrum
@@ -126,9 +126,15 @@ def test_a_spectrum_of_a_width_has_it() -> None:
     spectrum = Spectrum.of_width(0.03**2)
     nodes, weights = np.array(spectrum.nodes), np.array(spectrum.weights)
     assert [weights.sum(), weights @ nodes, weights @ (nodes - 1) ** 2] == pytest.approx([1, 1, 0.03**2])
-    assert min(nodes) > spectrum.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
-    assert (spectrum.fixed.nodes, spectrum.fixed.variance) == (spectrum.nodes, None)
-    assert Spectrum.of_width(-1e-4).fixed == Spectrum()
+    assert spectrum.physical == spectrum
+    assert Spectrum.of_width(-1e-4).physical == Spectrum()
+
+
+def test_optics_spare_the_shortest_wavelength_that_an_estimate_may_reach() -> None:
+    width = SpectrumWidth(0.03**2)
+    fitted, given = replace(OPTICS, parts=(width,)), replace(OPTICS, given=(width,))
+    assert min(fitted.light.nodes) > fitted.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+    assert given.shortest == min(given.light.nodes) == pytest.approx(1 - np.sqrt(2) * 0.03)
 
 
 def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
@@ -146,14 +152,16 @@ def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
 def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before() -> None:
     torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
     blur = Blur(torus, Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), 5.0)
-    before, there = (replace(blur, spectrum=Spectrum.of_width(share * WIDEST**2)).by_width(waves) for share in (0.9, 2))
+    before, there = (
+        next(replace(blur, parts=(SpectrumWidth().at([share * WIDEST**2]),)).by_parts(waves)) for share in (0.9, 2)
+    )
     assert np.linalg.norm(there - before) < 0.06 * np.linalg.norm(before)  # 0.03
 
 
 @pytest.mark.parametrize("variance", [None, 0.03**2, 0.01**2, 0.0])
 def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None) -> None:
-    light = Spectrum() if variance is None else Spectrum.of_width(variance)
-    optics = replace(OPTICS, parts=EVERY[1:2] + EVERY[3:], spectrum=light)
+    light = () if variance is None else (SpectrumWidth(variance),)
+    optics = replace(OPTICS, parts=(*EVERY[1:2], *EVERY[3:], *light))
     model = ForwardModel.build(optics, CARPET, (58, 60), POSE, spare=0.02)
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
     slopes = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]

@@ -14,7 +14,8 @@ from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
 from labkit.target import open_target

@@ -28,7 +28,8 @@ from labkit.experiments.methods.strehl_candidates import (
     strehl_candidates,
 )
 from labkit.finder.find_target import find_target, grey_image
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State, maximize
 from labkit.inference.goodness_of_fit import judge

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, expand, free_cone, reshaped
@@ -66,7 +67,7 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
     assert np.abs(np.diff(both[:, :-1], axis=0) / np.sqrt(np.diag(right.measured.covariance))[:-1]).max() < 0.18
 
 
-@pytest.mark.parametrize("light", [Spectrum(), Spectrum.of_width(0.04**2).fixed])
+@pytest.mark.parametrize("light", [Spectrum(), Spectrum.of_width(0.04**2)])
 def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> None:
     """In the shortest of its light, whose PSFs are the finest, too."""
     broad = replace(OPTICS, spectrum=light)
@@ -83,11 +84,11 @@ def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> N
 def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(model: ForwardModel) -> None:
     """No light is as broad as would blur like this filter."""
     filtered = ForwardModel.build(replace(OPTICS, given=(LowPass(0.8, 0.8),)), CARPET, FRAME, POSE, spare=SPARE)
-    broad = reshaped(model, replace(OPTICS, spectrum=Spectrum.of_width(0.0)), TRUTH)
+    broad = reshaped(model, OPTICS.with_part("spectrum"), TRUTH)
     freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
     assert freed.solution.converged
     assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more
-    assert freed.optics.spectrum.variance == pytest.approx(WIDEST**2)
+    assert freed.optics.parts[0].values == pytest.approx((WIDEST**2,))
     assert freed.measured.values[3] == pytest.approx(WIDEST**2)
 
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, numbers, together, worth
+from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.parts import Diffusion, LowPass, Part, Veil
+from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
 from labkit.inference.cone import SPARE, Freed, Measured, free_cone
 from labkit.inference.fisher_scoring import Problem, Start
-from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call, calls, lacking, with_part
+from labkit.inference.missing_parts import Call, calls
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
-EVERY = [*KNOWN, SPECTRUM]
+EVERY = [*KNOWN]
+SPECTRUM = SpectrumWidth.name
 
 
 def problem(*parts: Part) -> Problem:
@@ -33,13 +35,13 @@ def fitted(of: Problem) -> Freed:
 
 def asked(of: Problem) -> dict[str, Call]:
     freed = fitted(of)
-    return calls(freed.expansion, lacking(freed.optics), 0.03)
+    return calls(freed.expansion, freed.optics.lacking, 0.03)
 
 
 def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     frames = problem(LowPass(0.2, 0.15))
     plain, call = fitted(frames), asked(frames)["low_pass_filter"]
-    model = frames.model.shaped(with_part(OPTICS, "low_pass_filter"))
+    model = frames.model.shaped(OPTICS.with_part("low_pass_filter"))
     climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
@@ -51,9 +53,20 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     assert abs(columns - 0.15) < 3 * std[1] < 0.15
 
 
+def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing() -> None:
+    frames = problem(LowPass(0.2, 0.15))
+    # a target that is no panel's: the panel's numbers are as their prior has them
+    shown = replace(frames, model=frames.model.shaped(replace(OPTICS, panel=Aperture())))
+    ours, plain = asked(shown), asked(frames)
+    assert ours.keys() == plain.keys()
+    for name, call in plain.items():
+        np.testing.assert_allclose(ours[name].information, call.information, rtol=1e-6)
+        np.testing.assert_allclose(ours[name].slope, call.slope, rtol=1e-6)
+
+
 def test_a_veil_is_climbed_to_with_its_width() -> None:
     frames = problem(Veil(0.02, 7.0))
-    model = frames.model.shaped(with_part(OPTICS, "veil"))
+    model = frames.model.shaped(OPTICS.with_part("veil"))
     climbed = free_cone(replace(frames, model=model), Start(fitted(frames).solution.state), 0.03)
     share, log_scale = climbed.measured.values[3:5]
     std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
@@ -72,9 +85,9 @@ def test_a_model_that_has_everything_calls_for_nothing() -> None:
 
 
 def test_what_a_plan_gives_is_not_asked_for() -> None:
-    assert lacking(replace(OPTICS, given=(LowPass(0.3, 0.3),))) == [name for name in EVERY if name != "low_pass_filter"]
-    assert lacking(replace(OPTICS, spectrum=Spectrum.of_width(1e-3))) == [*KNOWN]
-    assert lacks([OPTICS, with_part(OPTICS, "veil")]) == [name for name in EVERY if name != "veil"]
+    assert replace(OPTICS, given=(LowPass(0.3, 0.3),)).lacking == [name for name in EVERY if name != "low_pass_filter"]
+    assert replace(OPTICS, spectrum=Spectrum()).lacking == [name for name in EVERY if name != SPECTRUM]
+    assert lacks([OPTICS, OPTICS.with_part("veil")]) == [name for name in EVERY if name != "veil"]
 
 
 def call(gain: float, sign: float = 1.0) -> Call:
@@ -104,7 +117,7 @@ def test_of_parts_that_gain_as_much_the_more_common_is_taken() -> None:
 
 def test_of_parts_that_blur_alike_the_commoner_ones_are_known() -> None:
     assert commoner("smear", OPTICS) == ["low_pass_filter", "diffusion"]
-    assert commoner("smear", with_part(OPTICS, "low_pass_filter")) == ["diffusion"]
+    assert commoner("smear", OPTICS.with_part("low_pass_filter")) == ["diffusion"]
     assert commoner("low_pass_filter", OPTICS) == commoner("veil", OPTICS) == []
     assert numbers(["low_pass_filter", "diffusion"]) == numbers(["smear"]) == 3
 
@@ -119,9 +132,10 @@ def test_a_part_that_has_nothing_left_to_do_is_idle() -> None:
 
 def test_a_part_of_each_name_can_be_added() -> None:
     for name, part in KNOWN.items():
-        assert with_part(OPTICS, name).parts == (part,)
-    assert with_part(OPTICS, SPECTRUM).shape_labels == ("spectrum.variance",)
-    assert with_part(replace(OPTICS, parts=(Diffusion(0.1),)), "veil").shape_labels == (
+        assert OPTICS.with_part(name).parts == (part,)
+        assert OPTICS.with_part(name).without([name]) == OPTICS
+    assert OPTICS.with_part(SPECTRUM).shape_labels == ("spectrum.variance",)
+    assert replace(OPTICS, parts=(Diffusion(0.1),)).with_part("veil").shape_labels == (
         "diffusion.variance_px2",
         "veil.share",
         "veil.log_scale",

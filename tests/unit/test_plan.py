@@ -7,9 +7,8 @@ import pytest
 
 from labkit.analysis.local_fits import optics_of
 from labkit.errors import PlanError
-from labkit.imaging.parts import Diffusion, Smear, Veil
+from labkit.imaging.parts import Diffusion, Smear, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
-from labkit.inference.missing_parts import SPECTRUM, lacking
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT
@@ -130,19 +129,19 @@ def test_a_low_pass_filter_is_stated_or_to_be_fitted(spread: str, squares: tuple
 
 def test_a_spectrum_stands_for_the_channels_light() -> None:
     plan = Plan.parse(LEAST.replace("= 550.0", "= 550.0\nspectrum = [[530, 1], [550, 2], [580, 1]]"))
-    spectrum = optics_of(plan, "G").spectrum
+    spectrum = optics_of(plan, "G").light
     assert np.dot(spectrum.weights, spectrum.nodes) == pytest.approx(552.5 / 550)
-    assert optics_of(plan, "R").spectrum.nodes == (1.0,)
+    assert optics_of(plan, "R").light.nodes == (1.0,)
     assert Plan.parse(plan.to_toml()) == plan
 
 
 def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
     text = LEAST.replace("= 4.78", "= 4.78\ndiffusion_px = {0}\nsmear_px = {0}").replace("= 2.8", "= 2.8\nveil = {0}")
     stated, wanted = (optics_of(Plan.parse(text.format(number)), "G") for number in ("0.2", '"fit"'))
-    assert stated.given == (Diffusion(0.2**2), Smear(0.2**2, 0.2**2), Veil(0.2))
+    assert stated.given == (Diffusion(0.2**2), Veil(0.2), Smear(0.2**2, 0.2**2))
     assert stated.parts == ()
     assert wanted.given == ()
-    assert wanted.parts == (Diffusion(), Smear(), Veil())
+    assert wanted.parts == (Diffusion(), Veil(), Smear())
     assert "smear_px = 4" in refusal("= 4.78", "= 4.78\nsmear_px = 4")
 
 
@@ -158,13 +157,13 @@ def test_a_veil_has_a_scale() -> None:
 
 def test_a_width_stands_for_a_spectrum() -> None:
     stated, wanted = (
-        optics_of(Plan.parse(LEAST.replace("= 550.0", f"= 550.0\nwidth_nm = {width}")), "G").spectrum
+        optics_of(Plan.parse(LEAST.replace("= 550.0", f"= 550.0\nwidth_nm = {width}")), "G")
         for width in ("11", '"fit"')
     )
-    nodes, weights = np.array(stated.nodes), np.array(stated.weights)
+    nodes, weights = np.array(stated.light.nodes), np.array(stated.light.weights)
     assert 550 * np.sqrt(weights @ (nodes - 1) ** 2) == pytest.approx(11)
-    assert stated.variance is None  # not estimated
-    assert wanted.variance == 0.0
+    assert stated.parts == ()  # not estimated
+    assert wanted.parts == (SpectrumWidth(),)
     assert "allowed is up to 8% of the wavelength, 44 nm" in refusal("= 550.0", "= 550.0\nwidth_nm = 60")
     assert "allowed is one of them" in refusal("= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]")
     assert WIDEST_LIGHT == WIDEST  # of a plan and of a fit
@@ -174,9 +173,9 @@ def test_a_width_stands_for_a_spectrum() -> None:
 def test_one_wavelength_may_be_stated(stated: str) -> None:
     plan = Plan.parse(LEAST.replace("= 550.0", f"= 550.0\n{stated}"))
     optics = optics_of(plan, "G")
-    assert optics.spectrum == Spectrum()
-    assert SPECTRUM not in lacking(optics)  # photographs are not asked for another
-    assert SPECTRUM in lacking(optics_of(Plan.parse(LEAST), "G"))
+    assert optics.light == Spectrum()
+    assert SpectrumWidth.name not in optics.lacking  # photographs are not asked for another
+    assert SpectrumWidth.name in optics_of(Plan.parse(LEAST), "G").lacking
 
 
 def test_a_channels_own_problem_is_the_only_one_named() -> None:

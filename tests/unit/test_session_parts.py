@@ -11,7 +11,6 @@ from labkit.analysis.lens_fit import fit_session_lens
 from labkit.analysis.lens_model import Member
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import model_parts, words_of_parts
-from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
 from labkit.plan import Plan
 from tests.lens_samples import members, stated
@@ -67,7 +66,7 @@ def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
 
 
 def test_a_spectrum_is_each_channels_own() -> None:
-    found = model_parts(session((SPECTRUM_WIDTH,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
+    found = model_parts(session(("spectrum.variance",), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
     assert set(found) == {"spectrum.G.width_nm"}
     assert found["spectrum.G.width_nm"].value == pytest.approx(0.03 * 550)
 

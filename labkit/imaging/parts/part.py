@@ -1,42 +1,92 @@
-"""What the parts of a camera have in common: a transfer function of a few numbers that multiplies lens and pixel's."""
+"""The protocol of a part of the camera: a transfer function, or a spectrum, of a few numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar, Protocol, Self
+import math
+import re
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, Self
 
+import numpy as np
+
+from labkit.imaging.estimated import Estimated
+from labkit.optics.spectrum import Spectrum
+from labkit.plan import Channel, Plan
 from labkit.types import AnyFloats
+from labkit.uncertain import Uncertain
+
+UNIT = re.compile(r"_(px2?|nm)$")
 
 
-class Part(Protocol):
-    """A part whose numbers are such that all is regular where they are 0 and the part does nothing: variances, not widths.
+class Part(Estimated):
+    """A part of the camera that blurs. Its numbers are variances, not widths; with all of them 0 it does nothing.
 
-    labels: of its numbers, which may be below 0 on the way to an estimate; usual: standard deviations of
-    them among cameras, far beyond what a frame leaves open.
+    Most parts multiply the transfer function of lens and pixel: `transfer` and `slopes`. A part of the light adds up the
+    PSFs of several wavelengths instead: `light` and `light_slopes`.
+
+    Attributes
+    ----------
+    reach_px : distance from a point's image within which a model must keep its light, pixels
+    broadest : the broadest spectrum that an estimate may reach; None for a part that is not of the light
     """
 
-    labels: ClassVar[tuple[str, ...]]
-    usual: ClassVar[tuple[float, ...]]
+    __slots__ = ()
+
+    reach_px: ClassVar[float] = 0.0
+    broadest: ClassVar[Spectrum | None] = None
 
     @property
-    def name(self) -> str:
-        """In results."""
-        ...
+    @abstractmethod
+    def words(self) -> str:
+        """Name for a sentence, with its article."""
 
     @property
-    def values(self) -> tuple[float, ...]:
-        """Its numbers, one for each label."""
-        ...
-
-    def at(self, values: Sequence[float]) -> Self:
-        """The same part of other numbers."""
-        ...
+    def idle(self) -> bool:
+        """Whether the part leaves the transfer function behind the lens as it is."""
+        return not any(self.values)
 
     def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
-        """The transfer function at frequencies along rows (m, 1) and along columns (1, n), cycles a pixel: (m, n), in
-        their precision."""
-        ...
+        """Return the transfer function.
+
+        Parameters
+        ----------
+        rows, columns : frequencies along rows (m, 1) and along columns (1, n), cycles a pixel
+
+        Returns
+        -------
+        (m, n), in their precision
+        """
+        return np.ones(np.broadcast_shapes(rows.shape, columns.shape), rows.dtype)
 
     def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
-        """Its derivatives (m, n) by each of its numbers."""
-        ...
+        """Return the derivatives (m, n) of `transfer` by each number."""
+        return ()
+
+    @property
+    def light(self) -> Spectrum | None:
+        """Spectrum of the light; None for a part that is not of the light."""
+        return None
+
+    def light_slopes(self) -> tuple[Mapping[float, float], ...]:
+        """Return the derivatives of `light` by each number: of each node's weight, by node."""
+        return ()
+
+    @abstractmethod
+    def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
+        """Return the part as a plan states it for a channel, and whether fits estimate it; None where it does not."""
+
+    @abstractmethod
+    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+        """Return the part that has some `quantities`; None where they are not there or not finite."""
+
+    def finding(self, found: Mapping[str, Uncertain]) -> str:
+        """Say that the photographs call for the part, and with what quantities."""
+        numbers = ", ".join(f"{UNIT.sub('', key)} {value}" for key, value in self.own(found).items())
+        return f"the photographs call for {self.words}, which the plan does not state: {numbers}"
+
+
+def finite(found: Mapping[str, Uncertain], *keys: str) -> list[float] | None:
+    """Return the values of some quantities; None unless all are there and finite."""
+    values = [found[key].value for key in keys if key in found]
+    return values if len(values) == len(keys) and all(map(math.isfinite, values)) else None

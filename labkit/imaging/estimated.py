@@ -1,0 +1,86 @@
+"""Groups of numbers that fits estimate next to wavefront and pose, with their names and their data-sheet quantities."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Self
+
+from labkit.plan import Channel
+from labkit.uncertain import Uncertain
+
+
+class Estimated(ABC):
+    """A group of numbers, such as a part of the camera. The likelihood is regular where all of them are 0.
+
+    Attributes
+    ----------
+    labels : a name for each number; numbers may go below 0 on the way to an estimate
+    usual : standard deviation of each number among cameras, far beyond the error of one frame
+    meanings : a few words on each quantity, for a table, by the end of its key
+    per_channel : whether each channel has numbers of its own; otherwise all channels share them
+    """
+
+    __slots__ = ()
+
+    labels: ClassVar[tuple[str, ...]]
+    usual: ClassVar[tuple[float, ...]]
+    meanings: ClassVar[Mapping[str, str]]
+    per_channel: ClassVar[bool] = False
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Key in results and in labels."""
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Name for a table."""
+
+    @property
+    @abstractmethod
+    def values(self) -> tuple[float, ...]:
+        """The numbers, one for each label."""
+
+    @abstractmethod
+    def at(self, values: Sequence[float]) -> Self:
+        """Return the same group with other numbers, kept within what is possible."""
+
+    @abstractmethod
+    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+        """Return the data-sheet quantities of estimated numbers.
+
+        Parameters
+        ----------
+        numbers : one for each label
+        channel : whose numbers they are, of a group that is `per_channel`
+
+        Returns
+        -------
+        By their keys in ``model_parts`` of results.json: name, channel if any, and quantity, which ends with its unit.
+        """
+
+    @abstractmethod
+    def finding(self, found: Mapping[str, Uncertain]) -> str:
+        """Describe the group's quantities, as of `quantities`, in one sentence of a warning."""
+
+    def own(self, found: Mapping[str, Uncertain]) -> dict[str, Uncertain]:
+        """Return this group's quantities among those of a whole camera, by their keys without the group's name."""
+        start = f"{self.name}."
+        return {key.removeprefix(start): value for key, value in found.items() if key.startswith(start)}
+
+
+def root(square: Uncertain, unit: str = "") -> Uncertain:
+    """Return the square root of a number that may be estimated below 0, where its root is 0."""
+    value = math.sqrt(max(square.value, 0.0))
+    std = square.std / (2 * value) if value**2 > square.std else math.sqrt(square.std)
+    return Uncertain(value, std, unit)
+
+
+def mean(numbers: Sequence[Uncertain]) -> Uncertain:
+    """Return the mean of independent numbers."""
+    value = sum(number.value for number in numbers)
+    std = math.hypot(*(number.std for number in numbers))
+    return Uncertain(value / len(numbers), std / len(numbers))

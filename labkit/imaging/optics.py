@@ -1,0 +1,149 @@
+"""Lens, light, sensor and panel as a forward model takes them, and the numbers of them that fits estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from labkit.arrays import positive
+from labkit.imaging.aperture import Aperture
+from labkit.imaging.estimated import Estimated
+from labkit.imaging.parts import KNOWN, Part, SpectrumWidth
+from labkit.imaging.window import window_for
+from labkit.optics.spectrum import Spectrum
+from labkit.types import Floats
+
+ESTIMATED: dict[str, Estimated] = {**KNOWN, Aperture.name: Aperture()}
+"""Groups of numbers that results may hold, by name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optics:
+    """Known properties of lens, light and sensor for one channel.
+
+    Parameters
+    ----------
+    wavelength_um : of the light
+    reference_um : of the waves that wavefronts are counted in
+    f_number : of the beam that reaches the sensor
+    pitch_um : of the pixels, whatever their colours
+    active_um : width of a pixel's active square
+    noll : modes of the wavefront
+    spectrum : of the light, relative to its wavelength; None where it is not known
+    parts : parts of the camera, to be estimated
+    given : parts of the camera with known numbers
+    panel : the lit part of a panel's pixels, to be estimated; None for other targets, and where it is known
+
+    Raises
+    ------
+    ValueError
+        For a length or an f-number that is not above 0.
+
+    >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
+    """
+
+    wavelength_um: float
+    reference_um: float
+    f_number: float
+    pitch_um: float
+    active_um: float
+    noll: tuple[int, ...] = tuple(range(4, 16))
+    spectrum: Spectrum | None = None
+    parts: tuple[Part, ...] = ()
+    given: tuple[Part, ...] = ()
+    panel: Aperture | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
+            positive(name, getattr(self, name), "um")
+        positive("f_number", self.f_number, "unitless")
+
+    @property
+    def airy_um(self) -> float:
+        """lambda N, the unit of length of diffraction."""
+        return self.wavelength_um * self.f_number
+
+    @property
+    def light(self) -> Spectrum:
+        """Spectrum of the light: that of a part, if one has it, else `spectrum`, else one wavelength."""
+        of_parts = (part.light for part in (*self.parts, *self.given))
+        return next((light for light in (*of_parts, self.spectrum) if light is not None), Spectrum())
+
+    @property
+    def shortest(self) -> float:
+        """Shortest wavelength of the light, relative, as broad as an estimate may make it."""
+        broadest = (part.broadest for part in self.parts)
+        return min(min(light.nodes) for light in (self.light, *broadest) if light is not None)
+
+    def in_one_wavelength(self) -> Optics:
+        """Return the same optics in light of the nominal wavelength alone."""
+        parts = tuple(part for part in self.parts if part.light is None)
+        given = tuple(part for part in self.given if part.light is None)
+        return replace(self, spectrum=None, parts=parts, given=given)
+
+    @property
+    def estimated(self) -> tuple[Estimated, ...]:
+        """Groups of the numbers in `shape`, in their order: parts, panel."""
+        return self.parts if self.panel is None else (*self.parts, self.panel)
+
+    @property
+    def shape(self) -> Floats:
+        """(n,) numbers that may be estimated next to the wavefront: of the parts, of the panel, ln N."""
+        return np.array([*chain(*(group.values for group in self.estimated)), math.log(self.f_number)])
+
+    @property
+    def shape_labels(self) -> tuple[str, ...]:
+        """Names of the numbers before ln N, each as GROUP.NUMBER."""
+        return tuple(f"{group.name}.{label}" for group in self.estimated for label in group.labels)
+
+    @property
+    def usual_shape(self) -> Floats:
+        """(n,) standard deviations of the shape among cameras: wide priors."""
+        return np.array([*chain(*(group.usual for group in self.estimated)), 1.0])
+
+    def shaped(self, shape: Floats) -> Optics:
+        """Return the same optics with another shape (n,)."""
+        numbers = iter(map(float, shape))
+        parts = tuple(part.at([next(numbers) for _ in part.labels]) for part in self.parts)
+        panel = self.panel and self.panel.at([next(numbers) for _ in self.panel.labels])
+        return replace(self, parts=parts, panel=panel, f_number=math.exp(next(numbers)))
+
+    @property
+    def lacking(self) -> list[str]:
+        """Names of known parts that these optics do not have, the commonest first."""
+        have = {part.name for part in (*self.parts, *self.given)}
+        if self.spectrum is not None:
+            have.add(SpectrumWidth.name)
+        return [name for name in KNOWN if name not in have]
+
+    def with_part(self, name: str) -> Optics:
+        """Return the optics with another known part, which does nothing yet, to be estimated."""
+        return replace(self, parts=(*self.parts, KNOWN[name]))
+
+    def without(self, names: Collection[str]) -> Optics:
+        """Return the optics without some estimated parts."""
+        return replace(self, parts=tuple(part for part in self.parts if part.name not in names))
+
+    @property
+    def shared(self) -> tuple[Part, ...]:
+        """Estimated parts that all channels of a camera share."""
+        return tuple(part for part in self.parts if not part.per_channel)
+
+    def sharing(self, other: Optics) -> Optics:
+        """Return these optics with the estimated parts, and the panel, of another channel's, or of another fit's.
+
+        Parts that each channel has of its own stay as they are; where these optics lack one, they take it from optics of
+        their own channel only.
+        """
+        own = {part.name: part for part in self.parts if part.per_channel}
+        alike = self.wavelength_um == other.wavelength_um
+        taken = [own.pop(part.name, part) for part in other.parts if not part.per_channel or part.name in own or alike]
+        return replace(self, parts=(*taken, *own.values()), panel=other.panel)
+
+    def window_airy(self, waves: Floats) -> float:
+        """Return the width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
+        return window_for(self.noll, waves * (self.reference_um / self.wavelength_um))

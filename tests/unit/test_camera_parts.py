@@ -1,0 +1,210 @@
+"""Parts of the camera: to data-sheet quantities and back, shared among channels or not; and a part that labkit lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import pytest
+
+from labkit.analysis.local_fits import optics_of, wanted_parts
+from labkit.imaging.aperture import Aperture
+from labkit.imaging.estimated import root
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import ESTIMATED
+from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
+from labkit.inference.cone import SPARE, free_cone
+from labkit.inference.fisher_scoring import Start
+from labkit.inference.missing_parts import calls
+from labkit.optics.spectrum import Spectrum
+from labkit.plan import Channel, Plan
+from labkit.report.camera_table import part_table
+from labkit.types import AnyFloats
+from labkit.uncertain import Uncertain
+from tests.plans import PORTRAIT, RED_AND_GREEN
+from tests.results_samples import some_results
+from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
+
+GREEN = Channel(name="G", wavelength_nm=550.0)
+PLAN = Plan.from_tables(PORTRAIT)
+EVERY = (
+    LowPass(0.3, 0.5),
+    LowPass(0.6, 0.1, turned=True),
+    Diffusion(0.04),
+    Smear(0.02, 0.01, -0.008),
+    Veil(0.03, 20.0),
+    SpectrumWidth(0.03**2),
+)
+WIDTH = SpectrumWidth(0.02**2)
+
+
+def estimated(part: Part) -> list[Uncertain]:
+    return [Uncertain(value, 0.01) for value in part.values]
+
+
+def named(part: Part) -> str:
+    return part.name
+
+
+@pytest.mark.parametrize("part", EVERY, ids=named)
+def test_a_part_is_what_its_quantities_say(part: Part) -> None:
+    back = KNOWN[part.name].from_quantities(part.quantities(estimated(part), GREEN), GREEN)
+    assert back is not None
+    assert type(back) is type(part)
+    assert back.values == pytest.approx(part.values, rel=1e-12)
+
+
+@pytest.mark.parametrize("part", EVERY, ids=named)
+def test_quantities_begin_with_the_part_and_each_has_a_meaning(part: Part) -> None:
+    keys = [key.split(".") for key in part.quantities(estimated(part), GREEN)]
+    assert {key[0] for key in keys} == {part.name}
+    assert [key[-1] for key in keys] == [*part.meanings]
+    assert all(key[1:-1] == ["G"] * part.per_channel for key in keys)
+
+
+@pytest.mark.parametrize("part", KNOWN.values(), ids=named)
+def test_no_part_is_made_of_nothing_or_of_what_is_not_known(part: Part) -> None:
+    unknown = dict.fromkeys(part.quantities(estimated(part), GREEN), Uncertain(np.nan))
+    assert part.from_quantities({}, GREEN) is None
+    assert part.from_quantities(unknown, GREEN) is None
+
+
+def test_a_smear_of_results_without_a_slant_is_upright() -> None:
+    found = {"smear.rows_px": Uncertain(0.2), "smear.columns_px": Uncertain(0.3)}
+    back = Smear().from_quantities(found)
+    assert back is not None
+    assert back.values == pytest.approx((0.04, 0.09, 0.0))
+
+
+def test_a_plan_that_states_no_part_has_none() -> None:
+    assert [part.stated(PLAN, GREEN) for part in KNOWN.values()] == [None] * len(KNOWN)
+    assert wanted_parts(PLAN) == []
+
+
+def test_one_channel_may_want_its_width_fitted_alone() -> None:
+    red, green = RED_AND_GREEN["channel"]
+    plan = Plan.from_tables({**PORTRAIT, "channel": [red, {**green, "width_nm": "fit"}]})
+    assert wanted_parts(plan) == ["spectrum"]
+    assert optics_of(plan, "G").parts == (SpectrumWidth(),)
+    assert optics_of(plan, "R").parts == ()
+
+
+def test_a_part_of_the_light_goes_before_a_spectrum() -> None:
+    stated = replace(OPTICS, spectrum=Spectrum((0.99, 1.01), (0.5, 0.5)))
+    assert replace(stated, parts=(WIDTH,)).light == WIDTH.light
+    assert replace(stated, given=(WIDTH,)).light == WIDTH.light
+    assert replace(stated, parts=(WIDTH,)).without(["spectrum"]) == stated
+    assert replace(stated, parts=(WIDTH, Diffusion())).in_one_wavelength() == replace(OPTICS, parts=(Diffusion(),))
+
+
+def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
+    other = replace(OPTICS, parts=(LowPass(0.1, 0.1), WIDTH, Smear(0.1)), panel=Aperture(0.1))
+    blue, own = replace(OPTICS, wavelength_um=0.45), SpectrumWidth(1e-4)
+    assert OPTICS.sharing(other) == other  # one channel
+    assert blue.sharing(other).parts == other.shared == (LowPass(0.1, 0.1), Smear(0.1))
+    assert replace(blue, parts=(own,)).sharing(other).parts == (LowPass(0.1, 0.1), own, Smear(0.1))
+    assert replace(other, wavelength_um=0.45, parts=(own,)).sharing(OPTICS).parts == (own,)
+    assert blue.sharing(other).panel == Aperture(0.1)
+
+
+def test_the_shape_is_of_parts_then_panel_then_cone() -> None:
+    optics = replace(OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)).with_part("spectrum")
+    assert optics.shape_labels == (
+        "diffusion.variance_px2",
+        "spectrum.variance",
+        "panel_pixels.across",
+        "panel_pixels.down",
+    )
+    np.testing.assert_allclose(optics.shape, [0.1, 0.0, 0.03, -0.02, np.log(OPTICS.f_number)])
+    moved = optics.shaped(optics.shape + 0.001)
+    assert moved.panel == Aperture(0.031, -0.019)
+    assert len(optics.usual_shape) == 5
+
+
+@dataclass(frozen=True, slots=True)
+class Streak(Part):
+    """exp(-2 pi^2 sigma^2 w^2) along rows alone, a made-up part. variance: sigma^2, pixels squared."""
+
+    variance: float = 0.0
+
+    name: ClassVar[str] = "streak"
+    title: ClassVar[str] = "streak"
+    words: ClassVar[str] = "a streak along the rows"
+    labels: ClassVar[tuple[str, ...]] = ("variance_px2",)
+    usual: ClassVar[tuple[float, ...]] = (0.2,)
+    meanings: ClassVar[Mapping[str, str]] = {"sigma_px": "width of the streak"}
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        return (self.variance,)
+
+    def at(self, values: Sequence[float]) -> Self:
+        return type(self)(*map(float, values))
+
+    def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
+        return np.asarray(np.exp(-2 * np.pi**2 * self.variance * (rows**2 + 0 * columns)))
+
+    def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
+        return (np.asarray(-2 * np.pi**2 * rows**2 * self.transfer(rows, columns)),)
+
+    def stated(self, plan: Plan, channel: Channel) -> None:
+        return None
+
+    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+        (variance,) = numbers
+        return {"streak.sigma_px": root(variance, "px")}
+
+    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+        return type(self)(found["streak.sigma_px"].value ** 2) if "streak.sigma_px" in found else None
+
+
+@pytest.fixture
+def streak(monkeypatch: pytest.MonkeyPatch) -> Streak:
+    """A new part, among the known ones."""
+    monkeypatch.setitem(KNOWN, "streak", Streak())
+    monkeypatch.setitem(ESTIMATED, "streak", Streak())
+    return Streak(0.06)
+
+
+def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) -> None:
+    optics = replace(OPTICS, parts=(Diffusion(0.02), streak))
+    model = ForwardModel.build(optics, CARPET, FRAME, POSE, spare=SPARE)
+    used, drawing = [np.ones(FRAME, bool)], model.draw([POSE])
+    slope = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) + 1]
+    step = np.array([0.0, 1e-3, 0.0])
+    up, down = (
+        model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0] for sign in (1, -1)
+    )
+    difference = (up - down) / 2e-3
+    # a difference errs by (2 pi^2 w^2)^2 1e-6 / 6, at half a cycle a pixel 4e-6; measured 7e-6
+    assert np.abs(slope - difference).max() < 1.4e-5 * np.abs(difference).max()
+
+
+def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
+    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, spare=SPARE)
+    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
+    frames = replace(photographed(taken), model=plain)
+    freed = free_cone(frames, Start(TRUTH), 0.03)
+    assert "streak" in freed.optics.lacking
+    # twice the gain of one number is chi-squared of one: beyond 5.4 once in a thousand
+    assert calls(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
+    model = plain.shaped(OPTICS.with_part("streak"))
+    found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
+    modes = len(OPTICS.noll)
+    variance = Uncertain(found.measured.values[modes], found.measured.covariance[modes, modes] ** 0.5)
+    assert found.measured.parts == ("streak.variance_px2",)
+    assert abs(variance.value - streak.variance) < 3 * variance.std < streak.variance
+    told = streak.quantities([variance])
+    assert streak.finding(told).startswith("the photographs call for a streak along the rows")
+    assert streak.finding(told).endswith(f"which the plan does not state: sigma {told['streak.sigma_px']}")
+    back = streak.from_quantities(told)
+    assert back is not None
+    assert back.variance == pytest.approx(variance.value)
+
+
+def test_a_new_part_stands_in_the_report(streak: Streak) -> None:
+    table = part_table(some_results(model_parts=streak.quantities([Uncertain(0.04, 0.01)])))
+    assert table is not None
+    assert table.rows[0].cells[:3] == ("streak", "width of the streak", "px")
