@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from math import ceil, floor, isfinite, log, sqrt
 from typing import Any
 
-from labkit.analysis.expected_bound import ExpectedFit, expected_fit, planes_of
+from labkit.analysis.expected_bound import ExpectedFit, expected_fit
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.outlook import (
     NUMBERS,
@@ -26,12 +26,18 @@ from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.plan import Channel, Plan
+from labkit.plan.sensor import BAYER
 from labkit.target import Target, open_target
 
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 WIDEST_PX = 160  # of the target in the frame the bounds are computed for; errors of larger ones go as 1/size
 MOST_PX = 10_000  # across the widest sensors
+ASSUMED = {
+    "mono": "a mono sensor",
+    BAYER: "a Bayer filter array: a quarter of the pixels red, half green, a quarter blue",
+}
+"""Filter arrays that `Sensor.assumed_pattern` names, in words."""
 NAMED = 4  # of what is not determined
 MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 
@@ -358,9 +364,12 @@ def _display_notes(plan: Plan, advised: Sequence[RangeAdvice], nearest_mm: float
 
 def _sampling_notes(plan: Plan) -> list[str]:
     nyquist_um = _shortest(plan).wavelength_nm * 1e-3 * plan.lens.f_number / 2
-    planes = planes_of(plan.sensor, _shortest(plan).name)
-    times = planes.spacing_px * plan.sensor.pixel_pitch_um / nyquist_um
+    channel = _shortest(plan).name
+    times = plan.sensor.pixels(channel).spacing_px * plan.sensor.pixel_pitch_um / nyquist_um
     notes = [
         f"a channel's pixels are {times:.1f} times as far apart as Nyquist requires: aliasing, which the fit models"
     ]
-    return [*notes, planes.assumed] if planes.assumed else notes
+    if plan.sensor.cfa_pattern is None:
+        assumed = ASSUMED[plan.sensor.assumed_pattern(channel)]
+        notes.append(f"sensor.cfa_pattern is left to the files; assumed is {assumed}")
+    return notes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, sqrt
+from math import ceil
 
 import numpy as np
 
@@ -14,54 +14,15 @@ from labkit.inference.cone import Measured, expand
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State
 from labkit.inference.identifiability import Bound, bound_of
 from labkit.inference.likelihood import FrameData
-from labkit.plan import Channel, Plan, Sensor
+from labkit.plan import Channel, Plan
 from labkit.target import Target
-from labkit.types import Bools, Floats
+from labkit.types import Floats
 
 READ_ELECTRONS = 3.0
 WAVES_RMS = 0.05  # of every other mode together: a usual lens
 LEAST_DEFOCUS_WAVES = 0.01  # where there is none at all, a little of it changes a picture in second order only
 TURN_RAD = 0.02  # of the target: no pixel row lies along a row of cells
 SURROUND = 1.2  # side of the frame, in sides of the target
-BAYER = "RGGB"  # where the plan leaves the pattern to the files; other orders of the cell have the same bounds
-
-
-@dataclass(frozen=True, slots=True)
-class Planes:
-    """A channel's pixels: (row, col) in a cell that repeats every `period` pixels.
-
-    assumed: what the plan leaves open, in words; None where it states the filter array.
-    """
-
-    places: tuple[tuple[int, int], ...]
-    period: int
-    assumed: str | None = None
-
-    @property
-    def spacing_px(self) -> float:
-        """Side of the square that each pixel of the channel has for itself."""
-        return self.period / sqrt(len(self.places))
-
-    def mask(self, side: int) -> Bools:
-        """(side, side) True for the channel's pixels."""
-        mask = np.zeros((side, side), dtype=bool)
-        for row, col in self.places:
-            mask[row :: self.period, col :: self.period] = True
-        return mask
-
-
-def planes_of(sensor: Sensor, name: str) -> Planes:
-    """The planes of the channel `name`: one for R and B of a Bayer cell, two for G, every pixel of a mono sensor."""
-    pattern, assumed = sensor.cfa_pattern, None
-    if pattern is None:
-        mono = name not in BAYER
-        what = (
-            "a mono sensor" if mono else "a Bayer filter array: a quarter of the pixels red, half green, a quarter blue"
-        )
-        pattern, assumed = "mono" if mono else BAYER, f"sensor.cfa_pattern is left to the files; assumed is {what}"
-    if pattern in ("mono", "RGB"):  # in colours each has every pixel
-        return Planes(((0, 0),), 1, assumed)
-    return Planes(tuple(divmod(place, 2) for place, colour in enumerate(pattern) if colour == name), 2, assumed)
 
 
 @dataclass(frozen=True)
@@ -104,7 +65,7 @@ def expected_fit(
     )
     side = ceil(SURROUND * side_px / 2) * 2
     ones = np.ones((side, side))
-    frame = FrameData(0 * ones, planes_of(plan.sensor, channel.name).mask(side), ones, 0 * ones)
+    frame = FrameData(0 * ones, plan.sensor.pixels(channel.name).mask((side, side)), ones, 0 * ones)
     noise = NoisePrior(1.0, 0.02, READ_ELECTRONS**2, 0.1)
     pose = _pose(side_px, side, target)
     state = State(_waves(noll, defocus_waves), (pose,), np.array([electrons]), np.zeros(1), noise.centre)

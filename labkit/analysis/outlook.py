@@ -9,10 +9,10 @@ import numpy as np
 
 from labkit.analysis.lens_fit import fit_lens
 from labkit.analysis.lens_model import LensModel, Member, Stated
-from labkit.analysis.session_results import TELLING_STD, budget
+from labkit.analysis.session_results import budget
 from labkit.inference.cone import Measured
 from labkit.inference.fit import twin_signs
-from labkit.optics.lens import ThinLens, defocus_waves
+from labkit.optics.lens import TELLING_STD, ThinLens, blur_per_wave_um, defocus_waves
 from labkit.uncertain import Uncertain
 
 STEP_WAVES = 1.0  # RMS defocus between ranges that are proposed
@@ -149,7 +149,8 @@ def middle_mm(ranges_mm: Sequence[float], lens: ThinLens) -> float:
 def spread_ranges(near_mm: float, lens: ThinLens, reference_nm: float) -> tuple[float, ...]:
     """Three ranges from the nearest on, STEP_WAVES of defocus apart; none where the last would lie beyond infinity."""
     focal = lens.focal_length_mm
-    step_mm = STEP_WAVES * np.sqrt(12) * reference_nm * 1e-6 * 8 * lens.f_number**2  # of the image, for so much defocus
+    blur_um = STEP_WAVES * blur_per_wave_um(lens.f_number, reference_nm * 1e-3)
+    step_mm = lens.f_number * blur_um * 1e-3  # of the image, for so much defocus
     images = float(lens.image_distance_mm(near_mm)) - step_mm * np.arange(3)
     return tuple(float(f"{r:.4g}") for r in images * focal / (images - focal)) if images[-1] > focal else ()
 

@@ -9,13 +9,13 @@ import pytest
 
 from labkit.analysis.advice_tables import session_rows
 from labkit.analysis.advise import Advice, advise, best_order
-from labkit.analysis.session_results import TELLING_STD
 from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
+from labkit.optics.lens import TELLING_STD
 from labkit.plan import Plan
 from labkit.target import open_target
 from labkit.types import Floats

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 ROOMS = [
     ["types", "errors", "pace", "uncertain", "version"],
-    ["files", "arrays", "images"],
+    ["files", "arrays", "images", "filter_array"],
     ["plan"],
     ["target"],
     ["target_file", "panel_target"],
@@ -26,6 +26,7 @@ ROOMS = [
     ["acquisition"],
     ["results"],
     ["analysis"],
+    ["measured_camera"],
     ["restoring"],
     ["report"],
     ["fiducials"],
