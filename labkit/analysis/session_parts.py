@@ -13,9 +13,9 @@ from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
-from labkit.inference.fit import twin_signs
 from labkit.optics.metrics import psf_difference
 from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import twin_signs
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 from labkit.results import Wavefront

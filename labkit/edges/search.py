@@ -15,8 +15,8 @@ from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
 from labkit.imaging.model import Optics
-from labkit.inference.fit import twin_signs
 from labkit.optics.lens import blur_per_wave_um
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 ROW = (0.55, 0.75, 0.9, 1.0, 1.15, 1.4)  # of the defocus that the rough edge's width makes likely

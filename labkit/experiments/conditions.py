@@ -11,9 +11,10 @@ from labkit.imaging.model import ForwardModel, Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.bounds import fisher_information, parameter_names
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
-from labkit.inference.fit import WavefrontFit, fit_wavefront, twin_signs
+from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import FrameData
+from labkit.optics.zernike import twin_signs
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
 from labkit.types import Floats

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.advice_tables import session_rows
-from labkit.analysis.advise import Advice, advise, best_order
+from labkit.advice.advise import Advice, advise, best_order
+from labkit.advice.tables import session_rows
 from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN

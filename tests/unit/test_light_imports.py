@@ -13,7 +13,20 @@ from labkit.session.session import Session
 from tests.results_samples import PLAN, some_results
 
 HEAVY = {"numba", "rawpy", "cv2", "serial", "usb", "starlette"}
-ESTIMATE = {"labkit.analysis", "labkit.inference", "labkit.imaging", "labkit.calibration", "labkit.finder"}
+ESTIMATE = {
+    "labkit.analysis",
+    "labkit.calibration",
+    "labkit.estimation",
+    "labkit.finder",
+    "labkit.imaging",
+    "labkit.inference",
+}
+SEARCH = {
+    "labkit.inference.fit",
+    "labkit.inference.phase_retrieval",
+    "labkit.inference.search",
+    "labkit.inference.sketch",
+}
 
 PROGRAM = """
 import json, sys
@@ -57,6 +70,12 @@ def test_results_are_loaded_by_results_and_optics(session: Path) -> None:
     modules = loaded_by(f"import labkit; labkit.Results.load({str(session)!r})[3000, 'R'].strehl")
     assert "labkit.optics.strehl" in modules
     assert unneeded(modules) == set()
+
+
+def test_advice_takes_information_and_no_search() -> None:
+    modules = loaded_by("import labkit; labkit.advise")
+    assert "labkit.inference.identifiability" in modules
+    assert modules & (SEARCH | {"rawpy", "labkit.calibration", "labkit.finder"}) == set()
 
 
 @pytest.mark.slow
