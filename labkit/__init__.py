@@ -16,7 +16,7 @@ from labkit.version import __version__
 
 if TYPE_CHECKING:
     from labkit.acquisition.capture import capture
-    from labkit.analysis.advise import advise
+    from labkit.advice.advise import advise
     from labkit.analysis.fit import fit
     from labkit.analysis.image import fit_image
     from labkit.devices.registry import open_devices
@@ -38,7 +38,7 @@ _PLACES = {
     "Session": "session.session",
     "Uncertain": "uncertain",
     "Wavefront": "results",
-    "advise": "analysis.advise",
+    "advise": "advice.advise",
     "capture": "acquisition.capture",
     "fit": "analysis.fit",
     "fit_image": "analysis.image",

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from docs.generators.advice import advise_columns
 from docs.generators.api import device_api, public_api, related_api
 from docs.generators.commands import commands
 from docs.generators.gallery import gallery
@@ -17,7 +16,6 @@ from docs.generators.results_keys import results_keys
 from docs.generators.target_kinds import target_kinds
 
 MADE: dict[str, Callable[[], str]] = {
-    "advise_columns": advise_columns,
     "commands": commands,
     "device_api": device_api,
     "gallery": gallery,

@@ -19,8 +19,8 @@ ALIASES = {"Floats": Floats, "ArrayLike": ArrayLike}
 
 RELATED = {
     "labkit.results": ("Focus", "Lens", "OptimumTest", "Residuals", "Placement"),
-    "labkit.analysis.advise": ("Advice", "RangeAdvice"),
-    "labkit.analysis.outlook": ("Outlook", "Remedy"),
+    "labkit.advice.advise": ("Advice", "RangeAdvice"),
+    "labkit.advice.outlook": ("Outlook", "Remedy"),
     "labkit.session.frame": ("Frame",),
     "labkit.target": ("Target", "CellTarget", "TargetSpec", "read_spec"),
     "labkit.optics.mtf": ("Curve", "mtf"),

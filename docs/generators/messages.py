@@ -32,8 +32,8 @@ OTHERS = {"ValueError", "TypeError", "KeyError", "AttributeError", "NotImplement
 SILENT = (
     "labkit/__init__.py",
     "labkit/acquisition/log.py",
-    "labkit/analysis/advice_tables.py",
-    "labkit/analysis/outlook.py",
+    "labkit/advice/outlook.py",
+    "labkit/advice/tables.py",
     "labkit/cli/",
     "labkit/console.py",
     "labkit/demo.py",

@@ -13,12 +13,13 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Adjustable, Camera, Check, Checkable, ExposureSettings, Setting
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
+from labkit.filter_array import MONO
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem, pixel_noise
-from labkit.raw.mosaic import MONO, Mosaic
+from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
 from labkit.types import Counts
 
@@ -145,10 +146,9 @@ def _names(mosaic: Mosaic) -> list[str]:
 
 def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
     for name in _names(mosaic):
-        row, col = mosaic.places(name)[0]
-        step = 1 if name == "mono" else 2
-        plane = np.ascontiguousarray(mosaic.counts[row::step, col::step])
-        black = float(mosaic.black[row, col])
+        first = mosaic.planes(name)[0]
+        plane = np.ascontiguousarray(mosaic.counts[first])
+        black = mosaic.black_of(first)
         yield ColourReport(
             name,
             median=float(np.median(plane)) - black,

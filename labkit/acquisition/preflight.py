@@ -25,8 +25,8 @@ from labkit.files import write_atomically, writing
 from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
-from labkit.inference.sketch import FARTHEST_WAVES
-from labkit.optics.lens import ThinLens, circle_of_confusion_mm, ground_sample_mm
+from labkit.optics.lens import ThinLens, blur_per_wave_um, circle_of_confusion_mm, ground_sample_mm
+from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
@@ -40,8 +40,6 @@ SPARE_SHARE = 0.05
 
 KEPT = "preflight"
 """The folder of test photographs in a session's."""
-
-PV_PER_RMS = float(np.sqrt(12))
 
 
 @dataclass(slots=True)
@@ -234,8 +232,8 @@ def _focus_problems(plan: Plan, blurs_px: dict[float, float]) -> list[LabkitErro
     """Where the blur is beyond what a fit looks for, or best focus beyond the rail by more than the rail's own way."""
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     pitch_mm = plan.sensor.pixel_pitch_um * 1e-3
-    # a circle c of defocus W (peak to valley) has c = 8 N W
-    limit_mm = 8 * lens.f_number * FARTHEST_WAVES * PV_PER_RMS * plan.reference_wavelength_nm * 1e-6
+    per_wave_um = blur_per_wave_um(lens.f_number, plan.reference_wavelength_nm * 1e-3)
+    limit_mm = FARTHEST_WAVES * per_wave_um * 1e-3
     problems: list[LabkitError] = [
         DataError(
             f"out of focus at {range_mm:g} mm: a point spreads over {blur:.0f} pixels, "

@@ -9,17 +9,18 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.local_fits import LocalFit, Task, fit_task
-from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, Observation, cut_around, sees_target_only
+from labkit.analysis.observe import Observation, cut_around, sees_target_only
 from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
+from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.errors import DataError
+from labkit.filter_array import channel_pixels, pattern_of
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.fit import canonical
 from labkit.inference.likelihood import FrameData, low_orders
-from labkit.raw.mosaic import MONO, pattern_of, places_of
 from labkit.results import Wavefront
 from labkit.target import Target
 from labkit.types import Bools, Floats
@@ -76,10 +77,10 @@ def _observation(
     noise: NoisePrior,
 ) -> Observation:
     """The frames, cut to the target."""
-    places, period = (((0, 0),), 1) if pattern == MONO else (places_of(pattern, channel), 2)
+    pixels = channel_pixels(pattern, channel)
     rows, columns = cut_around(corners, images.shape[1:])
     cut = images[:, rows, columns]
-    usable = good[:, rows, columns] & _of_channel(cut.shape[1:], places, period)
+    usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])
     poses = tuple(Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners)
     return Observation(
         range_mm=None,
@@ -89,8 +90,8 @@ def _observation(
         frames=tuple(_frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)),
         poses=poses,
         noise=noise,
-        places=places,
-        period=period,
+        places=pixels.places,
+        period=pixels.period,
         origin_px=(rows.start, columns.start),
     )
 
@@ -119,13 +120,6 @@ def _corners(
     return [find_target(grey_image(image, tuple(pattern)), target, mm_per_pixel=mm_per_pixel) for image in images]
 
 
-def _of_channel(shape: Sequence[int], places: Sequence[tuple[int, int]], every: int) -> Bools:
-    used = np.zeros(tuple(shape), bool)
-    for row, column in places:
-        used[row::every, column::every] = True
-    return used
-
-
 def _frame(image: Floats, used: Bools, pose: Pose, target: Target) -> FrameData:
     if target.surround is None:
         used = used & sees_target_only(pose, used.shape)
@@ -141,8 +135,8 @@ def _noise(images: Floats, gain: float | None, read_noise: float | None) -> Nois
     if white <= 0:
         raise DataError(f"counts up to {white:g} are no photograph: give them with the black level removed")
     return NoisePrior(
-        white / ELECTRONS_AT_WHITE if gain is None else positive("gain", gain, "counts per electron"),
+        usual_gain(white) if gain is None else positive("gain", gain, "counts per electron"),
         UNKNOWN_NOISE_STD if gain is None else GIVEN_NOISE_STD,
-        max(1.0, (white / 4000) ** 2) if read_noise is None else positive("read_noise", read_noise, "counts") ** 2,
+        usual_read_variance(white) if read_noise is None else positive("read_noise", read_noise, "counts") ** 2,
         UNKNOWN_NOISE_STD if read_noise is None else GIVEN_NOISE_STD,
     )

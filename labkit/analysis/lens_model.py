@@ -16,12 +16,11 @@ from scipy.special import chdtrc
 
 from labkit.imaging.optics import ESTIMATED
 from labkit.inference.cone import Measured
-from labkit.optics.lens import Convention, ThinLens, defocus_waves
-from labkit.plan import Plan
+from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens, defocus_waves
+from labkit.plan import Plan, leading_channel
 from labkit.types import Bools, Floats, Indices
 from labkit.uncertain import Uncertain
 
-USUAL_LOG_MAGNIFICATION = 0.7  # standard error: pupil magnifications of lenses lie between 0.5 and 2
 SIZE_FLOOR = 3e-5  # of a size in the picture: a target is as flat, a picture as free of distortion
 SAME_LEAN = 1e-3  # chance of leans that differ as much, below which they are not the same
 LEAN_FLOOR = 1e-5  # of a size, by which a carriage that tips changes it
@@ -154,7 +153,7 @@ class LensModel:
     @property
     def reference(self) -> str:
         """The channel whose sizes the lens's scale is held to: green, where there is one."""
-        return "G" if "G" in self.channels else self.channels[0]
+        return leading_channel(self.channels)
 
     def size_error(self, k: int) -> float:
         """Relative error of a member's size, beside the frames' own: that of its lean, where that is not shared, is in it."""

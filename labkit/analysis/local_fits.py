@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION, Member
+from labkit.analysis.lens_model import Member
 from labkit.analysis.observe import Observation
 from labkit.execute import say
 from labkit.imaging.aperture import Aperture
@@ -18,7 +18,7 @@ from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import Measured
 from labkit.inference.fisher_scoring import Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
-from labkit.optics.lens import ThinLens
+from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.target import Target

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.analysis.session_fits import SessionFits
-from labkit.inference.fit import WavefrontFit, twin_signs
+from labkit.inference.fit import WavefrontFit
 from labkit.inference.search import PREDICTED_WAVES
 from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from labkit.analysis.panel import as_shown
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
-from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
+from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.errors import DataError, TargetError
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.find_target import find_target, grey_image
@@ -20,7 +20,7 @@ from labkit.inference.likelihood import FrameData, low_orders
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import IN_COLOURS, MONO, Cut, Mosaic
+from labkit.raw.mosaic import Cut, Mosaic
 from labkit.results.model import same_range
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
@@ -32,8 +32,6 @@ MARGIN_PX = 10
 INSET = 0.04  # of the target's size: what is left out along its edge where the surround is unknown
 INSET_PX = 4
 LEAST_PIXELS = 100  # usable ones on the target
-UNKNOWN_NOISE_STD = 2.0  # relative, of gain and read variance that no flat or dark shows
-ELECTRONS_AT_WHITE = 40_000  # of a usual pixel, the starting point where no flat shows the gain
 
 
 @dataclass(frozen=True)
@@ -194,7 +192,7 @@ def _observation(
         _frame_data(calibration, target, part, pose, f"{frame.file}: only {{}} usable pixels of channel {channel}")
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
-    whole = first.pattern in (MONO, IN_COLOURS)  # every pixel has the channel
+    pixels = first.pixels(channel)
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),
@@ -203,8 +201,8 @@ def _observation(
         frames=frames,
         poses=poses,
         noise=_noise(data[0], first),
-        places=((0, 0),) if whole else first.places(channel),  # the cut begins on an even row and column
-        period=1 if whole else 2,
+        places=pixels.places,  # the cut begins on an even row and column
+        period=pixels.period,
         origin_px=(rows.start, columns.start),
         homings=tuple(int(frame.meta["homing"]) for frame in group if "homing" in frame.meta),
     )
@@ -260,8 +258,8 @@ def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:
         max(2 * noise.read_noise_std / read, 1e-3) if read and noise.read_noise_std else UNKNOWN_NOISE_STD
     )
     return NoisePrior(
-        gain if gain else white / ELECTRONS_AT_WHITE,
+        gain if gain else usual_gain(white),
         gain_relative_std,
-        read**2 + ROUNDING_VARIANCE if read else max(1.0, (white / 4000) ** 2),
+        read**2 + ROUNDING_VARIANCE if read else usual_read_variance(white),
         read_variance_relative_std,
     )

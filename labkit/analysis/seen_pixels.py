@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from labkit.analysis.observe import Observation
+from labkit.analysis.stripe_contrast import LEAST_CONTRAST
 from labkit.errors import PlanError
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS
@@ -34,9 +35,6 @@ STRAY = 0.01
 
 FASTEST = 1.1
 """Cycles a pixel: what is faster the pixels themselves do not pass."""
-
-LEAST_CONTRAST = 0.01
-"""Amplitude, of white, of a pattern that spoils a fit: more than the noise of a pixel that holds 10 000 electrons."""
 
 PLAIN_CONTRAST = 0.03
 """From where on a pattern contradicts what a plan states, and no fit without it could be right."""

@@ -12,9 +12,9 @@ from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.imaging.optics import ESTIMATED
 from labkit.imaging.parts import KNOWN
-from labkit.inference.fit import twin_signs
 from labkit.optics.metrics import psf_difference
 from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import twin_signs
 from labkit.plan import Plan
 from labkit.results import Wavefront
 from labkit.types import Floats

@@ -15,11 +15,11 @@ from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.imaging.optics import Optics
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
+from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-TELLING_STD = 0.1  # pupil magnifications of real lenses lie between 0.5 and 2: with a larger error little was learnt
 FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 
@@ -71,7 +71,7 @@ def _with(w: Wavefront, optics: Optics, values: Floats, covariance: Floats) -> W
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     blur = None
     if 4 in w.noll:
-        um = 8 * f_number * np.sqrt(12) * w.reference_wavelength_nm * 1e-3
+        um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
         pull = np.zeros(len(values))
         pull[[w.noll.index(4), -2]] = um, um * waves[w.noll.index(4)]
         blur = Uncertain(um * waves[w.noll.index(4)], float(np.sqrt(pull @ covariance @ pull)), "um")

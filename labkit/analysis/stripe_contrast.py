@@ -12,6 +12,9 @@ from labkit.optics.wavefront import FittedWavefront
 from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 
+LEAST_CONTRAST = 0.01
+"""Amplitude, of white, of a pattern that spoils a fit: more than the noise of a pixel that holds 10 000 electrons."""
+
 LIT = USUAL_APERTURE / 3
 """Of a pixel's width, that a colour's stripe is lit over."""
 

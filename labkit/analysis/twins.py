@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.analysis.lens_fit import fit_lens, turned
 from labkit.analysis.lens_model import Member, Stated
-from labkit.inference.fit import twin_signs
+from labkit.optics.zernike import twin_signs
 
 ROUGH_WAVES = 0.01  # errors below this decide no sign
 CLEAR = 9.0  # of chi2 between one choice of signs and the next

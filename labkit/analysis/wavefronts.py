@@ -25,7 +25,7 @@ from labkit.analysis.session_fits import SessionFits
 from labkit.execute import Run
 from labkit.imaging.parts import LowPass
 from labkit.inference.fit import canonical
-from labkit.plan import Plan
+from labkit.plan import Plan, leading_channel
 from labkit.target import Target
 from labkit.types import Progress
 
@@ -82,7 +82,7 @@ class _Chain(FitsUnderWay):
     def anchors(self) -> list[int]:
         """Green, or the first channel, at the nearest and the farthest range; one frame of it where ranges are unknown."""
         channels = [o.channel for o in self.observations]
-        first = "G" if "G" in channels else channels[0]
+        first = leading_channel(channels)
         of = [k for k, channel in enumerate(channels) if channel == first]
         ranges = {k: r for k in of if (r := self.observations[k].measured_range_mm) is not None}
         if not ranges:

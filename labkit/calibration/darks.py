@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from labkit.calibration.masters import clipped_mean, outliers, planes_of, shrunk
+from labkit.calibration.masters import clipped_mean, outliers, shrunk
 from labkit.calibration.photon_transfer import OUTLIER_PROBABILITY, ROUNDING_VARIANCE, Scatter
 from labkit.calibration.stack import Stack
 from labkit.session.frame import Frame
@@ -29,7 +29,7 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
     mean = clipped_mean(stack.counts)
     offset, usable = np.empty(mean.shape, dtype=np.float32), np.ones(mean.shape, dtype=np.bool_)
     frames = len(stack.counts)
-    for plane in planes_of(stack.first.pattern):
+    for plane in stack.first.every_plane:
         values = mean[plane]
         good = ~outliers(values, np.ones(values.shape, dtype=np.bool_), least=1.0)
         if frames > 1:

@@ -12,9 +12,10 @@ import numpy as np
 
 from labkit.calibration.darks import Dark
 from labkit.calibration.lattice import repeating
-from labkit.calibration.masters import Illumination, Plane, clipped_mean, outliers, shrunk, smooth_illumination
+from labkit.calibration.masters import Illumination, clipped_mean, outliers, shrunk, smooth_illumination
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
+from labkit.raw.mosaic import Cut
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05
@@ -45,7 +46,7 @@ class Flat:
     frames: int
     illumination: Floats32
     mean: Floats32
-    places: Mapping[str, tuple[Plane, ...]]
+    places: Mapping[str, tuple[Cut, ...]]
     level: Mapping[str, float]
     scatter: Mapping[str, tuple[Scatter, ...]]
     panel: Floats32 | None
@@ -150,7 +151,7 @@ def at_range(range_mm: float | None) -> str:
     return " without a range" if range_mm is None else f" at {range_mm:g} mm"
 
 
-def _mean_ratio(flats: Sequence[Flat], plane: Plane, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:
+def _mean_ratio(flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:
     """Measured over expected counts of a plane's pixels, averaged over flats, and the inverse of its variance."""
     shape = flats[0].mean[plane].shape
     weighted, weights = np.zeros(shape), np.zeros(shape)

@@ -6,15 +6,13 @@ filter's cell (one for mono), because neighbours of one colour lie two pixels ap
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
 from labkit.types import Bools, Counts, Floats
-
-Plane = tuple[slice, slice]
 
 SLAB_ROWS = 256
 """Stacks are worked on so many rows at a time: a whole stack of floats of a large sensor would not fit."""
@@ -33,12 +31,6 @@ SMOOTH_PX = 16.0
 
 LIT = 0.25
 """A flat's brightness, as a share of its bright parts', below which the display does not reach."""
-
-
-def planes_of(pattern: Sequence[str]) -> tuple[Plane, ...]:
-    """Slices of the full grid, one for each place of the filter's cell; a single one for ("M",)."""
-    height, width = len(pattern), len(pattern[0])
-    return tuple((slice(row, None, height), slice(col, None, width)) for row in range(height) for col in range(width))
 
 
 def clipped_mean(stack: Counts) -> Floats:

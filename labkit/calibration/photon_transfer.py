@@ -19,12 +19,31 @@ from labkit.types import Floats
 ROUNDING_VARIANCE = 1.0 / 12.0
 """Variance of rounding to whole counts; it is part of every frame's noise and of no `read_noise`."""
 
+UNKNOWN_NOISE_STD = 2.0
+"""Relative standard error of a gain or read variance that no flat or dark shows."""
+
+ELECTRONS_AT_WHITE = 40_000
+"""Full well of a usual pixel: the gain where no flat shows it."""
+
+WHITE_PER_READ_NOISE = 4000
+"""Dynamic range of a usual pixel: the read noise where no dark shows it."""
+
 OUTLIER_PROBABILITY = 1e-6
 """Pixels noisier than this leaves to chance are left out: particles, telegraph noise, a light that was switched."""
 
 FLOOR_SHARE = 0.03
 """Without darks: prior standard deviation of the variance at no light, as a share of that in the brightest flats. One
 level of light alone does not separate the two."""
+
+
+def usual_gain(white: float) -> float:
+    """Gain of a usual sensor, counts per electron. white: counts above black at saturation."""
+    return white / ELECTRONS_AT_WHITE
+
+
+def usual_read_variance(white: float) -> float:
+    """Variance of a usual sensor's read noise, counts squared, rounding included. white: as of `usual_gain`."""
+    return max(1.0, (white / WHITE_PER_READ_NOISE) ** 2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -288,8 +288,8 @@ def advise(
     ] = None,
 ) -> None:
     """Predict what a plan will determine. Standard errors at each range and of the lens, and what would reduce them."""
-    from labkit.analysis.advice_tables import range_rows, session_rows
-    from labkit.analysis.advise import advise as advise_on
+    from labkit.advice.advise import advise as advise_on
+    from labkit.advice.tables import range_rows, session_rows
     from labkit.plan import Plan
 
     console: Console = ctx.obj

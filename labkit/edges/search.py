@@ -15,8 +15,8 @@ from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
 from labkit.imaging.optics import Optics
-from labkit.inference.fit import twin_signs
-from labkit.optics.lens import PV_PER_RMS
+from labkit.optics.lens import blur_per_wave_um
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 ROW = (0.55, 0.75, 0.9, 1.0, 1.15, 1.4)  # of the defocus that the rough edge's width makes likely
@@ -130,7 +130,7 @@ def likely_defocus(optics: Optics, width_px: float) -> float:
     """
     pixel = optics.active_um**2 / 12 + (0.3 * optics.airy_um) ** 2
     spread_um = np.sqrt(max((width_px * optics.pitch_um) ** 2 - pixel, 0.0))
-    return float(4 * spread_um / (8 * optics.f_number * PV_PER_RMS * optics.reference_um))
+    return float(4 * spread_um / blur_per_wave_um(optics.f_number, optics.reference_um))
 
 
 def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float = EXACTLY) -> tuple[EdgeFit, ...]:

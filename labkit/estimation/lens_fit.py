@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +10,14 @@ from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, Point, Solved, solve
 from labkit.estimation.errors import covariance_with_bias
-from labkit.estimation.lens_model import CONE, DEFOCUS, FOCAL_LENGTH, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH, LensModel
+from labkit.estimation.lens_model import (
+    CONE,
+    GEOMETRY,
+    LATERAL_COLOUR,
+    OPEN,
+    WAVELENGTH,
+    LensModel,
+)
 from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 

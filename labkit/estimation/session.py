@@ -8,9 +8,9 @@ from functools import reduce
 
 import numpy as np
 
+from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
 from labkit.analysis.stated_parts import stated_parts, stated_spectrum, wanted_parts
-from labkit.analysis.observe import Observation
 from labkit.errors import FitError, LostTasksError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, label_of, observed

@@ -12,10 +12,11 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
-from labkit.inference.fit import WavefrontFit, fit_wavefront, twin_signs
+from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.inference.identifiability import bound_of
 from labkit.inference.likelihood import FrameData
 from labkit.inference.parameter_names import parameter_names
+from labkit.optics.zernike import twin_signs
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
 from labkit.types import Floats

@@ -14,7 +14,7 @@ from labkit.edges.region import Region
 from labkit.edges.search import coherent_rms, fit_depth, halves, refuse_no_edge, refuse_uneven, rough_edge
 from labkit.errors import DataError, FitError
 from labkit.fiducials.camera import Camera
-from labkit.fiducials.photographs import Photograph, Place, planes_of, region_of
+from labkit.fiducials.photographs import Photograph, Place, region_of, samples_by_plane
 
 DIFFERENT = 6.0  # standard errors of a difference of defocus between an edge's halves
 DIFFERENT_WAVES, DIFFERENT_SHARE = 0.08, 0.1  # of it, at least: waves RMS, and share of the defocus
@@ -57,7 +57,7 @@ def box_task(photographs: list[Photograph], camera: Camera, place: Place) -> Box
     """Of one box in all frames. Raises DataError where there is too little to fit."""
     regions = tuple(region_of(of, camera.channel, place, j) for j, of in enumerate(photographs))
     try:
-        planes, problem = tuple(planes_of(photographs[0], camera.channel, place)), ""
+        planes, problem = tuple(samples_by_plane(photographs[0], camera.channel, place)), ""
     except DataError as error:
         planes, problem = (), str(error)
     return BoxTask(place, camera, regions, photographs[0].rounding_variance(camera.channel, place), planes, problem)

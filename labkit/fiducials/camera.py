@@ -6,18 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.lens_model import USUAL_LOG_MAGNIFICATION
 from labkit.analysis.local_fits import optics_of
-from labkit.analysis.observe import ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD
-from labkit.analysis.psf_of_session import session_modes, session_optics, session_wavefront
+from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.edges.joint import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
 from labkit.inference.fisher_scoring import NoisePrior
-from labkit.optics.lens import ThinLens
+from labkit.measured_camera import optics_behind
+from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.wavefront import DEFOCUS
-from labkit.plan import Plan
+from labkit.plan import Plan, leading_channel
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -41,7 +40,7 @@ def camera_of(plan: Plan, channel: str, results: Results | None, white: float, f
 
     white: counts above black at saturation. focus_mm: what the lens is focused at, for its cone.
     """
-    noise = NoisePrior(white / ELECTRONS_AT_WHITE, UNKNOWN_NOISE_STD, max(1.0, (white / 4000) ** 2), UNKNOWN_NOISE_STD)
+    noise = NoisePrior(usual_gain(white), UNKNOWN_NOISE_STD, usual_read_variance(white), UNKNOWN_NOISE_STD)
     if results is None:
         optics = optics_of(plan, channel)
         cone = optics.f_number if focus_mm is None else float(_thin(plan).working_f_number(focus_mm))
@@ -49,12 +48,13 @@ def camera_of(plan: Plan, channel: str, results: Results | None, white: float, f
         given = (*optics.given, *_cameras(optics))
         optics = replace(optics, noll=noll, f_number=cone, given=given, parts=(), panel=None)
         return Camera(channel, optics, LensPrior.unknown(len(noll) - 1), noise, given=False)
-    mean, covariance = session_modes(wavefront := session_wavefront(results, channel))
-    covariance = np.nan_to_num(covariance) + MODE_FLOOR**2 * np.eye(len(mean))
+    wavefront = results.best_known(channel)
+    modes = wavefront.at_focus()
+    covariance = np.nan_to_num(modes.covariance) + MODE_FLOOR**2 * np.eye(len(modes.noll))
     if wavefront.gain > 0 and wavefront.read_noise > 0:
         noise = replace(noise, gain=wavefront.gain, read_variance=wavefront.read_noise**2)
-    optics = session_optics(results, plan, channel)
-    return Camera(channel, optics, LensPrior(mean, covariance), noise, given=True)
+    optics = replace(optics_behind(results, plan, wavefront), noll=(DEFOCUS, *modes.noll))
+    return Camera(channel, optics, LensPrior(modes.waves, covariance), noise, given=True)
 
 
 def _cameras(optics: Optics) -> tuple[Part, ...]:
@@ -78,7 +78,7 @@ def focus_law(
     known = {name: known[name] for name in channels if name in known}
     if focus is None and not known:
         return None
-    names = tuple(known) or ("G" if "G" in channels else channels[0],)
+    names = tuple(known) or (leading_channel(channels),)
     lens, spread, zero = _lens(plan, results)
     size = FOCI + len(names)
     covariance = np.zeros((size, size))
@@ -88,7 +88,7 @@ def focus_law(
     if known:
         covariance[FOCI:, FOCI:] = np.diag([known[name].std ** 2 for name in names])
     if focus is not None:
-        reference = names.index("G") if "G" in names else 0
+        reference = names.index(leading_channel(names))
         foci = foci - foci[reference] + focus.value
         covariance[FOCI:, FOCI:] += (0.0 if np.isnan(focus.std) else focus.std) ** 2
     reference_nm = plan.reference_wavelength_nm if results is None else results.reference_wavelength_nm
@@ -105,4 +105,4 @@ def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, Floats, Uncert
     of = results.lens
     numbers = (of.focal_length, of.f_number, of.pupil_magnification)
     spread = np.array([min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers])
-    return ThinLens(*(x.value for x in numbers)), spread, of.range_zero
+    return of.thin, spread, of.range_zero

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.analysis.psf_of_session import check_same_camera
 from labkit.edges.esfr import Esfr
 from labkit.edges.find import Box
 from labkit.edges.joint import EdgeFit
@@ -22,7 +21,8 @@ from labkit.fiducials.one_range import contradicting
 from labkit.fiducials.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
 from labkit.fiducials.photographs import Photograph, Place, checked_box, find_places, read_all
 from labkit.fiducials.standing import Standing, correlation, standings
-from labkit.plan import Plan
+from labkit.measured_camera import check_same_camera
+from labkit.plan import Plan, leading_channel
 from labkit.results import Results
 from labkit.types import Floats, Progress, no_progress
 from labkit.uncertain import Uncertain
@@ -100,7 +100,7 @@ def _places(
 ) -> tuple[list[Place], list[RejectedEdge]]:
     """Boxes that can be used, and those that cannot; or edges found. Raises DataError where none is."""
     if not boxes:
-        places = find_places(photograph, "G" if "G" in names else names[0], most)
+        places = find_places(photograph, leading_channel(names), most)
         if not places:
             raise DataError(
                 f"{photograph.path}: no straight edge between two even sides was found; give one with --box"

@@ -12,6 +12,7 @@ import numpy as np
 from labkit.edges.esfr import Esfr
 from labkit.edges.find import Box
 from labkit.edges.response import FittedResponse
+from labkit.plan import leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -78,7 +79,8 @@ class MeasuredEdge:
     @property
     def main(self) -> ChannelEdge:
         """Green, or the first: what stands for the edge in a table."""
-        return next((c for c in self.channels if c.channel == "G"), self.channels[0])
+        names = [c.channel for c in self.channels]
+        return self.channels[names.index(leading_channel(names))]
 
     @property
     def chi2_per_pixel(self) -> float:

@@ -13,9 +13,10 @@ from labkit.edges.esfr import Plane
 from labkit.edges.find import Box, FoundEdge, find_edges
 from labkit.edges.region import LEAST_PIXELS, Region
 from labkit.errors import DataError
+from labkit.filter_array import IN_COLOURS, MONO
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.raw.mosaic import Mosaic
 from labkit.types import Bools, Floats
 
 WHOLE = (slice(0, None), slice(0, None))
@@ -58,12 +59,6 @@ class Photograph:
         part = self.mosaic.part(channel, WHOLE)
         return part.counts - part.black_map(), part.channel_mask(channel) & ~saturated(part)
 
-    def lattice(self, channel: str) -> tuple[tuple[tuple[int, int], ...], int]:
-        """(row, column) of a channel's planes, and how many pixels lie between their samples."""
-        if self.mosaic.pattern in (MONO, IN_COLOURS):
-            return ((0, 0),), 1
-        return self.mosaic.places(channel), 2
-
     def rounding_variance(self, channel: str, place: Place) -> float:
         """Mean counts squared that a tone curve's steps add to the noise in a box."""
         part = self.mosaic.part(channel, WHOLE)
@@ -103,8 +98,9 @@ def checked_box(box: Box, shape: tuple[int, int]) -> str | None:
 def find_places(photograph: Photograph, channel: str, most: int) -> list[Place]:
     """Edges found in one plane of a channel."""
     counts, _ = photograph.counts(channel)
-    places, step = photograph.lattice(channel)
-    row, column = places[0]
+    pixels = photograph.mosaic.pixels(channel)
+    row, column = pixels.places[0]
+    step = pixels.period
     found = find_edges(counts[row::step, column::step], (row, column), step, most)
     return [Place(each.box, each) for each in found]
 
@@ -118,20 +114,21 @@ def region_of(photograph: Photograph, channel: str, place: Place, frame: int) ->
     r0, c0, r1, c1 = place.box
     centre = ((r0 + r1 - 1) / 2, (c0 + c1 - 1) / 2)
     if place.found is not None:
-        used = used & place.found.mask(y, x, DEPTH_PX * photograph.lattice(channel)[1])
+        used = used & place.found.mask(y, x, DEPTH_PX * photograph.mosaic.pixels(channel).period)
         centre = place.found.middle
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{used.sum()} usable pixels of channel {channel} are in it, {LEAST_PIXELS} are needed")
     return Region(y[used], x[used], counts[place.slices()][used], centre, frame)
 
 
-def planes_of(photograph: Photograph, channel: str, place: Place) -> list[Plane]:
+def samples_by_plane(photograph: Photograph, channel: str, place: Place) -> list[Plane]:
     """The box's samples by plane. Raises DataError where some are saturated: nothing stands for them."""
     counts, good = photograph.counts(channel)
-    places, step = photograph.lattice(channel)
+    pixels = photograph.mosaic.pixels(channel)
+    step = pixels.period
     r0, c0, r1, c1 = place.box
     planes = []
-    for row, column in places:
+    for row, column in pixels.places:
         first_row, first_column = r0 + (row - r0) % step, c0 + (column - c0) % step
         cut = slice(first_row, r1, step), slice(first_column, c1, step)
         if not good[cut].all():

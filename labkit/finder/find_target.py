@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
+from labkit.filter_array import IN_COLOURS
 from labkit.finder.carpet_squares import central_square, square_hypotheses
 from labkit.finder.registration import Agreement, parent_agreement, quick_agreement, register
 from labkit.finder.template_search import SCALE_STEP, swept_hypotheses
-from labkit.raw.mosaic import IN_COLOURS
 from labkit.target import Target
 from labkit.types import Floats
 

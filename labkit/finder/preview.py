@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.raw.mosaic import IN_COLOURS, Mosaic
+from labkit.filter_array import IN_COLOURS
+from labkit.raw.mosaic import Mosaic
 from labkit.types import Floats
 
 PREVIEW_PX = 900

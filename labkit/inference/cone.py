@@ -8,7 +8,7 @@ frames have to do with. Exact to second order about a cone that the last step ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np

@@ -18,7 +18,7 @@ from labkit.inference.missing_parts import Call, calls
 from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.search import Record, Search
 from labkit.inference.sketch import Sketches
-from labkit.optics.zernike import is_even
+from labkit.optics.zernike import twin_signs
 from labkit.target import Target
 from labkit.types import Floats
 
@@ -82,11 +82,6 @@ class WavefrontFit:
         covariance = self.covariance * np.outer(sign, sign)
         measured, poor = self.measured.twin(sign), self.poor.twin(sign)
         return replace(self, state=state, covariance=covariance, measured=measured, poor=poor)
-
-
-def twin_signs(noll: Sequence[int]) -> Floats:
-    """(modes,) -1 for the even modes, +1 for the odd ones."""
-    return np.array([-1.0 if is_even(j) else 1.0 for j in noll])
 
 
 def canonical(fit: WavefrontFit) -> WavefrontFit:

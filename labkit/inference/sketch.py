@@ -11,6 +11,7 @@ from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.likelihood import FrameData
+from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.target import Target
 
 # share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
@@ -19,7 +20,6 @@ SKETCH_BAND = 0.2
 # best names the right one on every session tried (docs/decisions.md)
 DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 OUTWARDS = 1.4  # from one value to the next where the last of the row is still the best
-FARTHEST_WAVES = 12.0  # RMS: there the sweep ends
 # RMS at the light's own wavelength. There a fit needs a window of 91 lambda N, a search one of 48: geometric blur is
 # 16 sqrt(3) 0.5 = 14 lambda N wide
 NEAR_WAVES, NEEDED_NEAR, NEAR_WINDOW = 0.5, 92.0, 48.0

@@ -14,6 +14,12 @@ Convention = Literal["corrected", "thesis"]
 
 PV_PER_RMS = np.sqrt(12.0)  # a defocus of unit peak-to-valley over a disc has an RMS of 1/sqrt(12)
 
+USUAL_LOG_MAGNIFICATION = 0.7
+"""Prior standard error of the logarithm: pupil magnifications of lenses lie between 0.5 and 2."""
+
+TELLING_STD = 0.1
+"""Largest standard error of a pupil magnification that tells lenses apart, which lie between 0.5 and 2."""
+
 
 @dataclass(frozen=True, slots=True)
 class ThinLens:
@@ -99,6 +105,19 @@ def defocus_waves(
 def _sagitta_mm(radius_mm: Floats, half_squared: float) -> Floats:
     """R - sqrt(R^2 - h^2) of a wave over its pupil, without the loss of its digits."""
     return np.asarray(half_squared / (radius_mm + np.sqrt(radius_mm**2 - half_squared)))
+
+
+def blur_per_wave_um(f_number: float, reference_um: float) -> float:
+    """Diameter of the geometric blur on the sensor, um, that one wave RMS of defocus makes.
+
+    A defocus of peak to valley W makes a circle 8 N W wide: it moves the focus by 8 N^2 W along a cone of f-number N.
+
+    Parameters
+    ----------
+    f_number : N, of the cone that reaches the sensor
+    reference_um : the wavelength that defocus is counted in
+    """
+    return float(8 * f_number * PV_PER_RMS * reference_um)
 
 
 def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:

@@ -7,12 +7,12 @@ waves RMS of Noll 4 at the reference wavelength; `sensor_shift_um` is how far th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labkit.arrays import real_array
+from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.mtf import Direction, azimuth_deg, nodes_for
 from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
@@ -127,7 +127,8 @@ def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDept
 
 def sensor_shift_um(wavefront: FittedWavefront, defocus_waves: float) -> float:
     """How far the sensor is from focus, um, for a defocus: 8 N^2 times its peak to valley."""
-    return 8 * wavefront.f_number**2 * sqrt(12) * defocus_waves * wavefront.reference_um
+    per_wave = blur_per_wave_um(wavefront.f_number, wavefront.reference_um)
+    return wavefront.f_number * per_wave * defocus_waves
 
 
 def _grid(defocus_waves: Floats) -> Floats:

@@ -14,6 +14,9 @@ from labkit.types import Floats
 
 DEFOCUS = 4
 
+FARTHEST_WAVES = 12.0
+"""RMS defocus, in the light's own wavelength, up to which a wavefront is looked for."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedWavefront:

@@ -1,5 +1,6 @@
 """Zernike polynomials in Noll's order (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976)."""
 
+from collections.abc import Sequence
 from functools import cache
 from math import comb, sqrt
 
@@ -56,6 +57,11 @@ def nm_to_noll(n: int, m: int) -> int:
 def is_even(j: int) -> bool:
     """Whether Noll mode j has even radial order: Z(-w) = Z(w). Such modes change sign in the twin."""
     return noll_to_nm(j)[0] % 2 == 0
+
+
+def twin_signs(noll: Sequence[int]) -> Floats:
+    """(modes,) by which the twin's coefficients differ: -1 for even modes, +1 for odd ones."""
+    return np.array([-1.0 if is_even(j) else 1.0 for j in noll])
 
 
 def radial(n: int, m: int, rho: Floats) -> Floats:

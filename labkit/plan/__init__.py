@@ -1,6 +1,6 @@
 """What to do and with what: the plan, a TOML file checked before anything happens."""
 
-from labkit.plan.plan import Plan
+from labkit.plan.plan import Plan, leading_channel
 from labkit.plan.sensor import MeasuredTone, Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
@@ -27,4 +27,5 @@ __all__ = [
     "Table",
     "TargetPixels",
     "TargetSpec",
+    "leading_channel",
 ]

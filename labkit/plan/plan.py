@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,8 +20,16 @@ REFERENCE_NM = 450.0
 COLOURS = ("R", "G", "B")
 """What LibRaw names the colours of a camera's filter array."""
 
+LEADING = "G"
+"""Green: a filter array has most pixels of it, and photometry's weight is greatest."""
+
 COLOUR_WORDS = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
 """Names, in small letters, that cannot be meant for anything else."""
+
+
+def leading_channel(names: Sequence[str]) -> str:
+    """The channel that stands for all where one must: green, or the first."""
+    return LEADING if LEADING in names else names[0]
 
 
 class Plan(Table):

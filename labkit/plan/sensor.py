@@ -10,10 +10,14 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labkit.errors import PlanError
+from labkit.filter_array import ChannelPixels, channel_pixels, pattern_of
 from labkit.plan.fields import Allowed, Count, Number, Takes, matches, not_allowed, or_fit, problem
 from labkit.plan.table import Table
 
 SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
+BAYER = "RGGB"
+"""Usual filter array; the other orders of its cell have as many pixels of each colour."""
+
 CFA = '"mono", "RGB" or four letters such as "RGGB"'
 USUAL_SPREAD_PX = 0.5
 """Of a low-pass filter that is to be fitted, where a fit begins: a camera's is 0.4 to 1."""
@@ -121,6 +125,16 @@ class Sensor(Table):
     def active_um(self) -> float:
         """Side of a square pixel's active area."""
         return self.pixel_pitch_um * math.sqrt(self.fill_factor)
+
+    def assumed_pattern(self, channel: str) -> str:
+        """`cfa_pattern`; where it is left to the files a Bayer array for its colours, "mono" for other channels."""
+        if self.cfa_pattern is not None:
+            return self.cfa_pattern
+        return BAYER if channel in BAYER else "mono"
+
+    def pixels(self, channel: str) -> ChannelPixels:
+        """Which pixels are a channel's, by `assumed_pattern`. Raises RawError for a colour that it lacks."""
+        return channel_pixels(pattern_of(self.assumed_pattern(channel)), channel)
 
     @model_validator(mode="after")
     def _white_above_black(self) -> Sensor:

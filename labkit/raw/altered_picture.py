@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.filter_array import IN_COLOURS, MONO
+from labkit.raw.mosaic import Mosaic
 from labkit.types import Counts, Floats
 
 TILE_PX = 32

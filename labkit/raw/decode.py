@@ -10,18 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import rawpy
 
 from labkit.errors import RawError
+from labkit.filter_array import pattern_of
 from labkit.images.files import Numbers
 from labkit.plan import Sensor
-from labkit.raw.captured_stderr import captured_stderr
 from labkit.raw.formats import Container, recognise
-from labkit.raw.libraw import opened_raw
-from labkit.raw.mosaic import MONO, Mosaic, pattern_of
+from labkit.raw.mosaic import Mosaic
 from labkit.raw.processed import is_processed, processed_mosaic, read_file
-
-DAMAGE = ("data corrupted", "Unexpected end of file")
 
 
 def read_raw(path: Path, sensor: Sensor) -> Mosaic:
@@ -40,7 +36,11 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
 
 def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
     container = recognise(path)
-    return _read_libraw(path, container) if container.kind == "raw" else _read_numbers(path, container, sensor)
+    if container.kind != "raw":
+        return _read_numbers(path, container, sensor)
+    from labkit.raw.libraw import read_libraw  # who reads no raw file loads no LibRaw
+
+    return read_libraw(path, container)
 
 
 def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
@@ -51,47 +51,6 @@ def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
         have = "there is no such file" if size is None else f"it has {size}"
         raise RawError(f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}")
     return _bare_mosaic(np.fromfile(path, dtype="<u2").reshape(rows, cols), Container("headerless"), sensor)
-
-
-def _read_libraw(path: Path, container: Container) -> Mosaic:
-    with captured_stderr() as chatter:
-        try:
-            with opened_raw(path) as raw:
-                mosaic = _mosaic_of(raw, container)
-        except rawpy.LibRawError as error:
-            reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-            cause = "is truncated or damaged" if isinstance(error, rawpy.LibRawIOError) else "is no raw photograph"
-            raise RawError(f"{cause} ({reason})") from error
-    if any(words in line for words in DAMAGE for line in chatter):
-        raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
-    return mosaic
-
-
-def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
-    if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible is None or raw.raw_image_visible.ndim != 2:
-        raise RawError("holds colours already mixed (demosaiced or layered); labkit needs the mosaic itself")
-    counts = np.array(raw.raw_image_visible)
-    if counts.dtype != np.uint16:
-        raise RawError(f"holds {counts.dtype} numbers; labkit needs 8 to 16 bit integers")
-    levels = np.asarray(raw.black_level_per_channel, dtype=np.float64)
-    pattern: tuple[str, ...]
-    if raw.num_colors == 1:
-        pattern, black = MONO, np.full((2, 2), levels[0])
-    elif raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2):
-        colours = raw.color_desc.decode()
-        pattern = tuple("".join(colours[index] for index in row) for row in raw.raw_pattern)
-        black = levels[raw.raw_pattern]
-    else:
-        raise RawError("has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet")
-    return Mosaic(
-        counts=counts,
-        black=black,
-        white=float(raw.white_level),
-        pattern=pattern,
-        camera=container.camera,
-        exposure_s=raw.other.shutter_speed or container.exposure_s,
-        iso=int(raw.other.iso_speed) or container.iso,
-    )
 
 
 def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:

@@ -10,7 +10,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import rawpy
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
@@ -18,7 +17,6 @@ from labkit.errors import InputError
 from labkit.images.files import PNG, TIFF, png_chunks
 from labkit.images.jpeg import JPEG, read_header
 from labkit.raw.captured_stderr import captured_stderr
-from labkit.raw.libraw import opened_raw
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""
@@ -99,6 +97,10 @@ def _tags(file: BinaryIO) -> dict[int, Any]:
 
 def _of_raw(path: Path) -> Exif:
     """Of raw files that are no TIFF, as LibRaw has it."""
+    import rawpy
+
+    from labkit.raw.libraw import opened_raw
+
     with captured_stderr():
         try:
             with opened_raw(path) as raw:

@@ -54,16 +54,14 @@ def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
 def exposure_problem(mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]) -> str | None:
     """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
-        for (row, col), plane in zip(
-            mosaic.places(name), mosaic.planes(name), strict=False
-        ):  # mono: one for four places
-            if problem := _plane_problem(mosaic, kind, plane, float(mosaic.black[row, col])):
+        for plane in mosaic.planes(name):
+            if problem := _plane_problem(mosaic, kind, plane):
                 return problem if mosaic.cfa == "mono" else f"{problem}, in channel {name}"
     return None
 
 
-def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut, black: float) -> str | None:
-    plane, white = np.ascontiguousarray(mosaic.counts[where]), mosaic.white
+def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut) -> str | None:
+    plane, black, white = np.ascontiguousarray(mosaic.counts[where]), mosaic.black_of(where), mosaic.white
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None

@@ -11,12 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.errors import RawError
+from labkit.filter_array import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
 from labkit.raw.tone import ToneCurve
 from labkit.types import Counts
-
-MONO = ("M",)
-IN_COLOURS = ("RGB",)
 
 Cut = tuple[slice, slice]
 """Rows and columns of a frame, in pixels."""
@@ -64,23 +61,39 @@ class Mosaic:
 
         Raises RawError for a colour that the filter array lacks.
         """
-        mask, (high, wide) = np.zeros(self.counts.shape, dtype=np.bool_), self.black.shape
-        for row, col in self.places(name):
-            mask[row::high, col::wide] = True
+        mask = np.zeros(self.counts.shape, dtype=np.bool_)
+        for plane in self.planes(name):
+            mask[plane] = True
         return mask
+
+    @property
+    def every_plane(self) -> tuple[Cut, ...]:
+        """Slices of counts, one for each place of the filter array's cell; a single one on a mono sensor."""
+        high, wide = len(self.pattern), len(self.pattern[0])
+        return tuple(self._plane(row, col) for row in range(high) for col in range(wide))
 
     def planes(self, name: str) -> tuple[Cut, ...]:
         """Slices of counts, one for each plane of a colour: two for G of a Bayer cell, one for everything on a mono sensor."""
-        if self.pattern == MONO:
-            return ((slice(0, None), slice(0, None)),)
-        high, wide = self.black.shape
-        return tuple((slice(row, None, high), slice(col, None, wide)) for row, col in self.places(name))
+        return tuple(self._plane(row, col) for row, col in places_of(self.pattern, name))
+
+    def _plane(self, row: int, col: int) -> Cut:
+        high, wide = len(self.pattern), len(self.pattern[0])
+        return slice(row, None, high), slice(col, None, wide)
+
+    def black_of(self, plane: Cut) -> float:
+        """Black level of one of the `planes`, counts."""
+        rows, columns = plane
+        return float(self.black[rows.start, columns.start])
+
+    def pixels(self, name: str) -> ChannelPixels:
+        """The pixels of a channel, in pixels of the photograph. Raises RawError for a colour that the filter array lacks."""
+        return channel_pixels(self.pattern, name)
 
     def where(self, name: str, cut: Cut) -> Cut:
         """Slices of counts for a colour in a cut of pixels: of a picture in colours its plane, else all of the cut."""
         if self.pattern != IN_COLOURS:
             return cut
-        (_, col), (rows, cols), wide = self.places(name)[0], cut, len(IN_COLOURS[0])
+        (_, col), (rows, cols), wide = places_of(self.pattern, name)[0], cut, len(IN_COLOURS[0])
         stop = None if cols.stop is None else wide * cols.stop
         return rows, slice(wide * (cols.start or 0) + col, stop, wide)
 
@@ -92,25 +105,6 @@ class Mosaic:
         counts = self.counts[self.where(name, cut)]
         if self.pattern != IN_COLOURS:
             return replace(self, counts=counts)
-        plane = self.places(name)[0][1]
+        plane = places_of(self.pattern, name)[0][1]
         black, tone = np.full((2, 2), self.black[0, plane]), self.tone.of(plane) if self.tone else None
         return replace(self, counts=counts, black=black, pattern=MONO, tone=tone)
-
-    def places(self, name: str) -> tuple[tuple[int, int], ...]:
-        """(row, col) of a colour in the cell: two for G of a Bayer cell, all four on a mono sensor."""
-        return places_of(self.pattern, name)
-
-
-def pattern_of(cfa: str) -> tuple[str, ...]:
-    """A filter array as a plan writes it, "RGGB", "mono" or "RGB", as the colours of its cell's rows."""
-    return {"mono": MONO, "RGB": IN_COLOURS}.get(cfa, (cfa[:2], cfa[2:]))
-
-
-def places_of(pattern: tuple[str, ...], name: str) -> tuple[tuple[int, int], ...]:
-    """(row, col) of a colour in a filter array's cell, all four of mono. Raises RawError for a colour that it lacks."""
-    if pattern == MONO:
-        return tuple((row, col) for row in range(2) for col in range(2))
-    places = tuple((row, col) for row, line in enumerate(pattern) for col, colour in enumerate(line) if colour == name)
-    if not places:
-        raise RawError(f"no channel {name} in this filter array: {''.join(pattern)}")
-    return places

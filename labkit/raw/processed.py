@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from labkit.errors import InputError, RawError
+from labkit.filter_array import IN_COLOURS, MONO
 from labkit.images.encoding import read_encoding, srgb
 from labkit.images.files import Picture, read_picture
 from labkit.images.jpeg import read_jpeg
 from labkit.plan import MeasuredTone, Sensor
 from labkit.raw.formats import Container
-from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.raw.mosaic import Mosaic
 from labkit.raw.tone import FULL_COUNTS, ToneCurve, measured_curve, stated_curve, tone_curve
 
 COARSE = (

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from labkit.analysis.expected_bound import planes_of
 from labkit.optics import metrics
 from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import Directed
@@ -106,4 +105,4 @@ def full_nyquist_per_mm(sensor: Sensor) -> float:
 
 def plane_nyquist_per_mm(sensor: Sensor, channel: str) -> float:
     """That of the pixels of one channel: half as high in a filter array of 2 x 2."""
-    return full_nyquist_per_mm(sensor) / planes_of(sensor, channel).period
+    return full_nyquist_per_mm(sensor) / sensor.pixels(channel).period

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from labkit.analysis.psf_of_session import lens_of
 from labkit.optics.encircled_energy import EncircledEnergy, encircled_energy
 from labkit.optics.lens import defocus_waves
 from labkit.optics.mtf import Curve, Direction, mtf, pixel_mtf
@@ -117,7 +116,8 @@ def _range_of(results: Results, channel: str) -> Place | None:
     focus, plan = results.focus, results.plan
     if focus is None or channel not in focus.best_focus_mm:
         return None
-    lens, zero_mm = lens_of(results)
+    lens = results.thin_lens
+    zero_mm = results.range_zero_mm
     best_mm = focus.best_focus_mm[channel].value + zero_mm
     nearest_mm, furthest_mm = NEAREST * lens.focal_length_mm, 1e3 * best_mm
     if not best_mm > nearest_mm:

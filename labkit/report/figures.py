@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from labkit.analysis.psf_of_session import lens_of
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.best_focus import BestFocus, full_nyquist_per_mm
@@ -89,7 +88,8 @@ def _focus(results: Results) -> Iterator[Plate]:
     if len({w.range_mm for w in results if w.range_mm is not None and w.defocus}) < 2:
         return
     focus, plan = results.focus, results.plan
-    lens, zero_mm = lens_of(results)
+    lens = results.thin_lens
+    zero_mm = results.range_zero_mm
 
     def curve(channel: str, ranges_mm: Floats) -> Floats:
         assert focus is not None

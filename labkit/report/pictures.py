@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from PIL import Image
 
+from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
 from labkit.report.photographs import Photographs
@@ -74,8 +75,9 @@ def psf_half_width_um(wavefronts: Sequence[Wavefront]) -> float:
     widths = []
     for w in wavefronts:
         airy_um = w.wavelength_nm * 1e-3 * w.f_number
-        blur = 0.0 if w.defocus is None else 4 * np.sqrt(12) * abs(w.defocus.value) * w.reference_wavelength_nm * 1e-3
-        widths.append(min(1.25 * w.f_number * blur + 6 * airy_um, MOST_HALF_WIDTH_AIRY * airy_um))
+        waves = 0.0 if w.defocus is None else abs(w.defocus.value)
+        radius_um = waves * blur_per_wave_um(w.f_number, w.reference_wavelength_nm * 1e-3) / 2
+        widths.append(min(1.25 * radius_um + 6 * airy_um, MOST_HALF_WIDTH_AIRY * airy_um))
     return max(widths)
 
 

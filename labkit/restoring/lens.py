@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from labkit.analysis.psf_of_session import lens_of
 from labkit.errors import DataError
 from labkit.optics.lens import defocus_waves
 from labkit.results import Results, Wavefront
@@ -39,7 +38,8 @@ def waves_at(results: Results, wavefront: Wavefront, range_mm: float | None) -> 
             f"{results.folder}: best focus was not determined, so its lens cannot be carried from {at:g} to {range_mm:g} mm; "
             "give a range that was measured, or fit the photograph's own defocus with --fit-defocus"
         )
-    lens, zero = lens_of(results)
+    lens = results.thin_lens
+    zero = results.range_zero_mm
     if range_mm + zero <= 1.05 * lens.focal_length_mm:
         raise DataError(f"--range {range_mm:g}: more than the focal length is needed, {lens.focal_length_mm:.4g} mm")
     focus = results.focus[wavefront.channel].value + zero

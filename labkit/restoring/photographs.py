@@ -11,10 +11,11 @@ import numpy as np
 from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.calibration.stack import saturated
 from labkit.errors import DataError
+from labkit.filter_array import IN_COLOURS, MONO
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.exif import Exif, read_exif
-from labkit.raw.mosaic import IN_COLOURS, MONO, Mosaic
+from labkit.raw.mosaic import Mosaic
 from labkit.restoration.job import Area, Photograph
 from labkit.session.frame import Frame
 from labkit.types import Floats

@@ -12,9 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labkit.analysis.psf_of_session import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
+from labkit.filter_array import MONO
+from labkit.measured_camera import optics_behind
+from labkit.optics.lens import blur_per_wave_um
 from labkit.restoration.baselines import Method, baseline
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling
@@ -41,7 +43,6 @@ from labkit.types import Floats, Floats32, Progress, no_progress
 TILE_PX, LEAST_TILE_PX = 256, 64
 LEAST_GUARD_PX, GUARD_AIRY = 12, 24.0  # beyond the geometric blur: of pixels, and of lambda N, for diffraction
 ROUNDING = 1 / 12  # counts squared
-PER_BLUR = 8 * math.sqrt(12)  # diameter of defocus's blur over N times its waves RMS
 
 
 @dataclass(frozen=True)
@@ -212,9 +213,8 @@ def _channels(shot: Shot, results: Results, wanted: Wanted) -> list[str]:
     for name in names:
         if name not in results.channels and not wanted.force:
             nearest(results, name, None)
-        if shot.mosaic.pattern != ("M",):
-            shot.mosaic.places(name)
-    if shot.mosaic.pattern == ("M",) and len(names) > 1:
+        shot.mosaic.pixels(name)  # of a colour that it has
+    if shot.mosaic.pattern == MONO and len(names) > 1:
         raise DataError(f"the photograph has one colour, the session {', '.join(names)}: say which with --channel")
     return names
 
@@ -222,10 +222,9 @@ def _channels(shot: Shot, results: Results, wanted: Wanted) -> list[str]:
 def _colour(shot: Shot, results: Results, name: str, range_mm: float | None, wanted: Wanted) -> Colour:
     taken = name if name in results.channels else results.channels[0]
     wavefront = nearest(results, taken, range_mm)
-    mono = shot.mosaic.pattern == ("M",)
     return Colour(
         name,
-        ((0, 0),) if mono else shot.mosaic.places(name),
+        shot.mosaic.pixels(name).places,
         optics_behind(results, results.plan, wavefront),
         waves_at(results, wavefront, None if wanted.fit_defocus else range_mm),
         wavefront.gain,
@@ -284,9 +283,8 @@ def _guard(colours: Sequence[Colour], least_waves: float = 0.0) -> int:
     reach = 0.0
     for colour in colours:
         optics = colour.optics
-        blur_um = (
-            PER_BLUR * optics.f_number * max(float(np.linalg.norm(colour.waves)), least_waves) * optics.reference_um
-        )
+        waves = max(float(np.linalg.norm(colour.waves)), least_waves)
+        blur_um = waves * blur_per_wave_um(optics.f_number, optics.reference_um)
         reach = max(reach, (blur_um / 2 + GUARD_AIRY * optics.airy_um / 2) / optics.pitch_um)
     return max(LEAST_GUARD_PX, math.ceil(reach))
 

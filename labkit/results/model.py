@@ -7,21 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.optics import metrics
+from labkit.optics.lens import ThinLens
 from labkit.optics.mtf import Curve, Direction, mtf
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
-
-if TYPE_CHECKING:
-    pass
 
 SAME_RANGE_MM = 1e-6
 """Ranges closer than this are one: they are written with ten digits."""
@@ -254,6 +251,11 @@ class Lens:
     f_number: Uncertain
     pupil_magnification: Uncertain
     range_zero: Uncertain
+
+    @property
+    def thin(self) -> ThinLens:
+        """The lens by its estimated numbers, without their errors."""
+        return ThinLens(self.focal_length.value, self.f_number.value, self.pupil_magnification.value)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,10 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from labkit.errors import DataError
+from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables
 from labkit.results.model import Focus, Lens, PartTried, Wavefront, same_range
@@ -90,6 +94,30 @@ class Results:
     def of_channel(self, channel: str) -> tuple[Wavefront, ...]:
         """The wavefronts of one channel."""
         return tuple(w for w in self.wavefronts if w.channel == channel)
+
+    def best_known(self, channel: str) -> Wavefront:
+        """Of a channel's wavefronts the one whose modes except defocus have the least variance; accepted ones first.
+
+        Raises DataError for a channel that was not fitted.
+        """
+        of = self.of_channel(channel)
+        if not of:
+            raise DataError(f"the session has no wavefront of channel {channel}: it has {', '.join(self.channels)}")
+        return min(of, key=lambda w: (not w.accepted, float(np.trace(w.at_focus().covariance))))
+
+    @property
+    def thin_lens(self) -> ThinLens:
+        """The lens as it was estimated; without an estimate as the plan states it, its pupils from best focus."""
+        if self.lens is not None:
+            return self.lens.thin
+        stated = self.plan.lens
+        pupils = 1.0 if self.focus is None else self.focus.pupil_magnification.value
+        return ThinLens(stated.focal_length_mm, stated.f_number, pupils if pupils > 0 else 1.0)
+
+    @property
+    def range_zero_mm(self) -> float:
+        """True ranges less stated ones, mm: 0 where no lens was estimated."""
+        return 0.0 if self.lens is None else self.lens.range_zero.value
 
     @classmethod
     def load(cls, folder: Path | str, name: str = "latest") -> Results:

@@ -116,7 +116,7 @@ def test_too_little_memory_is_no_fault_of_labkit(
     def much(*args: object, **options: object) -> None:
         raise MemoryError("Unable to allocate 954. MiB for an array")
 
-    monkeypatch.setattr("labkit.analysis.advise.advise", much)
+    monkeypatch.setattr("labkit.advice.advise.advise", much)
     assert run(["advise", str(plan)]) == 1
     said = "labkit: there is not enough memory: Unable to allocate 954. MiB for an array; close other programs\n"
     assert capfd.readouterr().err == said

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.advice_tables import session_rows
-from labkit.analysis.advise import Advice, advise, best_order
-from labkit.analysis.session_results import TELLING_STD
+from labkit.advice.advise import Advice, advise, best_order
+from labkit.advice.tables import session_rows
 from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN
@@ -17,6 +16,7 @@ from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.optics.lens import TELLING_STD
 from labkit.plan import Plan
 from labkit.target import open_target
 from labkit.types import Floats

@@ -13,8 +13,8 @@ from docs.generators import MADE, PLACE, filled
 from docs.generators.commands import leaves
 from docs.generators.messages import entries, explained, messages, messages_of
 from docs.generators.plan_keys import keys, plan_keys
-from labkit.analysis.advice_tables import COLUMNS, range_rows
-from labkit.analysis.advise import advise
+from labkit.advice.advise import advise
+from labkit.advice.tables import range_rows
 from labkit.plan import Plan
 from tests.plans import SMALL, plan_text
 
@@ -63,7 +63,9 @@ def test_every_option_and_argument_says_what_it_is() -> None:
 
 def test_the_columns_of_advise_are_those_that_are_documented() -> None:
     heading, *rows = range_rows(advise(Plan.parse(plan_text(SMALL)), ranges_mm=[2000.0]))
-    assert heading == list(COLUMNS)
+    page = (ROOT / "docs" / "reference" / "advise.md").read_text(encoding="utf-8")
+    documented = re.findall(r"^\| `(.+?)` \|", page.partition("## For the whole session")[0], re.MULTILINE)
+    assert heading == documented
     assert [len(row) for row in rows] == [len(heading)]
 
 

@@ -12,7 +12,6 @@ from labkit.analysis.lens_fit import MODEL_FLOOR_WAVES, LensFit, fit_lens, fit_s
 from labkit.analysis.lens_model import (
     COLOUR_STD,
     SIZE_FLOOR,
-    USUAL_LOG_MAGNIFICATION,
     LensModel,
     Member,
     Stated,
@@ -20,6 +19,7 @@ from labkit.analysis.lens_model import (
 from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.errors import covariance_with_bias
 from labkit.inference.cone import Measured
+from labkit.optics.lens import USUAL_LOG_MAGNIFICATION
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 from tests.lens_samples import COLOURS, SIZE_STD, covariance, laws, member, members, moved, stated

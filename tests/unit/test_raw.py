@@ -246,7 +246,7 @@ def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
     # two greens half a cell apart see nearly the same, and neither what red or blue see
     light = mosaic.counts - mosaic.black_map()
     r, g1, g2, b = (light[row::2, col::2] for row in range(2) for col in range(2))
-    assert mosaic.places("G") == ((0, 1), (1, 0))
+    assert mosaic.pixels("G").places == ((0, 1), (1, 0))
     assert np.abs(g1 - g2).mean() < 0.5 * min(np.abs(g1 - r).mean(), np.abs(g1 - b).mean())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.analysis.psf_of_session import lens_of
+from labkit.optics.lens import ThinLens
 from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.focus_charts import defocus_chart
 from labkit.report.lens_table import budget_table, lens_table, working_f_number
@@ -51,10 +51,15 @@ def test_the_cone_is_that_of_the_wavefront_that_knows_it_best() -> None:
 
 
 def test_curves_are_those_of_the_lens_that_was_estimated() -> None:
-    lens, zero_mm = lens_of(some_results())
-    assert (lens.focal_length_mm, lens.f_number, lens.pupil_magnification, zero_mm) == (69.31, 2.874, 0.981, -5.8)
-    lens, zero_mm = lens_of(some_results(lens=None))
-    assert (lens.focal_length_mm, lens.f_number, lens.pupil_magnification, zero_mm) == (70.0, 2.8, 0.981, 0.0)
+    results = some_results()
+    assert results.thin_lens == ThinLens(69.31, 2.874, 0.981)
+    assert results.range_zero_mm == -5.8
+
+
+def test_without_an_estimated_lens_curves_are_those_of_the_plan() -> None:
+    results = some_results(lens=None)
+    assert results.thin_lens == ThinLens(70.0, 2.8, 0.981)
+    assert results.range_zero_mm == 0.0
 
 
 def test_defocus_is_shown_as_blur_too() -> None:

@@ -1,4 +1,4 @@
-"""What a session's results say of a camera, for other photographs by it; and whether it is the same camera."""
+"""The camera that a session measured, for other photographs by it: whether it is the same, and its optics."""
 
 from __future__ import annotations
 
@@ -7,19 +7,14 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from labkit.analysis.local_fits import optics_of
 from labkit.errors import DataError, RawError, SessionError
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
-from labkit.optics.lens import ThinLens
-from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.raw.formats import recognise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
-from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 SAME = 0.02  # relative: numbers of two plans that differ by more are of two cameras
@@ -79,15 +74,6 @@ def camera_of(results: Results) -> str:
         return ""
 
 
-def session_optics(results: Results, plan: Plan, channel: str) -> Optics:
-    """Light, sensor and lens of a channel as the session found them: the cone, and the parts of the camera as given.
-
-    Defocus is the first of the modes.
-    """
-    wavefront = session_wavefront(results, channel)
-    return replace(optics_behind(results, plan, wavefront), noll=_defocus_first(wavefront.noll))
-
-
 def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     """Light, sensor and lens that a plan's photographs see with through one of a session's wavefronts."""
     channel = wavefront.channel
@@ -103,38 +89,6 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
         given=tuple(given.values()),
         panel=None,
     )
-
-
-def _defocus_first(noll: tuple[int, ...]) -> tuple[int, ...]:
-    return (DEFOCUS, *(j for j in noll if j != DEFOCUS))
-
-
-def session_wavefront(results: Results, channel: str) -> Wavefront:
-    """Of a channel's wavefronts the one whose modes but defocus are known best; accepted ones go first.
-
-    Raises DataError for a channel that was not fitted.
-    """
-    of = results.of_channel(channel)
-    if not of:
-        raise DataError(f"the session has no wavefront of channel {channel}: it has {', '.join(results.channels)}")
-    return min(of, key=lambda w: (not w.accepted, float(np.trace(session_modes(w)[1]))))
-
-
-def lens_of(results: Results) -> tuple[ThinLens, float]:
-    """The lens that the results were made with, and what its true ranges are beyond the stated ones, mm."""
-    if results.lens is not None:
-        lens = results.lens
-        numbers = (lens.focal_length, lens.f_number, lens.pupil_magnification)
-        return ThinLens(*(number.value for number in numbers)), lens.range_zero.value
-    stated, focus = results.plan.lens, results.focus
-    magnification = focus.pupil_magnification.value if focus else 1.0
-    return ThinLens(stated.focal_length_mm, stated.f_number, magnification if magnification > 0 else 1.0), 0.0
-
-
-def session_modes(wavefront: Wavefront) -> tuple[Floats, Floats]:
-    """(m,) the modes but defocus, waves RMS at the reference, and (m, m) their covariance."""
-    kept = [k for k, j in enumerate(wavefront.noll) if j != DEFOCUS]
-    return wavefront.waves[kept], wavefront.covariance[np.ix_(kept, kept)]
 
 
 def _found(quantities: Mapping[str, Uncertain]) -> list[Part]:

@@ -1,0 +1,1 @@
+"""What a plan's photographs will determine, before any is taken."""

@@ -1,0 +1,251 @@
+"""Before the first photograph: which target, how much light, which errors (thesis §3.7 with its misprint corrected)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import ceil, floor, isfinite, log
+from typing import Any
+
+from labkit.advice.expected_fit import ExpectedFit, Setup
+from labkit.advice.notes import notes_of
+from labkit.advice.outlook import STEP_WAVES, Errors, Outlook, Proposal, outlook, propose_ranges
+from labkit.analysis.lens_model import Stated
+from labkit.analysis.panel import panel_pixels
+from labkit.devices.panels import plan_panel
+from labkit.errors import DataError, PlanError
+from labkit.optics.wavefront import DEFOCUS
+from labkit.plan import Channel, Plan
+
+AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
+ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
+MOST_ORDER = 8  # of a carpet: finer ones have more cells than any display has pixels
+MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
+
+
+@dataclass(frozen=True)
+class RangeAdvice:
+    """One range.
+
+    size_px: of the target's side; cell_airy: of its smallest cell in Airy radii; order: the highest whose cells the lens
+    resolves; size_mm: the least side at which it resolves the plan's order; defocus_waves: expected, RMS; std_*: standard
+    errors, waves RMS at the reference wavelength.
+    """
+
+    range_mm: float
+    size_px: float
+    cell_airy: float | None
+    order: int
+    size_mm: float | None
+    defocus_waves: float
+    std_defocus_waves: float
+    std_wavefront_waves: float
+    undetermined: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """With null for errors that are not finite."""
+        finite = {name: not isinstance(value, float) or isfinite(value) for name, value in asdict(self).items()}
+        return {name: getattr(self, name) if finite[name] else None for name in finite}
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to expect of a plan.
+
+    channel: the one that the errors of wavefronts are of; ranges: one for each of the plan; session: what all of them together
+    will determine of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
+    magnification where the plan's do not, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy
+    radius, if there is a display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
+    """
+
+    channel: str
+    electrons: float
+    ranges: tuple[RangeAdvice, ...]
+    session: Outlook | None
+    proposed_ranges_mm: tuple[float, ...]
+    proposed_std: Errors
+    nearest_mm: float | None
+    frames: int | None
+    notes: tuple[str, ...]
+
+    @property
+    def best_focus_std_mm(self) -> float | None:
+        """Of the channel that the errors are of; None with fewer than two ranges."""
+        return None if self.session is None else self.session.std[f"best_focus_mm.{self.channel}"]
+
+    @property
+    def magnification_std(self) -> float | None:
+        """Of the pupil magnification; None with fewer than two ranges."""
+        return None if self.session is None else self.session.std["pupil_magnification"]
+
+    @property
+    def magnification_determined(self) -> bool:
+        """Whether these ranges determine the pupil magnification."""
+        return self.session is not None and self.session.determined
+
+    def as_json(self) -> dict[str, Any]:
+        """With null for errors that are not finite."""
+        return asdict(self) | {
+            "ranges": [at.as_json() for at in self.ranges],
+            "best_focus_std_mm": self.best_focus_std_mm,
+            "magnification_std": self.magnification_std,
+            "magnification_determined": self.magnification_determined,
+        }
+
+
+def advise(
+    plan: Plan,
+    *,
+    ranges_mm: Sequence[float] | None = None,
+    electrons: float = ELECTRONS,
+    want_waves: float | None = None,
+) -> Advice:
+    """What to expect of a plan, from its lens, sensor, target and ranges alone.
+
+    The middle of the ranges is taken for best focus. Errors of wavefronts are those of the shortest wavelength, with the cone
+    known; those of the lens are what the estimate of the whole session will have.
+
+    Parameters
+    ----------
+    ranges_mm : instead of the plan's
+    electrons : at white, in one photograph
+    want_waves : a wavefront's standard error
+
+    Raises
+    ------
+    PlanError : where there are no ranges
+    DataError : where want_waves or electrons is not positive
+
+    >>> labkit.advise(plan, ranges_mm=[3000, 3200]).best_focus_std_mm
+    """
+    _check_numbers(electrons, want_waves)
+    ranges = _ranges(plan, ranges_mm)
+    setup = Setup.of(plan, ranges, electrons)
+    panel_pixels(plan, setup.target)  # what is impossible is refused
+    return _advice(setup, ranges, want_waves)
+
+
+def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> Advice:
+    channel = shortest(setup.plan)
+    fits = {range_mm: setup.fit(channel, range_mm, setup.defocus(range_mm)) for range_mm in ranges}
+    advised = tuple(_at(setup, range_mm, fit) for range_mm, fit in fits.items())
+    session = _session(setup, fits)
+    proposal = _proposal(setup, session, min(ranges))
+    frames = _wanted_frames(advised, setup.frames, want_waves)
+    return Advice(
+        channel=channel.name,
+        electrons=setup.electrons,
+        ranges=advised,
+        session=session,
+        proposed_ranges_mm=proposal.ranges_mm,
+        proposed_std=proposal.std,
+        nearest_mm=_nearest_mm(setup.plan),
+        frames=frames,
+        notes=tuple(notes_of(setup, channel, advised, session, proposal, want_waves, frames)),
+    )
+
+
+def shortest(plan: Plan) -> Channel:
+    """The channel of the shortest wavelength."""
+    return min(plan.channel, key=lambda channel: channel.wavelength_nm)
+
+
+def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
+    """What all ranges together will determine. fits: of the shortest wavelength, by range."""
+    plan = setup.plan
+    ranges = [range_mm for range_mm, fit in fits.items() if not fit.bound.undetermined]
+    if len(ranges) < 2 or plan.fit.zernike_noll[0] != DEFOCUS:
+        return None
+    first = shortest(plan)
+    every = {
+        (channel.name, range_mm): fits[range_mm]
+        if channel == first
+        else setup.fit(channel, range_mm, setup.defocus(range_mm))
+        for channel in plan.channel
+        for range_mm in ranges
+    }
+    determined = {key: fit for key, fit in every.items() if not fit.bound.undetermined}
+    return outlook(determined, Stated.of(plan), setup.focus_mm)
+
+
+def _proposal(setup: Setup, session: Outlook | None, nearest_mm: float) -> Proposal:
+    """Ranges that determine the pupil magnification where the session does not.
+
+    By fits of the shortest wavelength at the nearest range.
+    """
+    if session is None or session.determined:
+        return Proposal()
+    plan = setup.plan
+    sharp, blurred = (setup.fit(shortest(plan), nearest_mm, waves) for waves in (0.0, STEP_WAVES))
+    if sharp.bound.undetermined or blurred.bound.undetermined:
+        return Proposal()
+    channels = [channel.name for channel in plan.channel]
+    return propose_ranges(nearest_mm, channels, Stated.of(plan), sharp.measured, blurred.measured)
+
+
+def _check_numbers(electrons: float, want_waves: float | None) -> None:
+    """Raise DataError for numbers that are not allowed."""
+    if not 1 <= electrons <= MOST_ELECTRONS:
+        raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
+    if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
+        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
+
+
+def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
+    """The ranges to advise on, in order. Raises PlanError where there are none, or one that no lens images."""
+    ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
+    if not ranges:
+        raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
+    focal_mm = plan.lens.focal_length_mm
+    for range_mm in ranges:
+        if not focal_mm < range_mm <= FARTHEST_MM:
+            allowed = f"more than the focal length, {focal_mm:g} mm, and at most {FARTHEST_MM:g} mm"
+            raise PlanError(f"range {range_mm:g} mm: allowed is {allowed}")
+    return ranges
+
+
+def _wanted_frames(advised: Sequence[RangeAdvice], frames: int, want_waves: float | None) -> int | None:
+    """Photographs of each range for a wanted error."""
+    worst = max(at.std_wavefront_waves for at in advised)
+    if want_waves is None or not isfinite(worst):
+        return None
+    return max(1, ceil(frames * (worst / want_waves) ** 2))
+
+
+def best_order(plan: Plan, range_mm: float) -> int:
+    """The highest carpet order whose cells span an Airy radius or more at a range, (3.50)-(3.52) corrected; 0 for none."""
+    elements = plan.target.size_mm / _airy_on_target_mm(plan, range_mm)
+    return min(MOST_ORDER, floor(log(max(elements, 1.0)) / log(3)))
+
+
+def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
+    """Radius of the Airy disc seen on the target at a range, for the shortest wavelength; (3.49) corrected."""
+    wavelength_mm = shortest(plan).wavelength_nm * 1e-6
+    diameter_mm = plan.lens.focal_length_mm / plan.lens.f_number
+    return AIRY_ZERO * wavelength_mm / diameter_mm * range_mm
+
+
+def _nearest_mm(plan: Plan) -> float | None:
+    """Range at which a pixel of the plan's display is an Airy radius, (3.49) corrected; nearer it is seen as a pixel."""
+    panel = plan_panel(plan)
+    return None if panel is None else panel.pitch_mm / _airy_on_target_mm(plan, 1.0)
+
+
+def _at(setup: Setup, range_mm: float, fit: ExpectedFit) -> RangeAdvice:
+    plan = setup.plan
+    first, last = plan.fit.zernike_noll
+    cell_airy = size_mm = None
+    if plan.target.kind == "sierpinski" and plan.target.order:
+        size_mm = 3**plan.target.order * _airy_on_target_mm(plan, range_mm)
+        cell_airy = plan.target.size_mm / size_mm
+    return RangeAdvice(
+        range_mm=range_mm,
+        size_px=setup.side_px(range_mm),
+        cell_airy=cell_airy,
+        order=best_order(plan, range_mm),
+        size_mm=size_mm,
+        defocus_waves=setup.defocus(range_mm),
+        std_defocus_waves=float(fit.bound.std[0]),
+        std_wavefront_waves=fit.bound.rms(0, last - first + 1),
+        undetermined=fit.bound.undetermined,
+    )

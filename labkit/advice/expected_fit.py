@@ -1,0 +1,148 @@
+"""Standard errors of a fit to photographs that are not taken yet, by the Fisher information of the forward model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import ceil, sqrt
+
+import numpy as np
+
+from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.warp import Pose
+from labkit.inference.bounds import parameter_names
+from labkit.inference.cone import Measured, expand
+from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State
+from labkit.inference.identifiability import Bound, bound_of
+from labkit.inference.likelihood import FrameData
+from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
+from labkit.optics.wavefront import DEFOCUS
+from labkit.plan import Channel, Plan
+from labkit.target import Target, open_target
+from labkit.types import Floats
+
+NOISE = NoisePrior(1.0, 0.02, 9.0, 0.1)
+"""Counts are electrons; 3 electrons of read noise; both known as well as flats and darks show them."""
+
+WAVES_RMS = 0.05
+"""All modes except defocus together, of a usual lens."""
+
+LEAST_DEFOCUS_WAVES = 0.01
+"""Without any defocus, a little of it changes a picture in second order only, and the information would miss it."""
+
+TURN_RAD = 0.02
+SHIFT_PX = 0.3
+"""Of the target: no row of pixels is parallel to a row of cells or begins with one."""
+
+SURROUND = 1.2
+"""Side of the frame, in sides of the target."""
+
+WIDEST_PX = 160
+"""Side of the target in the frame that is computed; errors of larger ones go as 1/size."""
+
+
+@dataclass(frozen=True)
+class ExpectedFit:
+    """A fit that is not made yet.
+
+    bound: of all parameters, modes first, the cone's f-number known; measured: as the session's estimate takes it.
+    """
+
+    bound: Bound
+    measured: Measured
+
+    def scaled(self, factor: float) -> ExpectedFit:
+        """The same with all standard errors times a factor."""
+        return ExpectedFit(
+            replace(self.bound, covariance=self.bound.covariance * factor**2),
+            replace(self.measured, covariance=self.measured.covariance * factor**2),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Plan, lens, target and light of all photographs to come.
+
+    focus_mm: the range that the lens is focused at; electrons: at white, in one photograph; frames: photographs of each range.
+    """
+
+    plan: Plan
+    lens: ThinLens
+    target: Target
+    focus_mm: float
+    electrons: float
+    frames: int
+
+    @classmethod
+    def of(cls, plan: Plan, ranges_mm: Sequence[float], electrons: float) -> Setup:
+        """By a plan's numbers, the lens focused in the middle of the ranges."""
+        lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+        frames = plan.camera.frames_per_range if plan.camera else 1
+        return cls(plan, lens, open_target(plan.target), middle_mm(ranges_mm, lens), electrons, frames)
+
+    def side_px(self, range_mm: float) -> float:
+        """Side of the target in the photograph, pixels."""
+        pitch_um = self.plan.sensor.pixel_pitch_um
+        return self.plan.target.size_mm / float(ground_sample_mm(self.lens, range_mm, pitch_um))
+
+    def defocus(self, range_mm: float) -> float:
+        """Defocus at a range, waves RMS at the reference wavelength."""
+        reference_nm = self.plan.reference_wavelength_nm
+        return float(defocus_waves(self.lens, range_mm, self.focus_mm, reference_nm))
+
+    def fit(self, channel: Channel, range_mm: float, defocus: float) -> ExpectedFit:
+        """The fit to all photographs of one range and channel. defocus: waves RMS; errors of flats are not included."""
+        side_px = self.side_px(range_mm)
+        one = self._of_one_photograph(channel, min(side_px, WIDEST_PX), defocus)
+        return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
+
+    def _of_one_photograph(self, channel: Channel, side_px: float, defocus: float) -> ExpectedFit:
+        optics = self._optics(channel)
+        side = ceil(SURROUND * side_px / 2) * 2
+        shape = (side, side)
+        light = np.ones(shape)
+        used = self.plan.sensor.pixels(channel.name).mask(shape)
+        frame = FrameData(0 * light, used, light, 0 * light)
+        pose = _pose(side_px, side, self.target)
+        waves = _waves(optics.noll, defocus)
+        state = State(waves, (pose,), np.array([self.electrons]), np.zeros(1), NOISE.centre)
+        model = ForwardModel.build(optics, self.target, shape, pose)
+        expansion = expand(Problem(model, (frame,), NOISE), Start(state))
+        cone = len(optics.noll)
+        free = np.delete(np.arange(len(expansion.information)), cone)
+        bound = bound_of(expansion.information[np.ix_(free, free)], parameter_names(state, optics.noll))
+        return ExpectedFit(bound, expansion.measured())
+
+    def _optics(self, channel: Channel) -> Optics:
+        plan = self.plan
+        first, last = plan.fit.zernike_noll
+        return Optics(
+            wavelength_um=channel.wavelength_nm * 1e-3,
+            reference_um=plan.reference_wavelength_nm * 1e-3,
+            f_number=float(self.lens.working_f_number(self.focus_mm)),
+            pitch_um=plan.sensor.pixel_pitch_um,
+            active_um=plan.sensor.active_um,
+            noll=tuple(range(first, last + 1)),
+        )
+
+
+def middle_mm(ranges_mm: Sequence[float], lens: ThinLens) -> float:
+    """The range in the middle of the lens's image distances of the nearest and farthest: where one would focus."""
+    ends = [lens.image_distance_mm(end(ranges_mm)) for end in (min, max)]
+    image = float(np.mean(ends))
+    return image * lens.focal_length_mm / (image - lens.focal_length_mm)
+
+
+def _waves(noll: tuple[int, ...], defocus: float) -> Floats:
+    waves = np.full(len(noll), WAVES_RMS / np.sqrt(len(noll)))
+    if noll[0] == DEFOCUS:
+        waves[0] = defocus if abs(defocus) > LEAST_DEFOCUS_WAVES else LEAST_DEFOCUS_WAVES
+    return waves
+
+
+def _pose(side_px: float, frame_px: int, target: Target) -> Pose:
+    """The target in the middle of a frame, a little turned and shifted."""
+    half = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * side_px / 2
+    cos, sin = np.cos(TURN_RAD), np.sin(TURN_RAD)
+    turned = half @ np.array([[cos, -sin], [sin, cos]])
+    return Pose.from_corners(turned + (frame_px - 1) / 2 + SHIFT_PX, target.size_mm)
