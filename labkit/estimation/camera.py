@@ -16,7 +16,8 @@ from scipy.linalg import block_diag
 
 from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
-from labkit.inference.missing_parts import KNOWN, SPECTRUM, Call
+from labkit.imaging.parts import KNOWN
+from labkit.inference.missing_parts import Call
 from labkit.results.model import PartTried
 
 PART_COST = 10.0
@@ -46,16 +47,16 @@ def cost(parts: Parts) -> float:
 
 
 def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, Call]:
-    """Score tests of a session, by name of the part. fits: channel and optimum; each channel has its own light."""
+    """Score tests of a session, by name of the part. fits: channel and optimum; parts of the light are each channel's own."""
     names = [name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)]
     whole = {name: reduce(Call.__add__, (one.scores[name] for _, one in fits)) for name in names}
-    if SPECTRUM in whole:
+    for name in [name for name in names if KNOWN[name].per_channel]:
         by_channel = dict[str, Call]()
         for channel, one in fits:
-            call = one.scores[SPECTRUM]
+            call = one.scores[name]
             by_channel[channel] = by_channel[channel] + call if channel in by_channel else call
         calls = list(by_channel.values())
-        whole[SPECTRUM] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
+        whole[name] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
     return whole
 
 
@@ -64,7 +65,7 @@ def worth(fits: Sequence[Measured]) -> dict[str, float]:
     worths = dict[str, float]()
     for measured in fits:
         names = [label.split(".")[0] for label in measured.parts]
-        for name in dict.fromkeys(names):
+        for name in dict.fromkeys(name for name in names if name in KNOWN):
             at = len(measured.noll) + np.flatnonzero([one == name for one in names])
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.estimation.lens_model import Reading
-from labkit.optics.zernike import is_even
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 
@@ -57,11 +57,6 @@ class Measured:
             calibration=self.calibration * both,
             model=self.model * both if self.model.size else self.model,
         )
-
-
-def twin_signs(noll: tuple[int, ...]) -> Floats:
-    """(modes,) -1 for the even modes, +1 for the odd ones."""
-    return np.array([-1.0 if is_even(j) else 1.0 for j in noll])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from labkit.estimation.candidate import Observed
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import DEFOCUS, Reading
 from labkit.estimation.local import Found, Optimum
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.results.model import PartTried
 

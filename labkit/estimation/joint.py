@@ -15,7 +15,8 @@ from labkit.estimation.local import Views
 from labkit.estimation.select import exact_lens
 from labkit.estimation.stated import Stated
 from labkit.execute import Run
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.inference.cone import expand
 from labkit.inference.fisher_scoring import Problem, Start, State

@@ -16,7 +16,7 @@ import numpy as np
 
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
-from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.imaging.optics import ESTIMATED
 from labkit.key import Key
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.types import Floats, Indices
@@ -260,8 +260,8 @@ class LensModel:
         return combination
 
     def of_channel(self, label: str, channel: str) -> Name:
-        """Name of the column of a part's number: the light's width is each channel's own."""
-        return (label, channel) if label == SPECTRUM_WIDTH else (label,)
+        """Name of the column of a part's number: one camera's, or each channel's own."""
+        return (label, channel) if ESTIMATED[label.split(".")[0]].per_channel else (label,)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """(columns,) each: least and largest values."""

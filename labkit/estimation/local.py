@@ -9,18 +9,19 @@ from time import perf_counter, process_time
 import numpy as np
 
 from labkit.estimation import starts
-from labkit.estimation.candidate import Candidate, Measured, twin_signs
+from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.starts import SAME_OPTIMUM, Log
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.inference.cone import SPARE, Freed, free_cone
 from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
 from labkit.inference.goodness_of_fit import Verdict, judge
 from labkit.inference.likelihood import FrameData, predict
-from labkit.inference.missing_parts import Call, calls, lacking
+from labkit.inference.missing_parts import Call, calls
 from labkit.inference.residual_spectrum import residual_spectrum
 from labkit.inference.sketch import Sketches
-from labkit.optics.spectrum import Spectrum
+from labkit.optics.zernike import twin_signs
 from labkit.target import Target
 from labkit.types import Floats
 
@@ -256,7 +257,7 @@ class _Search:
         frame, pose = views.frames[0], views.poses[0]
         spare = SPARE if guesses.f_number_std else 0.0
         model = ForwardModel.build(optics, target, frame.counts.shape, pose, spare=spare, shine=frame.shine)
-        sketched = Sketches(replace(optics, spectrum=Spectrum()), target, frame, pose, views.noise, seed)
+        sketched = Sketches(optics.in_one_wavelength(), target, frame, pose, views.noise, seed)
         first = first_state(frame, pose, views.noise, len(optics.noll))
         return cls(Problem(model, views.frames, views.noise), sketched, views, guesses, first)
 
@@ -286,7 +287,7 @@ class _Search:
         """With score tests of what its model lacks."""
         assert optimum.freed is not None
         expansion = optimum.freed.expansion
-        return replace(optimum, scores=calls(expansion, lacking(expansion.optics), self.guesses.f_number_std))
+        return replace(optimum, scores=calls(expansion, expansion.optics.lacking, self.guesses.f_number_std))
 
     def _all_frames(self, state: State) -> State:
         """The same light and wavefront for all frames, their poses as the first one's was corrected."""

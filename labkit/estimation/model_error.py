@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.candidate import Measured, twin_signs
+from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import PREDICTED_WAVES, Optimum
 from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 

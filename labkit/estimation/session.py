@@ -8,9 +8,9 @@ from functools import reduce
 
 import numpy as np
 
+from labkit.analysis.local_fits import engraved_cone, optics_of, wanted_parts
 from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown
-from labkit.analysis.stated_parts import stated_parts, stated_spectrum, wanted_parts
 from labkit.errors import FitError, LostTasksError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, label_of, observed
@@ -21,9 +21,8 @@ from labkit.estimation.select import OUT, Selection, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.execute import Run, say
-from labkit.imaging.model import Optics
-from labkit.inference.missing_parts import with_part
-from labkit.optics.lens import ThinLens
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
@@ -275,7 +274,7 @@ class _Loop:
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
         observation = self.observations[k]
-        optics = reduce(with_part, sorted(self.parts), optics_of(self.plan, observation.channel))
+        optics = _with(optics_of(self.plan, observation.channel), self.parts)
         if not self.found:
             return replace(optics, f_number=self._engraved_cone().value)
         if selection is not None and k in self.ranged:
@@ -441,44 +440,20 @@ class _Loop:
             raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
 
 
-def optics_of(plan: Plan, channel: str) -> Optics:
-    """Light, sensor and lens of a plan's channel, the cone as engraved."""
-    light = next(c for c in plan.channel if c.name == channel)
-    first, last = plan.fit.zernike_noll
-    fitted, given = stated_parts(plan)
-    return Optics(
-        wavelength_um=light.wavelength_nm * 1e-3,
-        reference_um=plan.reference_wavelength_nm * 1e-3,
-        f_number=plan.lens.f_number,
-        pitch_um=plan.sensor.pixel_pitch_um,
-        active_um=plan.sensor.active_um,
-        noll=tuple(range(first, last + 1)),
-        spectrum=stated_spectrum(light),
-        parts=fitted,
-        given=given,
-    )
+def _with(optics: Optics, parts: Parts) -> Optics:
+    """The optics with more parts, in the order of the known ones."""
+    return reduce(Optics.with_part, [name for name in KNOWN if name in parts], optics)
 
 
 def with_parts_of(stated: Optics, parts: Parts, like: Optics) -> Optics:
     """A plan's optics with more parts, and the numbers that a fit has for those that both have."""
-    optics = reduce(with_part, sorted(parts), stated)
+    optics = _with(stated, parts)
     known = dict(zip((*like.shape_labels, "f_number"), like.shape, strict=True))
     shape = [
         known.get(label, value)
         for label, value in zip((*optics.shape_labels, "f_number"), optics.shape, strict=True)
     ]
     return optics.shaped(np.array(shape))
-
-
-def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
-    """The f-number at the sensor by the engraving, of a lens focused among some ranges.
-
-    Its error holds what the pupils make of it, as long as their magnification is not known.
-    """
-    lens, stated = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), plan.lens.stated_f_number
-    cone = float(lens.working_f_number(float(np.mean(ranges_mm)))) if ranges_mm else lens.f_number
-    pupils = (cone / lens.f_number - 1) * SETTINGS.magnification_log_std
-    return Uncertain(cone, cone * float(np.hypot(stated.std / lens.f_number, pupils)))
 
 
 def _like(optimum: Optimum, other: Optimum) -> Optimum:

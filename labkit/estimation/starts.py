@@ -12,7 +12,7 @@ from time import process_time
 
 import numpy as np
 
-from labkit.imaging.model import Optics
+from labkit.imaging.optics import Optics
 from labkit.inference.fisher_scoring import Problem, Solution, State, maximize
 from labkit.inference.goodness_of_fit import judge
 from labkit.inference.phase_retrieval import START_WAVES, PhaseRetrieval, Retrieved
