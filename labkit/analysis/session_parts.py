@@ -1,16 +1,20 @@
-"""What a session found of its camera, in the units of a data sheet, and in words."""
+"""What a session found of its camera, in the units of a data sheet, and as findings."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
 
 from labkit.analysis.lens_fit import LensFit
 from labkit.analysis.lens_model import whose
+from labkit.analysis.model_error import shift
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_results import as_focus, as_wavefronts
+from labkit.finding import Finding
+from labkit.findings import Moves, camera_part_found, camera_parts_missing, found, stated_model_moves
 from labkit.imaging.parts import Aperture
 from labkit.imaging.parts.veil import SCALE_PX
 from labkit.inference.fit import twin_signs
@@ -23,14 +27,6 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 LOG_SCALE = "veil.log_scale"
-WORDS = {
-    "low_pass_filter": "an optical low-pass filter",
-    "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
-    "diffusion": "charge that diffuses between pixels",
-    "smear": "smear, by a shake or a rolling shutter",
-    "veil": "a veil of stray light",
-    "spectrum": "light of several wavelengths",
-}
 
 
 def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
@@ -62,50 +58,83 @@ def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
     return found
 
 
-def words_of_parts(session: SessionFits, found: dict[str, Uncertain], wanted: Collection[str] = ()) -> list[str]:
-    """What was found of the camera, and what is missing, a line each; not of parts that the plan wanted fitted."""
-    lines = []
+def camera_findings(
+    session: SessionFits,
+    wavefronts: Sequence[Wavefront],
+    numbers: Mapping[str, Uncertain],
+    wanted: Collection[str] = (),
+) -> list[Finding]:
+    """What the photographs show of the camera, and how far that moves the results.
+
+    Parameters
+    ----------
+    wavefronts : of all the session's fits
+    numbers : as `model_parts` returns them
+    wanted : names of the parts that the plan wants fitted, which are no news
+    """
+    findings = list[Finding]()
     if session.missing and session.lens is not None:
-        named = " and ".join(WORDS[name] for name in session.missing)
-        lines.append(
-            f"the photographs call for {named}, which the model lacks: errors hold how far that would move each number"
-        )
-    for name in dict.fromkeys(key.split(".")[0] for key in found):
-        numbers = ", ".join(
-            f"{key.removeprefix(name + '.').replace('_px', '').replace('_nm', '')} {value}"
-            for key, value in found.items()
-            if key.startswith(name + ".") and not key.endswith("spread_px")
-        )
+        findings.append(camera_parts_missing(session.missing, _moves_by_missing(session, wavefronts)))
+    change = _change(session, wavefronts)
+    findings += part_findings(session, numbers, wanted, None if change is None else change[0])
+    if change is not None:
+        findings.append(stated_model_moves(*change))
+    return findings
+
+
+def part_findings(
+    session: SessionFits, numbers: Mapping[str, Uncertain], wanted: Collection[str] = (), moves: Moves | None = None
+) -> Iterator[Finding]:
+    """Every part that was found. moves: how far the results would move without all that the plan does not state."""
+    gains = {part.name: part.gain for part in session.tried if part.adopted}
+    for name in dict.fromkeys(label.split(".")[0] for label in numbers):
+        values = {label.split(".")[1]: value for label, value in numbers.items() if label.startswith(f"{name}.")}
         if name == Aperture.name:
-            across, down = found[f"{name}.lit_across"], found[f"{name}.lit_down"]
-            lines.append(
-                f"a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
-            )
-            continue
-        if name in wanted:
-            continue
-        lines.append(f"the photographs call for {WORDS[name]}, which the plan does not state: {numbers}")
-    return lines
+            across, down = values["lit_across"], values["lit_down"]
+            words = {"across": str(across), "down": str(down)}
+            yield found("panel-aperture-found", None, words, lit_across=across.as_json(), lit_down=down.as_json())
+        elif name not in wanted:
+            yield camera_part_found(name, values, gains.get(name), moves)
 
 
-def words_of_change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> list[str]:
-    """What the parts that were found change, against the session fitted without them; none where none was found.
+def _moves_by_missing(session: SessionFits, wavefronts: Sequence[Wavefront]) -> Moves:
+    """How far the parts that the model lacks would move the session's results."""
+    pairs = list[tuple[FittedWavefront, FittedWavefront]]()
+    for k in session.trusted:
+        modes, cone = shift(session.fits[k].fit, session.fullest(k).fit)
+        here = wavefronts[k].fitted
+        there = replace(here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone)))
+        pairs.append((here, there))
+    return _moves(pairs, {} if session.lens is None else _focus_lean(session.lens))
 
-    wavefronts: of all its fits.
+
+def _focus_lean(lens: LensFit) -> dict[str, float]:
+    """By how much what the model lacks would move each best focus, mm."""
+    focus = as_focus(lens)
+    if focus is None or lens.lean is None:
+        return {}
+    return {c: float(lens.lean[lens.model.index("best focus", c)]) for c in focus.best_focus_mm}
+
+
+def _change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:
+    """How far results would move without the parts that were found, how many optima would be rejected then, and of how many.
+
+    None where no part was found.
     """
     plain = session.without_found
     if plain is None or session.unaided(0) is None:
-        return []
+        return None
     others = as_wavefronts(plain)
     pairs = [(wavefronts[k].fitted, others[k].fitted) for k in session.trusted]
+    rejected = sum(w.test is not None and not w.test.accepted for w in others)
+    return _moves(pairs, _focus_difference(session.lens, plain.lens)), rejected, len(others)
+
+
+def _moves(pairs: Sequence[tuple[FittedWavefront, FittedWavefront]], focus_mm: Mapping[str, float]) -> Moves:
+    """The largest moves from the first of each pair to the second."""
     waves = max(_waves_difference(here, there) for here, there in pairs)
     psfs = max(psf_difference(here, there) for here, there in pairs)
-    moved = [f"wavefronts by up to {waves:.2g} waves RMS", f"PSFs by up to {100 * psfs:.2g} % (L1)"]
-    if focus := _focus_difference(session.lens, plain.lens):
-        moved.insert(0, f"best focus by {', '.join(f'{name} {mm:+.2g} mm' for name, mm in focus.items())}")
-    rejected = sum(w.test is not None and not w.test.accepted for w in others)
-    end = f"; {rejected} of {len(others)} optima would be rejected" if rejected else ""
-    return [f"the model as the plan states it would move {', '.join(moved)}{end}"]
+    return Moves(focus_mm, waves, float(psfs))
 
 
 def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import RawError
+from labkit.finding import Finding
 from labkit.raw.tone import ToneCurve
 from labkit.types import Counts
 
@@ -40,7 +41,7 @@ class Mosaic:
     exposure_s: float | None = None
     iso: int | None = None
     tone: ToneCurve | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     compressed: bool = False
 
     @property
