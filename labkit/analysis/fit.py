@@ -21,7 +21,7 @@ from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, see
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import camera_findings, model_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
-from labkit.analysis.split import find_change
+from labkit.analysis.split import changes, find_change
 from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.steps import Steps
 from labkit.analysis.wavefronts import fit_session
@@ -86,8 +86,7 @@ def fit(
         fits = refined(fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain), run)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
         change = find_change(fits, Stated.of(plan))
-    assumed += [] if change is None else [change.finding]
-    common = (plan, checksum, _noted(session, plan, assumed))
+    common = (plan, checksum, _noted(session, plan, [*assumed, *changes(change)]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
     return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)

@@ -25,10 +25,10 @@ class Change:
     before: SessionFits
     after: SessionFits
 
-    @property
-    def finding(self) -> Finding:
-        """The change, in what is reported of the whole session."""
-        return found("lens-changed", last_mm=self.last_mm, next_mm=self.next_mm)
+
+def changes(change: Change | None) -> list[Finding]:
+    """What a session that is fitted as one reports of its change, where there is one."""
+    return [] if change is None else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
 
 
 def find_change(session: SessionFits, stated: Stated) -> Change | None:
