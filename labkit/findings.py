@@ -113,7 +113,7 @@ TEXTS = {
     # the camera
     "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
     "camera-parts-missing": (
-        "the photographs show {list}, which the model lacks: standard errors include how far that would move {moves}"
+        "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include that"
     ),
     "stated-model-moves": "the model as the plan states it would move {moves}{rejected}",
     "panel-aperture-found": (

@@ -108,7 +108,7 @@ def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
     words = "best focus by G +0.024 mm, wavefronts by up to 0.013 waves RMS, PSFs by up to 3.1 % (L1)"
     missing = camera_parts_missing(["smear", "veil"], MOVES)
     assert missing.numbers == {"parts": ["smear", "veil"]} | moved
-    assert missing.text.endswith(words)
+    assert missing.text.endswith(f"{words}; standard errors include that")
     stated = stated_model_moves(MOVES, 1, 4)
     assert stated.numbers == {"rejected_optima": 1, "optima": 4} | moved
     assert stated.text.endswith(f"{words}; 1 of 4 optima would be rejected")
