@@ -95,12 +95,12 @@ TEXTS = {
         "focal length and target size"
     ),
     "pupil-magnification-undetermined": (
-        "these ranges do not determine the pupil magnification: its standard error is {std:.3f}; ranges near the "
-        "closest focus would, or a focal length and a tape known better"
+        "these ranges do not determine the pupil magnification: its standard error is {pupil_magnification_std:.3f}; "
+        "ranges near the closest focus would, or a focal length and a tape known better"
     ),
     "cones-contradict-one-lens": (
-        "cone and sizes do not follow from one lens that is focused as a whole (the cone is {cone:+.1%} off): they were "
-        "not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size "
+        "cone and sizes do not follow from one lens that is focused as a whole (the cone is {cone_relative_error:+.1%} off): "
+        "they were not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size "
         "right?"
     ),
     "modes-differ-between-ranges": (

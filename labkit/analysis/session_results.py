@@ -177,9 +177,9 @@ def _lens_findings(lens: LensFit) -> Iterator[Finding]:
     if not LEAST_MAGNIFICATION * 1.001 < pupils.value < MOST_MAGNIFICATION / 1.001:
         yield found("pupil-magnification-at-bound", least=LEAST_MAGNIFICATION, most=MOST_MAGNIFICATION)
     elif pupils.std > TELLING_STD:
-        yield found("pupil-magnification-undetermined", std=pupils.std)
+        yield found("pupil-magnification-undetermined", pupil_magnification_std=pupils.std)
     if not lens.model.paraxial:
-        yield found("cones-contradict-one-lens", cone=float(np.expm1(lens.value("cone"))))
+        yield found("cones-contradict-one-lens", cone_relative_error=float(np.expm1(lens.value("cone"))))
     if not lens.model.shared:
         yield found("modes-differ-between-ranges")
     if lens.widening > 1:

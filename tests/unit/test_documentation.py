@@ -10,6 +10,7 @@ import pytest
 
 from docs.check_site import Index, Page, dead_links
 from docs.generators import MADE, PLACE, filled
+from docs.generators.api import _text
 from docs.generators.commands import leaves
 from docs.generators.plan_keys import keys, plan_keys
 from labkit.analysis.advice_tables import COLUMNS, range_rows
@@ -27,6 +28,27 @@ def test_every_plan_key_says_what_it_is_and_what_it_takes(key: str, field: objec
     meaning, _, facts = entry.strip().partition("\n\n")
     assert re.fullmatch(r"[A-Z0-9`\"].{15,}[.]", meaning), key
     assert re.fullmatch(r"Allowed: .+\. Default: .+\.", facts), key
+
+
+def test_a_docstring_in_numpys_form_is_shown_as_lists() -> None:
+    made = _text("""Rays.
+
+    Parameters
+    ----------
+    n : refractive index
+
+    Raises
+    ------
+    ValueError
+        `n` is below 1.
+
+    >>> rays(1.5)
+    """)
+    parameters, errors = (
+        "**Parameters**\n\n- n : refractive index\n",
+        "**Raises**\n\n- ValueError\n    `n` is below 1.\n",
+    )
+    assert made == f"Rays.\n\n{parameters}\n{errors}\n```python\n>>> rays(1.5)\n```"
 
 
 def test_every_option_and_argument_says_what_it_is() -> None:

@@ -34,7 +34,49 @@ from labkit.uncertain import Uncertain
 PAGES = Path(__file__).parents[2] / "docs" / "troubleshooting"
 GREEN = Key(3200.0, "G")
 MOVES = Moves({"G": 0.024}, 0.013, 0.031)
-"""Samples."""
+
+SAMPLES = [
+    found("session-mended", note="journal.jsonl: left out a torn last line"),
+    found("same-photograph", file="b.dng", same_as="a.dng"),
+    found("exif-focal-length", file="a.dng", focal_length_mm=50.0, planned_mm=70.0),
+    found("exif-f-number", file="a.dng", f_number=4.0, plan_key="lens.f_number", planned=2.8),
+    found(
+        "settings-differ", None, {"first": "50 mm", "other": "70 mm"}, setting="focal length", first_file="a", file="b"
+    ),
+    found("picture-altered", note="the photographs were sharpened"),
+    found("picture-processed", file_format="JPEG", bits=8, tone_curve="tone curve undone by sRGB"),
+    found("colours-at-half-resolution"),
+    found("panel-pixels-seen", None, {"to_add": "pixels = {}"}, pitch_mm=0.0962, contrast=0.02),
+    found("no-dark-frames"),
+    found("bias-instead-of-darks"),
+    found("dark-exposure-differs", least_s=0.01, most_s=0.02),
+    found("no-flat-frames"),
+    flats_of_another_range(2150.0, 2200.0),
+    flats_partly_unlit(2000.0, 0.125),
+    found("gain-not-measured"),
+    found("fit-left-out", note="G at 3010 mm is left out: killed; close other programs and fit again"),
+    found("search-cut-short", GREEN, patience_s=120.0, starts=40),
+    found("fit-mended", GREEN),
+    found("fit-does-not-belong", GREEN),
+    undetermined(GREEN, ["defocus"]),
+    residuals_not_noise(GREEN, 1e-6, 1.234, [], "session"),
+    residuals_not_noise(GREEN, 1e-6, 1.234, [], None),
+    found("chi2-unusual", GREEN, chi2_per_pixel=0.7, low=0.9, high=1.5),
+    found("lens-changed", last_mm=3200.0, next_mm=3300.0),
+    found("no-best-focus", why="the frames carry no ranges"),
+    found("channel-without-best-focus", Key(None, "G")),
+    found("defocus-sign-open", Key(None, "G")),
+    found("pupil-magnification-at-bound", least=0.05, most=20.0),
+    found("pupil-magnification-undetermined", pupil_magnification_std=0.3),
+    found("cones-contradict-one-lens", cone_relative_error=0.02),
+    found("modes-differ-between-ranges"),
+    found("errors-widened", factor=1.7, chi2_per_freedom=2.9),
+    camera_part_found("smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES),
+    camera_parts_missing(["veil"], MOVES),
+    stated_model_moves(MOVES, 0, 4),
+    found("panel-aperture-found", None, {"across": "0.8 ± 0.1", "down": "0.9 ± 0.1"}),
+]
+"""One of each."""
 
 
 def entries() -> Iterator[str]:
@@ -46,6 +88,15 @@ def entries() -> Iterator[str]:
 
 def test_every_code_has_an_entry_in_troubleshooting() -> None:
     assert set(TEXTS) - set(entries()) == set()
+
+
+def test_each_code_makes_one_sentence_that_begins_with_its_key() -> None:
+    assert [finding.code for finding in SAMPLES] == list(TEXTS)
+    for finding in SAMPLES:
+        assert len(finding.text.splitlines()) == 1
+        if finding.key == GREEN:
+            assert finding.text.startswith("G at 3200 mm: ")
+        assert Finding.from_json(json.loads(json.dumps(finding.as_json())), [finding.text]) == finding
 
 
 def test_what_is_not_finite_is_null_and_the_rest_is_read_back() -> None:

@@ -11,9 +11,11 @@ from labkit.analysis.lens_fit import fit_session_lens
 from labkit.analysis.lens_model import Member
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import model_parts, part_findings
-from labkit.findings import Moves
+from labkit.analysis.session_results import session_findings
+from labkit.findings import Moves, found
 from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
+from labkit.key import Key
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.uncertain import Uncertain
@@ -82,6 +84,14 @@ def test_what_was_found_is_said() -> None:
 def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
     assert list(part_findings(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"])) == []
+
+
+def test_a_session_reports_what_its_lens_leaves_open() -> None:
+    fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
+    findings = session_findings(replace(fits, open_channels=("G",)))
+    assert findings[0] == found("defocus-sign-open", Key(None, "G"))
+    (without,) = session_findings(replace(fits, lens=None))
+    assert (without.code, without.numbers) == ("no-best-focus", {"why": "defocus was not fitted"})
 
 
 def test_a_spectrum_is_each_channels_own() -> None:
