@@ -129,7 +129,7 @@ def compared(results: Line, truth: Truth) -> Line:
     for colour, best in focus.get("best_focus_mm", {}).items():
         _add(z, "best_focus", best, best_mm[colour])
     counts = dict.fromkeys(COUNTS, 0)
-    counts["mended"] = sum(warning.endswith("and mended") for warning in results["warnings"])
+    counts["mended"] = sum(finding["code"] == "fit-mended" for finding in results["findings"])
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results["wavefronts"]:
         true = {**truth.modes_waves[w["channel"]], 4: visits[w["range_mm"]].defocus_waves[w["channel"]]}

@@ -12,8 +12,8 @@ from urllib.parse import unquote, urlsplit
 
 import labkit
 from docs.generators.commands import leaves
-from docs.generators.messages import messages
 from docs.generators.plan_keys import keys
+from labkit.findings import TEXTS
 
 WORD = re.compile(r"\w+")
 
@@ -79,11 +79,11 @@ class Index:
 
 
 def not_found(index: Index) -> Iterator[str]:
-    """Public names, plan keys, commands and messages that a search for them does not lead to."""
+    """Public names, plan keys, commands and codes of findings that a search for them does not lead to."""
     wanted = [("reference/api", f"labkit.{name}") for name in labkit.__all__ if name != "__version__"]
     wanted += [("reference/plan", key) for key, _ in keys()]
     wanted += [("reference/commands", path) for path, _ in leaves()]
-    wanted += [("troubleshooting/", message) for message in messages()]
+    wanted += [("troubleshooting/", code) for code in TEXTS]
     for place, query in wanted:
         if not any(page.startswith(place) for page in index.search(query)):
             yield f"a search for {query!r} does not find {place}"

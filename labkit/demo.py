@@ -15,6 +15,7 @@ from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
+from labkit.key import Key
 from labkit.plan import Plan
 from labkit.report.html import write_report
 from labkit.results import Results
@@ -139,7 +140,7 @@ class Comparison:
             mode, worst = max(zip(w.noll, z, strict=True), key=lambda one: abs(one[1]))
             rows.append(
                 [
-                    f"wavefront {w.channel} at {w.range_mm:g} mm",
+                    f"wavefront {Key(w.range_mm, w.channel).label}",
                     f"{hypot(*w.truth):.4f}",
                     f"{w.error_rms:.4f}",
                     f"{w.expected_rms:.4f}",
@@ -197,7 +198,7 @@ def compare(results: Results, truth: Any) -> Iterator[Compared]:
     for w in results:
         if w.defocus and w.range_mm in visits:
             true = visits[w.range_mm].defocus_waves[w.channel]
-            name = f"defocus {w.channel} at {w.range_mm:g} mm"
+            name = f"defocus {w.key.label}"
             yield Compared(name, "waves RMS", true, w.defocus.value, w.defocus.std)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,9 @@ Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.uint16]
 """Numbers as a raw file holds them."""
+
+JSON = None | bool | int | float | str | Sequence["JSON"] | Mapping[str, "JSON"]
+"""What a JSON file can hold."""
 
 FrameKind = Literal["target", "flat", "dark", "bias"]
 """What a photograph of a session is for."""

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results import Focus, Lens, OptimumTest, Placement, Residuals, Results, Wavefront
@@ -83,9 +85,14 @@ def some_results(**changed: Any) -> Results:
         "focus": FOCUS,
         "lens": LENS,
         "budget": BUDGET,
-        "warnings": ("no dark frames: the black level of the raw files was used",),
+        "findings": (found("no-dark-frames"),),
     }
     return Results(**fields | changed)
+
+
+def noted(*texts: str) -> tuple[Finding, ...]:
+    """Warnings that are nothing but words."""
+    return tuple(Finding("note", None, {}, text) for text in texts)
 
 
 BROAD = Spectrum((0.98, 1.0, 1.02), (0.25, 0.5, 0.25))

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from functools import cached_property
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -17,10 +18,14 @@ from labkit.types import Floats
 
 ALIASES = {"Floats": Floats, "ArrayLike": ArrayLike}
 
+UNDERLINE = re.compile("-{3,}")
+
 RELATED = {
     "labkit.results": ("Focus", "Lens", "OptimumTest", "Residuals", "Placement"),
     "labkit.advice.advise": ("Advice", "RangeAdvice"),
     "labkit.advice.outlook": ("Outlook", "Remedy"),
+    "labkit.finding": ("Finding",),
+    "labkit.key": ("Key",),
     "labkit.session.frame": ("Frame",),
     "labkit.target": ("Target", "CellTarget", "TargetSpec", "read_spec"),
     "labkit.optics.mtf": ("Curve", "mtf"),
@@ -133,10 +138,24 @@ def _fields(value: type) -> str:
     return _signature(value).partition(" ->")[0]
 
 
+def _listed(lines: list[str]) -> Iterator[str]:
+    """The lines of a docstring in NumPy's form: headings in bold, what stands below them as lists."""
+    below_heading = False
+    for line, following in pairwise([*lines, ""]):
+        if UNDERLINE.fullmatch(line):
+            continue
+        if UNDERLINE.fullmatch(following):
+            below_heading = line != "Notes"
+            yield f"**{line}**\n"
+        else:
+            item = below_heading and line and not line.startswith((" ", ">>> "))
+            yield f"- {line}" if item else line
+
+
 def _text(docstring: str | None) -> str:
     """A docstring as Markdown: what follows >>> is code."""
-    text, lines, inside = inspect.cleandoc(docstring or ""), [], False
-    for line in text.splitlines():
+    lines, inside = [], False
+    for line in _listed(inspect.cleandoc(docstring or "").splitlines()):
         shown = line.startswith((">>> ", "... ")) or (inside and bool(line.strip()))
         if shown != inside:
             lines.append("```python" if shown else "```\n")

@@ -1,10 +1,10 @@
 """What the keys of results.json hold."""
 
-OPEN = {"plan"}
+OPEN = {"plan", "findings[].numbers"}
 """Keys whose content is documented elsewhere."""
 
 MEANINGS = {
-    "schema": "Number of this format; this page describes 2. Results of schema 1 are read as well.",
+    "schema": "Number of this format; this page describes 3. Results of schemas 1 and 2 are read as well.",
     "labkit_version": "Version of labkit that made the results.",
     "created": "When, ISO 8601 in UTC.",
     "plan_sha256": "SHA-256 of the plan's file.",
@@ -12,6 +12,10 @@ MEANINGS = {
     "convention": "Focus model: {confval}`fit.convention`.",
     "reference_wavelength_nm": "Wavelength that waves are counted in.",
     "wavefronts": "One for each range and channel:",
+    "wavefronts[].key": "Its identity, which findings refer to:",
+    "wavefronts[].key.range_mm": "Range in mm; null where it is unknown.",
+    "wavefronts[].key.channel": "Channel's name.",
+    "wavefronts[].key.tile": "Row and column of a tile of the field; null for the whole frame.",
     "wavefronts[].range_mm": "Range as the plan or the CSV states it; null where it is unknown.",
     "wavefronts[].measured_range_mm": "Range at which the rail was read to stand.",
     "wavefronts[].channel": "Channel's name.",
@@ -120,6 +124,14 @@ MEANINGS = {
     "parts_tried[].adopted": "Whether it was taken into the model.",
     "widest_light_nm": "Of channels of unknown spectrum: [how broad](../method/session.md) their light may be.",
     "widest_light_nm.NAME": "Largest standard deviation that the photographs allow, with 95 % confidence, nm.",
-    "warnings": "In words; [troubleshooting](../troubleshooting/index.md) explains them.",
+    "findings": "What to know of the numbers:",
+    "findings[].code": "What was found: [codes](../troubleshooting/fit.md), none of which changes its meaning.",
+    "findings[].where": "Wavefront concerned; without a range all of the channel; without a channel the session:",
+    "findings[].where.range_mm": "As in the wavefront's `key`.",
+    "findings[].where.channel": "As in the wavefront's `key`.",
+    "findings[].where.tile": "As in the wavefront's `key`.",
+    "findings[].numbers": "By name, with the unit at its end; they depend on the code.",
+    "findings[].text": "The same as a sentence.",
+    "warnings": "Texts of the findings that warn.",
     "unanswered": "What these photographs cannot determine though it was to be estimated, in words; or null.",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,23 +13,25 @@ from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.lens_model import Stated
 from labkit.analysis.light_width import widest_light_nm
-from labkit.analysis.local_fits import PATIENCE_S, fit_task, wanted_parts
+from labkit.analysis.local_fits import PATIENCE_S, fit_task
 from labkit.analysis.model_error import with_model_error
 from labkit.analysis.observe import Observation, observe
 from labkit.analysis.panel import pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.session_parts import model_parts, words_of_change, words_of_parts
-from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, warnings_of
-from labkit.analysis.split import find_change
+from labkit.analysis.session_parts import camera_findings, model_parts
+from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
+from labkit.analysis.split import changes, find_change
+from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.steps import Steps
 from labkit.analysis.wavefronts import fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.execute import Workers, default_workers
-from labkit.imaging.parts import KNOWN
+from labkit.finding import Finding, each_once
+from labkit.findings import found, residuals_not_noise, unanswered, undetermined
+from labkit.key import Key, same_range
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
-from labkit.results.model import array_key, same_range
 from labkit.results.storage import kept_keys
 from labkit.session.session import Session
 from labkit.session.shown_size import with_shown_size
@@ -40,9 +42,6 @@ from labkit.types import Progress, no_progress
 
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
-
-CONFIRMED_BY = {"starts": "many starts ended in", "parts": "a fit with more parts of the camera confirms"}
-"""In words: by the name of a test of the optimum."""
 
 GO_ON = "fit again: that goes on where this one ended"
 """Fits that are done are kept."""
@@ -82,12 +81,12 @@ def fit(
     with threadpool_limits(1), Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
         processes.warm_up(fit_task.__module__)
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
-        assumed += _panel_lacking(plan, target, observations)
+        assumed += _panel_findings(plan, target, observations)
         run = KeptFits(processes, folder / FOLDER)
         fits = refined(fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain), run)
         together = climb(fits, run, steps) if joint and fits.lens is not None else None
         change = find_change(fits, Stated.of(plan))
-    common = (plan, checksum, _noted(session, plan, [*assumed, *map(str, filter(None, [change]))]))
+    common = (plan, checksum, _noted(session, plan, [*assumed, *changes(change)]))
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
     return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)
@@ -115,8 +114,8 @@ def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: S
     return replace(every[""], folder=folder)
 
 
-def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[str]:
-    """That photographs show a panel's pixels, where the plan has none.
+def _panel_findings(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[Finding]:
+    """The photographs may show a panel's pixels where the plan has none.
 
     Raises DataError where they show them so plainly that no fit could be right, PlanError where they show another panel's.
     """
@@ -125,32 +124,38 @@ def _panel_lacking(plan: Plan, target: Target, observations: Sequence[Observatio
         return []
     if plan.target.pixels is None or per_cell is None:
         if seen.contrast > PLAIN_CONTRAST:
-            raise DataError(seen.advice)
-        return [seen.advice]
+            raise DataError(seen.finding.text)
+        return [seen.finding]
     refuse_other_pixels(plan.target.pixels, per_cell, seen)
     return []
 
 
-def _noted(session: Session, plan: Plan, found: Sequence[str]) -> list[str]:
-    """What the session's files say: of their damage, against the plan, of programs that have altered them; and `found`."""
+def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Finding]:
+    """What the session's files say against the plan, of programs that altered them, of their damage; and `others`."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
-    altered = (note for frame in session.frames for note in frame.meta.get("altered", ()))
-    return list(dict.fromkeys([*session.warnings, *stated, *altered, *found]))
+    notes = [note for frame in session.frames for note in frame.meta.get("altered", ())]
+    altered = [found("picture-altered", note=note) for note in notes]
+    mended = [found("session-mended", note=note) for note in session.warnings]  # an import repeats the others here
+    return each_once([*stated, *altered, *others, *mended])
 
 
-def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[str]) -> Results:
+def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[Finding]) -> Results:
     """Of fits whose lens a joint climb has settled."""
     results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, wanted=True)
     return replace(results, joint=joint.differences)
 
 
-def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str], wanted: bool) -> Results:
+def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[Finding], wanted: bool) -> Results:
     """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
     fits = with_model_error(fits)
-    left_out = [f"{words}; with fewer --workers, {GO_ON}" for words in fits.lost]
-    wavefronts, lens, found = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    parts = [*words_of_parts(fits, found, wanted_parts(plan)), *words_of_change(fits, wavefronts)]
-    warnings = [*parts, *warnings_of(fits)]
+    wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
+    findings = [
+        *noted,
+        *(found("fit-left-out", note=words) for words in fits.lost),
+        *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
+        *session_findings(fits),
+        *(doubt for w in wavefronts for doubt in _doubts(w)),
+    ]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
@@ -160,11 +165,11 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[str],
         focus=focus,
         lens=None if lens is None else as_lens(lens),
         budget={} if lens is None else budget(lens),
-        model_parts=found,
+        model_parts=numbers,
         parts_tried=fits.tried,
         widest_light_nm=widest_light_nm(fits, plan),
-        warnings=(*noted, *fits.lost, *warnings, *_doubts(wavefronts)),
-        unanswered="; ".join([*left_out, *(warnings if wanted and focus is None else ())]) or None,
+        findings=tuple(findings),
+        unanswered=unanswered(findings) if fits.lost or (wanted and focus is None) else None,
     )
 
 
@@ -192,19 +197,18 @@ def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels,
     whole = keys == _wanted_keys(session, plan, None, None)
     folder = session.results_folder(name or ("latest" if whole else _partial_name(ranges_mm, channels)))
     if lost := sorted(kept_keys(folder) - keys):
-        raise DataError(
-            f"{folder} holds {', '.join(lost)} too, which this fit would not replace: give it another name (--name)"
-        )
+        names = ", ".join(key.label for key in lost)
+        raise DataError(f"{folder} holds {names} too, which this fit would not replace: give it another name (--name)")
     return folder
 
 
-def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[str]:
+def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[Key]:
     """Keys of the wavefronts that a fit of these ranges and channels makes."""
     ranges = {frame.range_mm for frame in session.frames if frame.kind == "target"}
     wanted = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm
     names = [channels] if isinstance(channels, str) else channels
     return {
-        array_key(range_mm, channel.name)
+        Key(range_mm, channel.name)
         for range_mm in ranges
         if wanted is None or any(same_range(range_mm, one) for one in wanted)
         for channel in plan.channel
@@ -219,29 +223,14 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
     return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
 
 
-def _doubts(wavefronts: Sequence[Wavefront]) -> list[str]:
-    """What to beware of in each wavefront, a line each."""
-    doubts, (low, high) = list[str](), USUAL_CHI2
-    for w in wavefronts:
-        where = f"{w.channel}" if w.range_mm is None else f"{w.channel} at {w.range_mm:g} mm"
-        assert w.test is not None
-        if w.test.undetermined:
-            doubts.append(
-                f"{where}: the frames do not determine {', '.join(w.test.undetermined)}; "
-                "is the target lit, sharp and large enough?"
-            )
-        elif not w.test.explains:
-            who = CONFIRMED_BY.get(w.test.name, "the session confirms")
-            why = (
-                f"{who} the optimum: the model lacks something"
-                if w.test.accepted
-                else "the optimum may be a wrong one, or the model lacks something"
-            )
-            why += "".join(f", such as {KNOWN[name].words}" for name in w.missing) + "; its errors include that"
-            left = f"(p = {w.test.p_value:.1g}, χ² per pixel {w.chi2_per_pixel:.2f})"
-            doubts.append(f"{where}: what is left of the data is not noise alone {left}; {why}")
-        if not low <= w.chi2_per_pixel <= high:
-            doubts.append(
-                f"{where}: χ² per pixel is {w.chi2_per_pixel:.2f}, expected is {USUAL_CHI2[0]:g} to {USUAL_CHI2[1]:g}"
-            )
-    return doubts
+def _doubts(w: Wavefront) -> Iterator[Finding]:
+    """What to beware of in a wavefront."""
+    assert w.test is not None
+    if w.test.undetermined:
+        yield undetermined(w.key, w.test.undetermined)
+    elif not w.test.explains:
+        confirmed_by = w.test.name if w.test.accepted else None
+        yield residuals_not_noise(w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by)
+    low, high = USUAL_CHI2
+    if not low <= w.chi2_per_pixel <= high:
+        yield found("chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high)

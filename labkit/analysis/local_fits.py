@@ -67,8 +67,7 @@ class Task:
     @property
     def label(self) -> str:
         """Channel and range."""
-        where = "" if self.observation.range_mm is None else f" at {self.observation.range_mm:g} mm"
-        return f"{self.observation.channel}{where}"
+        return self.observation.key.label
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,16 @@ from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, UNKNOWN_NOISE_
 from labkit.errors import DataError, TargetError
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finding import Finding, each_once
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.likelihood import FrameData, low_orders
+from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Cut, Mosaic
-from labkit.results.model import same_range
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target
@@ -59,6 +60,11 @@ class Observation:
     order: int = 0
 
     @property
+    def key(self) -> Key:
+        """The identity of this observation and of its wavefront."""
+        return Key(self.range_mm, self.channel)
+
+    @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the cut."""
         rows, columns = self.frames[0].counts.shape
@@ -87,8 +93,8 @@ def observe(
     range_mm: float | Sequence[float] | None = None,
     channel: str | Sequence[str] | None = None,
     progress: Progress = no_progress,
-) -> tuple[list[Observation], list[str]]:
-    """All observations of a session, or only those of some ranges and channels; and warnings of what was assumed.
+) -> tuple[list[Observation], list[Finding]]:
+    """All observations of a session, or only those of some ranges and channels; and what was assumed.
 
     plan: of lens, sensor and channels, the session's or another. range_mm, channel: one, several, or None for all.
     Each photograph is decoded once; those of one range are in memory at a time.
@@ -104,19 +110,19 @@ def observe(
     progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
     observations: list[Observation] = []
-    warnings = [*again, *calibration.warnings]
+    findings = [*again, *calibration.findings]
     for done, group in enumerate(groups):
         progress(done, len(groups), "finding the target")
         shots = [_locate(frame, plan, target) for frame in group]
         for name in channels:
             observation, assumed = _observation(calibration, target, shots, name)
             observations.append(replace(observation, order=min(map(frames.index, group))))
-            warnings += assumed
+            findings += assumed
     sights = [
         Sight(o.measured_range_mm, at) for o in observations if o.measured_range_mm is not None for at in o.corners_px
     ]
     refuse_contradictions(sights, plan, target.size_mm)
-    return observations, list(dict.fromkeys(warnings))
+    return observations, each_once(findings)
 
 
 def _chosen(session: Session, photographs: Sequence[Frame], range_mm: float | Sequence[float] | None) -> list[Frame]:
@@ -181,7 +187,7 @@ def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
 
 def _observation(
     calibration: Calibration, target: Target, shots: Sequence[_Shot], channel: str
-) -> tuple[Observation, tuple[str, ...]]:
+) -> tuple[Observation, tuple[Finding, ...]]:
     """Of one range and channel; and what was assumed."""
     first, group = shots[0].mosaic, [shot.frame for shot in shots]
     rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
@@ -206,7 +212,7 @@ def _observation(
         origin_px=(rows.start, columns.start),
         homings=tuple(int(frame.meta["homing"]) for frame in group if "homing" in frame.meta),
     )
-    return observation, tuple(warning for part in data for warning in part.warnings)
+    return observation, tuple(finding for part in data for finding in part.findings)
 
 
 def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str) -> FrameData:

@@ -16,6 +16,8 @@ import numpy as np
 from labkit.analysis.observe import Observation
 from labkit.analysis.stripe_contrast import LEAST_CONTRAST
 from labkit.errors import PlanError
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS
 from labkit.target import CellTarget, Target
@@ -65,11 +67,16 @@ class SeenPixels:
         return f"pixels = {{ pitch_mm = {self.pitch_mm:.4g}{layout} }}"
 
     @property
-    def advice(self) -> str:
-        """To a user whose plan lacks them, a line."""
-        return (
-            f"the panel's own pixels are seen, {self.pitch_mm:.4g} mm apart with {self.contrast:.0%} of contrast, and the plan "
-            f"has no [target.pixels], so fits would lack them: add {self} to [target]"
+    def finding(self) -> Finding:
+        """What a plan that lacks these pixels should state."""
+        return found(
+            "panel-pixels-seen",
+            None,
+            {"to_add": str(self)},
+            pitch_mm=self.pitch_mm,
+            per_cell=self.per_cell,
+            layout=self.layout,
+            contrast=self.contrast,
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +12,20 @@ from labkit.analysis.lens_model import GEOMETRY
 from labkit.analysis.local_fits import LocalFit
 from labkit.analysis.model_error import confirmed, shift
 from labkit.analysis.session_fits import SessionFits
-from labkit.estimation.errors import covariance_with_bias, error_with_bias
-from labkit.imaging.optics import Optics
+from labkit.finding import Finding
+from labkit.findings import found
+from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.inference.bias import covariance_with_bias, error_with_bias
 from labkit.inference.fit import residuals
 from labkit.inference.residual_spectrum import residual_frequencies
-from labkit.optics.lens import TELLING_STD, blur_per_wave_um
+from labkit.key import Key
+from labkit.optics.spectrum import Spectrum
+from labkit.optics.wavefront import DEFOCUS
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+TELLING_STD = 0.1  # pupil magnifications of real lenses lie between 0.5 and 2: with a larger error little was learnt
 FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE = GEOMETRY[:4]
 
 
@@ -29,7 +35,7 @@ def as_wavefronts(session: SessionFits) -> tuple[Wavefront, ...]:
     for place, index in enumerate(session.members):
         assert session.lens is not None
         values, covariance = session.lens.posterior(place)
-        wavefronts[index] = _with(wavefronts[index], session.fits[index].fit.optics, values, covariance)
+        wavefronts[index] = _with(wavefronts[index], session.fits[index].fit.measured.parts, values, covariance)
     judged = [_judged(w, k, session) for k, w in enumerate(wavefronts)]
     return tuple(w if w.test is None or w.test.explains else replace(w, missing=session.missing) for w in judged)
 
@@ -65,19 +71,20 @@ def _judged(w: Wavefront, index: int, session: SessionFits) -> Wavefront:
     return w
 
 
-def _with(w: Wavefront, optics: Optics, values: Floats, covariance: Floats) -> Wavefront:
-    """A wavefront with a session's values for it, as of `Measured`. optics: of its fit."""
+def _with(w: Wavefront, parts: tuple[str, ...], values: Floats, covariance: Floats) -> Wavefront:
+    """A wavefront with a session's values for it, as of `Measured`."""
     modes = len(w.noll)
+    if SPECTRUM_WIDTH in parts:
+        w = replace(w, spectrum=Spectrum.of_width(float(values[modes + parts.index(SPECTRUM_WIDTH)])).fixed)
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     blur = None
     if 4 in w.noll:
-        um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
+        um = 8 * f_number * np.sqrt(12) * w.reference_wavelength_nm * 1e-3
         pull = np.zeros(len(values))
         pull[[w.noll.index(4), -2]] = um, um * waves[w.noll.index(4)]
         blur = Uncertain(um * waves[w.noll.index(4)], float(np.sqrt(pull @ covariance @ pull)), "um")
     return replace(
         w,
-        spectrum=optics.shaped(values[modes:-1]).light.physical,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,
@@ -131,67 +138,52 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     return {name: lens.contributions(scale * unit[column]) for name, (column, scale) in wanted.items()}
 
 
-def warnings_of(session: SessionFits) -> list[str]:
-    """What the session found, a line each."""
-    lens, labels = session.lens, [local.task.label for local in session.fits]
-    warnings = [
-        f"{labels[k]}: the search ended after {local.task.patience_s:g} s of processor time and {local.fit.starts} starts "
-        "without an accepted optimum; the likeliest is kept, a longer --patience searches further"
-        for k, local in enumerate(session.fits)
+def session_findings(session: SessionFits) -> list[Finding]:
+    """What the search and the session's lens have to report."""
+    lens = session.lens
+    findings = _search_findings(session)
+    if lens is None:
+        return [*findings, found("no-best-focus", why=_why_no_lens(session))]
+    findings += [found("defocus-sign-open", Key(None, channel)) for channel in session.open_channels]
+    return [*findings, *_lens_findings(lens)]
+
+
+def _search_findings(session: SessionFits) -> list[Finding]:
+    """Fits that ended early, were mended, or contradict the others."""
+    keys = [local.task.observation.key for local in session.fits]
+    findings = [
+        found("search-cut-short", key, patience_s=local.task.patience_s, starts=local.fit.starts)
+        for k, (key, local) in enumerate(zip(keys, session.fits, strict=True))
         if local.fit.cut_short and k not in session.members
     ]
-    warnings += [f"{labels[k]}: fitted again from what the other fits predict, and mended" for k in session.mended]
-    warnings += [
-        f"{labels[k]}: does not belong to the session, as the other fits have it; was the lens touched, or is it another "
-        "optimum? It is left out of best focus"
-        for k in session.strangers
-    ]
-    if lens is None:
-        ranged = any(local.ranged for local in session.fits)
-        fitted = any(4 in local.fit.noll for local in session.fits)
-        why = (
-            "every fit was rejected" if ranged else "the frames carry no ranges" if fitted else "defocus was not fitted"
-        )
-        return [*warnings, f"no best focus: {why}"]
-    warnings += [
-        f"{channel}: these ranges leave the sign of its defocus open; ranges on both sides of focus would determine it"
-        for channel in session.open_channels
-    ]
-    warnings += _lens_warnings(lens)
-    return warnings
+    findings += [found("fit-mended", keys[k]) for k in session.mended]
+    findings += [found("fit-does-not-belong", keys[k]) for k in session.strangers]
+    return findings
 
 
-def _lens_warnings(lens: LensFit) -> list[str]:
-    warnings, pupils = [], _magnification(lens)
+def _why_no_lens(session: SessionFits) -> str:
+    if any(local.ranged for local in session.fits):
+        return "every fit was rejected"
+    if any(DEFOCUS in local.fit.noll for local in session.fits):
+        return "the frames carry no ranges"
+    return "defocus was not fitted"
+
+
+def _lens_findings(lens: LensFit) -> Iterator[Finding]:
+    pupils = _magnification(lens)
     for channel in lens.model.channels:
         if len({m.stop for m in lens.model.members if m.channel == channel}) < 2:
-            warnings.append(
-                f"no best focus of {channel}: it needs at least 2 ranges: photograph the target at more ranges"
-            )
+            yield found("channel-without-best-focus", Key(None, channel))
     if not LEAST_MAGNIFICATION * 1.001 < pupils.value < MOST_MAGNIFICATION / 1.001:
-        warnings.append(
-            f"no pupil magnification from {LEAST_MAGNIFICATION:g} to {MOST_MAGNIFICATION:g} fits: defocus does not follow a "
-            "lens's curve; check ranges, focal length and target size"
-        )
+        yield found("pupil-magnification-at-bound", least=LEAST_MAGNIFICATION, most=MOST_MAGNIFICATION)
     elif pupils.std > TELLING_STD:
-        warnings.append(
-            f"these ranges do not determine the pupil magnification: its standard error is {pupils.std:.3f}; "
-            "ranges near the closest focus would, or a focal length and a tape known better"
-        )
+        yield found("pupil-magnification-undetermined", pupil_magnification_std=pupils.std)
     if not lens.model.paraxial:
-        off = 100 * np.expm1(lens.value("cone"))
-        warnings.append(
-            f"cone and sizes do not follow from one lens that is focused as a whole (the cone is {off:+.1f} % off): they were "
-            "not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size right?"
-        )
+        yield found("cones-contradict-one-lens", cone_relative_error=float(np.expm1(lens.value("cone"))))
     if not lens.model.shared:
-        warnings.append("the modes differ from range to range beyond their errors: they were estimated for each range")
+        yield found("modes-differ-between-ranges")
     if lens.widening > 1:
-        warnings.append(
-            f"the fits depart from one lens by {lens.widening:.1f} times their standard errors (χ² per degree of freedom "
-            f"{lens.chi2 / lens.freedom:.1f}); all errors were widened by as much"
-        )
-    return warnings
+        yield found("errors-widened", factor=lens.widening, chi2_per_freedom=lens.typical)
 
 
 def _magnification(lens: LensFit) -> Uncertain:
@@ -219,7 +211,7 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
         channel=observation.channel,
         wavelength_nm=round(optics.wavelength_um * 1e3, 6),
         reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
-        spectrum=optics.light.physical,
+        spectrum=optics.spectrum.fixed,
         f_number=fit.f_number,
         f_number_std=float(np.sqrt(fit.measured.covariance[-2, -2])) * fit.f_number,
         noll=fit.noll,

@@ -9,6 +9,8 @@ from labkit.analysis.lens_fit import LensFit, fit_lens
 from labkit.analysis.lens_model import Member, Stated
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.twins import choose_twins, twin
+from labkit.finding import Finding
+from labkit.findings import found
 
 LEAST_STOPS = 3
 FEWER = 5.0  # by which chi2 must fall where the session is parted: a touched lens leaves hundreds of times its errors
@@ -23,11 +25,10 @@ class Change:
     before: SessionFits
     after: SessionFits
 
-    def __str__(self) -> str:
-        return (
-            f"the lens or its focus was changed between {self.last_mm:g} and {self.next_mm:g} mm, as the photographs were "
-            "taken: the ranges before and after it follow two lenses; `labkit fit --split` fits them apart"
-        )
+
+def changes(change: Change | None) -> list[Finding]:
+    """What a session that is fitted as one reports of its change, where there is one."""
+    return [] if change is None else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
 
 
 def find_change(session: SessionFits, stated: Stated) -> Change | None:

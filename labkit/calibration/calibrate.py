@@ -11,12 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.calibration.darks import dark_warnings, reduce_darks
+from labkit.calibration.darks import dark_findings, reduce_darks
 from labkit.calibration.falloff import Falloff
-from labkit.calibration.flats import at_range, flat_warnings, pixel_response, reduce_flats
+from labkit.calibration.flats import flat_findings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
+from labkit.finding import Finding, each_once
+from labkit.findings import flats_of_another_range
 from labkit.plan import Plan
 from labkit.raw.mosaic import Cut, Mosaic
 from labkit.session.frame import Frame
@@ -40,7 +42,7 @@ class Calibration:
     response_std: Floats32 | None
     usable: Bools | None
     noise: Mapping[str, NoiseEstimate]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     panel_seen: bool = False
 
     @property
@@ -57,7 +59,7 @@ class ChannelData:
     illumination (mean about 1) times pixel response, by which the model is multiplied; relative_std: standard deviation of
     that factor, relative; falloff: the lens's share of it, 1 where no flats show it. rounding: counts², of the rounding to
     stored numbers where that is known beside the read noise, as behind a tone curve; else 0. noise: gain and read noise as
-    measured. warnings: what was assumed.
+    measured. findings: what was assumed.
     """
 
     counts: Floats
@@ -67,11 +69,11 @@ class ChannelData:
     falloff: Floats
     rounding: Floats
     noise: NoiseEstimate
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
-    """Masters from the dark (or else bias) and flat frames of a session; what is missing is assumed, with a warning.
+    """Masters from the dark (or else bias) and flat frames of a session; what is missing is assumed, with a finding.
 
     plan: of its sensor and channels. Each photograph is decoded once; those of one range are in memory at a time.
     Raises RawError for a file that cannot be read, DataError for frames of different sensors.
@@ -103,7 +105,7 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
         response_std=response.relative_std if response else None,
         usable=usable,
         noise=noise,
-        warnings=(*dark_warnings(kinds), *flat_warnings(flats, noise)),
+        findings=(*dark_findings(kinds), *flat_findings(flats, noise)),
         panel_seen=any(flat.panel is not None for flat in flats.values()),
     )
 
@@ -127,11 +129,11 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
     part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
     offset = part.black_map() if calibration.offset is None else calibration.offset[where]
     factor, falloff, factor_std = np.ones(part.counts.shape), np.ones(part.counts.shape), np.zeros(part.counts.shape)
-    warnings = [*mosaic.notes, *calibration.warnings]
+    findings = [*mosaic.notes, *calibration.findings]
     mask = part.channel_mask(channel) & ~saturated(part)
     if calibration.illumination:
-        range_mm, warning = _nearest(frame, calibration.illumination)
-        warnings += warning
+        range_mm, taken = _nearest(frame, calibration.illumination)
+        findings += taken
         factor *= calibration.illumination[range_mm][where]
         falloff = Falloff.of(calibration.illumination[range_mm], mosaic.shape).at(cut)
     if calibration.response is not None and calibration.response_std is not None:
@@ -150,7 +152,7 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
         falloff=falloff,
         rounding=np.zeros(part.counts.shape) if part.tone is None else part.tone.rounding_variance(part.counts),
         noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
-        warnings=tuple(dict.fromkeys(warnings)),
+        findings=tuple(each_once(findings)),
     )
 
 
@@ -161,8 +163,8 @@ def _refuse_other_sensor(calibration: Calibration, frame: Frame, mosaic: Mosaic)
         raise DataError(f"{frame.file} has {rows}×{cols} pixels, other than the session's darks and flats")
 
 
-def _nearest(frame: Frame, illumination: Mapping[float | None, Floats32]) -> tuple[float | None, list[str]]:
-    """The range whose flats serve a frame, and a warning if that is another range."""
+def _nearest(frame: Frame, illumination: Mapping[float | None, Floats32]) -> tuple[float | None, list[Finding]]:
+    """The range whose flats serve a frame, and a finding if that is another range."""
     if frame.range_mm in illumination:
         return frame.range_mm, []
     known = [range_mm for range_mm in illumination if range_mm is not None]
@@ -170,4 +172,4 @@ def _nearest(frame: Frame, illumination: Mapping[float | None, Floats32]) -> tup
         taken = next(iter(illumination))
     else:
         taken = min(known, key=lambda range_mm: abs(range_mm - (frame.range_mm or 0.0)))
-    return taken, [f"no flat frames{at_range(frame.range_mm)}: those{at_range(taken)} are taken instead"]
+    return taken, [flats_of_another_range(frame.range_mm, taken)]

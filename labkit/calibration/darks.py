@@ -11,6 +11,8 @@ from scipy.special import chdtri
 from labkit.calibration.masters import clipped_mean, outliers, shrunk
 from labkit.calibration.photon_transfer import OUTLIER_PROBABILITY, ROUNDING_VARIANCE, Scatter
 from labkit.calibration.stack import Stack
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats32
 
@@ -45,13 +47,13 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
     return Dark(offset, usable, {name: tuple(stack.scatter(where[name], offset, lit=False)) for name in names})
 
 
-def dark_warnings(kinds: Mapping[str, Sequence[Frame]]) -> Iterable[str]:
+def dark_findings(kinds: Mapping[str, Sequence[Frame]]) -> Iterable[Finding]:
     """What is assumed of the dark level for want of frames. kinds: the session's frames by kind."""
     if not kinds["dark"] and not kinds["bias"]:
-        yield "no dark frames: the black level of the files (or the plan) is used, and hot pixels are not known"
+        yield found("no-dark-frames")
         return
     if not kinds["dark"]:
-        yield "no dark frames: bias frames are used instead, and dark current is neglected"
+        yield found("bias-instead-of-darks")
     exposures = {frame.exposure_s for frame in (*kinds["dark"], *kinds["target"]) if frame.exposure_s is not None}
     if kinds["dark"] and exposures and max(exposures) > 1.05 * min(exposures):
-        yield "dark and target frames differ in exposure time: dark current may be off"
+        yield found("dark-exposure-differs", least_s=min(exposures), most_s=max(exposures))

@@ -15,6 +15,8 @@ from labkit.calibration.lattice import repeating
 from labkit.calibration.masters import Illumination, clipped_mean, outliers, shrunk, smooth_illumination
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
+from labkit.finding import Finding
+from labkit.findings import flats_partly_unlit, found
 from labkit.raw.mosaic import Cut
 from labkit.types import Bools, Floats, Floats32
 
@@ -129,26 +131,18 @@ def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) ->
     return Response(relative, std, dead)
 
 
-def flat_warnings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]) -> Iterable[str]:
+def flat_findings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]) -> Iterable[Finding]:
     """What is assumed of light and pixels for want of flats, by range."""
     if not flats:
-        yield (
-            "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; "
-            "all pixels are assumed to be equal"
-        )
+        yield found("no-flat-frames")
         return
     for range_mm, flat in flats.items():
         planes = [flat.illumination[plane] for places in flat.places.values() for plane in places]
         unlit = float(np.mean([np.mean(np.isnan(plane)) for plane in planes]))  # of the plan's colours
         if unlit > 0.01:
-            yield f"flat frames{at_range(range_mm)} leave {100 * unlit:.0f} % of the frame unlit: that part is not used"
+            yield flats_partly_unlit(range_mm, unlit)
     if any(estimate.gain is None for estimate in noise.values()):
-        yield "no range has two flat frames: gain is not measured, and equal pixels are assumed"
-
-
-def at_range(range_mm: float | None) -> str:
-    """A range as words of a sentence."""
-    return " without a range" if range_mm is None else f" at {range_mm:g} mm"
+        yield found("gain-not-measured")
 
 
 def _mean_ratio(flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:

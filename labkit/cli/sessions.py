@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -210,7 +210,7 @@ def fit(
             plain=plain,
             progress=report,
         )
-    _show(console, results, opened.warnings, diagnose)
+    _show(console, results, diagnose)
 
 
 @contextmanager
@@ -223,14 +223,17 @@ def _kept_if_interrupted(console: Console) -> Iterator[None]:
         raise
 
 
-def _show(console: Console, results: Results, shown: Sequence[str], diagnose: bool) -> None:
-    """What a fit found, and with diagnose what parts of the camera were tried. shown: warnings that were printed before.
+def _show(console: Console, results: Results, diagnose: bool) -> None:
+    """What a fit found, and with diagnose what parts of the camera were tried.
 
     Raises DataError for what it was to find and could not.
     """
-    for warning in results.warnings:
-        if warning not in (*shown, results.unanswered):
-            console.warn(warning)
+    from labkit.findings import NO_ANSWER
+
+    said = {"session-mended"} | (set(NO_ANSWER) if results.unanswered else set())  # before the fit, and as the error
+    for finding in results.findings:
+        if finding.warns and finding.code not in said:
+            console.warn(finding.text)
     if diagnose and results.parts_tried:
         console.table(results.part_rows())
     console.table(results.wavefront_rows())

@@ -74,7 +74,7 @@ def measure_edges(scene: Scene, workers: int | None = None, progress: Progress =
 
 def _law(photograph: Photograph, scene: Scene, names: tuple[str, ...]) -> tuple[FocusLaw | None, tuple[str, ...]]:
     """The lens's law, where something says what it is focused at; and warnings. Raises DataError for another camera's PSF."""
-    warnings = list(photograph.mosaic.notes)
+    warnings = [note.text for note in photograph.mosaic.notes]
     if scene.results is not None:
         camera = photograph.mosaic.camera
         warnings += check_same_camera(scene.results, scene.plan, names, camera, force=scene.force)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.filter_array import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
+from labkit.finding import Finding
 from labkit.raw.tone import ToneCurve
 from labkit.types import Counts
 
@@ -37,7 +38,7 @@ class Mosaic:
     exposure_s: float | None = None
     iso: int | None = None
     tone: ToneCurve | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     compressed: bool = False
 
     @property

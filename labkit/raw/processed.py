@@ -13,6 +13,8 @@ import numpy as np
 
 from labkit.errors import InputError, RawError
 from labkit.filter_array import IN_COLOURS, MONO
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.images.encoding import read_encoding, srgb
 from labkit.images.files import Picture, read_picture
 from labkit.images.jpeg import read_jpeg
@@ -20,11 +22,6 @@ from labkit.plan import MeasuredTone, Sensor
 from labkit.raw.formats import Container
 from labkit.raw.mosaic import Mosaic
 from labkit.raw.tone import FULL_COUNTS, ToneCurve, measured_curve, stated_curve, tone_curve
-
-COARSE = (
-    "JPEG stores its colours at half resolution: R and B are blurred by that; take channel G alone, or JPEGs without "
-    "subsampling (4:4:4)"
-)
 
 
 def read_file(path: Path, container: Container) -> tuple[Picture, bool]:
@@ -115,13 +112,9 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
     return curve
 
 
-def _notes(container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None) -> Iterator[str]:
-    """What to know of how the numbers came about, a line each."""
+def _notes(container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None) -> Iterator[Finding]:
+    """What to know of how the numbers came about."""
     undone = "taken as linear, as the plan states" if curve is None else f"tone curve undone by {curve.name}"
-    yield (
-        f"processed pictures ({container.kind.upper()}, {picture.bits} bit), {undone}: demosaicing, sharpening and noise "
-        "reduction are part of the PSF that is reported, and errors are larger than stated, for neighbouring pixels share "
-        "their noise; use raw files where there are any"
-    )
+    yield found("picture-processed", file_format=container.kind.upper(), bits=picture.bits, tone_curve=undone)
     if coarse:
-        yield COARSE
+        yield found("colours-at-half-resolution")

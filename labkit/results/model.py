@@ -11,6 +11,7 @@ from math import isfinite, nan
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labkit.key import Key
 from labkit.optics import metrics
 from labkit.optics.lens import ThinLens
 from labkit.optics.mtf import Curve, Direction, mtf
@@ -19,9 +20,6 @@ from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
-
-SAME_RANGE_MM = 1e-6
-"""Ranges closer than this are one: they are written with ten digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +129,7 @@ class Wavefront:
     8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
     which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
-    wavelength, as the plan states it or the photographs call for it.
+    wavelength, as the plan states it or the photographs call for it. tile: (row, column), None for the whole frame.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
     >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)
@@ -160,6 +158,7 @@ class Wavefront:
     residual_spectrum: ResidualSpectrum | None = field(default=None, repr=False)
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
+    tile: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -176,9 +175,9 @@ class Wavefront:
         return Uncertain(float(self.waves[index]), float(self.std[index]), "waves")
 
     @property
-    def key(self) -> str:
-        """Range and channel, as arrays in files are named: ``3200_G``."""
-        return array_key(self.range_mm, self.channel)
+    def key(self) -> Key:
+        """The identity of this wavefront; ``str(w.key)`` names its arrays in files: ``3200_G``."""
+        return Key(self.range_mm, self.channel, self.tile)
 
     @property
     def std(self) -> Floats:
@@ -279,15 +278,3 @@ class Focus:
         if channel not in self.best_focus_mm:
             raise KeyError(f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}")
         return self.best_focus_mm[channel]
-
-
-def same_range(one_mm: float | None, other_mm: float | None) -> bool:
-    """Whether two ranges are the same: both unknown, or within SAME_RANGE_MM."""
-    if one_mm is None or other_mm is None:
-        return one_mm is other_mm
-    return abs(one_mm - other_mm) <= SAME_RANGE_MM
-
-
-def array_key(range_mm: float | None, channel: str) -> str:
-    """Range and channel, as the arrays of a wavefront are named in files."""
-    return f"{'none' if range_mm is None else format(range_mm, '.10g')}_{channel}"

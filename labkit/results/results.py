@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labkit.errors import DataError
+from labkit.finding import Finding
+from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables
-from labkit.results.model import Focus, Lens, PartTried, Wavefront, same_range
+from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.uncertain import Uncertain
 from labkit.version import __version__
 
@@ -32,7 +34,8 @@ class Results:
     number moved in a climb over all frames at once, where there was one. model_parts: what was fitted of the camera, such as
     ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. widest_light_nm: the largest
     standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum.
-    unanswered: what these frames cannot determine though it was to be estimated; one of the warnings too. folder: where it is
+    findings: what to know of the numbers; `warnings` are the texts of those that warn.
+    unanswered: what these frames cannot determine though it was to be estimated; findings say it too. folder: where it is
     kept.
 
     >>> results = labkit.Results.load("night-3")
@@ -50,26 +53,34 @@ class Results:
     model_parts: dict[str, Uncertain] = field(default_factory=dict)
     parts_tried: tuple[PartTried, ...] = ()
     widest_light_nm: dict[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     unanswered: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     labkit_version: str = __version__
     folder: Path | None = None
 
-    def __getitem__(self, place: tuple[float | None, str]) -> Wavefront:
-        """The wavefront at a range (mm, or None where the frames have none) and channel. Raises KeyError for another."""
-        range_mm, channel = place
+    def __getitem__(self, place: Key | tuple[float | None, str]) -> Wavefront:
+        """The wavefront of a key, or of a range (mm, or None where the frames have none) and channel.
+
+        Raises KeyError where there is none.
+        """
+        key = place if isinstance(place, Key) else Key(*place)
         for wavefront in self.wavefronts:
-            if same_range(wavefront.range_mm, range_mm) and wavefront.channel == channel:
+            if wavefront.key == key:
                 return wavefront
-        known = ", ".join(w.key.replace("_", " mm ") for w in self.wavefronts)
-        raise KeyError(f"no wavefront at {range_mm} mm, channel {channel!r}: there are {known}")
+        known = ", ".join(w.key.label for w in self.wavefronts)
+        raise KeyError(f"no wavefront of {key.label}: there are {known}")
 
     def __iter__(self) -> Iterator[Wavefront]:
         return iter(self.wavefronts)
 
     def __len__(self) -> int:
         return len(self.wavefronts)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The texts of the findings that warn."""
+        return tuple(finding.text for finding in self.findings if finding.warns)
 
     @property
     def reference_wavelength_nm(self) -> float:
@@ -129,11 +140,11 @@ class Results:
 
     def write(self, folder: Path) -> Path:
         """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""
-        return storage.write(folder, self.as_json(), self.wavefronts)
+        return storage.write(folder, self)
 
     def as_json(self) -> dict[str, Any]:
         """The content of results.json."""
-        return storage.entry(**{name: getattr(self, name) for name in storage.FIELDS})
+        return storage.entry(self)
 
     def wavefront_rows(self) -> tables.Rows:
         """A heading, and a row of text for each wavefront."""
@@ -164,4 +175,5 @@ class Results:
 
     def _repr_html_(self) -> str:
         title = f"{self.folder or 'Results'}: {len(self)} wavefronts"
-        return tables.as_html(title, self.wavefront_rows(), self.focus_rows())
+        shown = [self.wavefront_rows(), self.focus_rows()]
+        return tables.as_html(title, shown, self.warnings)

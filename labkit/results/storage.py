@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import inspect
 import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from labkit.errors import DataError, PlanError
 from labkit.files import write_atomically, writing
+from labkit.finding import NOTE, Finding
+from labkit.key import Key
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results.model import (
@@ -28,13 +29,16 @@ from labkit.results.model import (
     Residuals,
     ResidualSpectrum,
     Wavefront,
-    array_key,
 )
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+if TYPE_CHECKING:
+    from labkit.results.results import Results
+
 RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
-SCHEMA, READABLE = 2, (1, 2)
+SCHEMA, READABLE = 3, (1, 2, 3)
+FIRST_WITH_FINDINGS = 3
 MOST_OTHERS = 5  # other optima that are kept, the likeliest
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = 32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
@@ -51,17 +55,17 @@ LENS = {
 """Keys of the lens, the fields that they hold, and their units."""
 
 
-def write(folder: Path, content: Json, wavefronts: Sequence[Wavefront]) -> Path:
+def write(folder: Path, results: Results) -> Path:
     """Write all files into a folder, each whole or not at all, results.json last; the report of earlier results goes.
 
-    content: of results.json. Returns its path. Raises InputError where the folder cannot be written to.
+    Returns the path of results.json. Raises InputError where the folder cannot be written to.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     files = {  # made before the first is written: files of two fits never lie side by side for long
-        PSFS: _packed(psfs(wavefronts)),
-        RESIDUALS: _packed(_residuals(wavefronts)),
-        RESULTS: json.dumps(content, indent=1, allow_nan=False).encode() + b"\n",
+        PSFS: _packed(psfs(results.wavefronts)),
+        RESIDUALS: _packed(_residuals(results.wavefronts)),
+        RESULTS: json.dumps(entry(results), indent=1, allow_nan=False).encode() + b"\n",
     }
     (folder / REPORT[0]).unlink(missing_ok=True)
     shutil.rmtree(folder / REPORT[1], ignore_errors=True)
@@ -83,7 +87,7 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
     schema = entry.get("schema") if isinstance(entry, dict) else None
     if schema not in READABLE:
-        known = " and ".join(map(str, READABLE))
+        known = f"{READABLE[0]} to {READABLE[-1]}"
         raise DataError(f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again")
     residuals = _arrays(place / RESIDUALS)
     try:
@@ -95,56 +99,38 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(f"{path} is not as schema {schema} has it: {detail}; fit the session again") from None
 
 
-def kept_keys(folder: Path) -> set[str]:
+def kept_keys(folder: Path) -> set[Key]:
     """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
     try:
         entries = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["wavefronts"]
-        return {array_key(entry["range_mm"], entry["channel"]) for entry in entries}
-    except (OSError, ValueError, KeyError, TypeError):
+        return {_key(entry) for entry in entries}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return set()
 
 
-def entry(
-    *,
-    plan: Plan,
-    plan_sha256: str,
-    wavefronts: Sequence[Wavefront],
-    focus: Focus | None,
-    lens: Lens | None,
-    budget: Mapping[str, Mapping[str, float]],
-    joint: Mapping[str, float],
-    model_parts: Mapping[str, Uncertain],
-    parts_tried: Sequence[PartTried],
-    widest_light_nm: Mapping[str, float],
-    warnings: Sequence[str],
-    unanswered: str | None,
-    created: str,
-    labkit_version: str,
-) -> Json:
-    """The content of results.json, of the fields of results."""
+def entry(results: Results) -> Json:
+    """The content of results.json."""
+    r, plan = results, results.plan
     return {
         "schema": SCHEMA,
-        "labkit_version": labkit_version,
-        "created": created,
-        "plan_sha256": plan_sha256,
+        "labkit_version": r.labkit_version,
+        "created": r.created,
+        "plan_sha256": r.plan_sha256,
         "plan": plan.model_dump(mode="json", exclude_none=True),
         "convention": plan.fit.convention,
         "reference_wavelength_nm": plan.reference_wavelength_nm,
-        "wavefronts": [_wavefront_json(w) for w in wavefronts],
-        "focus": None if focus is None else _focus_json(focus),
-        "lens": None if lens is None else _lens_json(lens),
-        "budget": {name: dict(shares) for name, shares in budget.items()},
-        "joint": dict(joint),
-        "model_parts": {name: number.as_json() for name, number in model_parts.items()},
-        "parts_tried": [{"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted} for p in parts_tried],
-        "widest_light_nm": {name: round(nm, 1) for name, nm in widest_light_nm.items()},
-        "warnings": list(warnings),
-        "unanswered": unanswered,
+        "wavefronts": [_wavefront_json(w) for w in r.wavefronts],
+        "focus": None if r.focus is None else _focus_json(r.focus),
+        "lens": None if r.lens is None else _lens_json(r.lens),
+        "budget": {name: dict(shares) for name, shares in r.budget.items()},
+        "joint": dict(r.joint),
+        "model_parts": {name: number.as_json() for name, number in r.model_parts.items()},
+        "parts_tried": [{"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted} for p in r.parts_tried],
+        "widest_light_nm": {name: round(nm, 1) for name, nm in r.widest_light_nm.items()},
+        "findings": [finding.as_json() for finding in r.findings],
+        "warnings": list(r.warnings),
+        "unanswered": r.unanswered,
     }
-
-
-FIELDS = tuple(inspect.signature(entry).parameters)
-"""Of results: those that are kept. Their folder is where they are."""
 
 
 def psfs(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
@@ -176,6 +162,7 @@ def _packed(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
 
 def _wavefront_json(w: Wavefront) -> Json:
     entry = {
+        "key": w.key.as_json(),
         "range_mm": w.range_mm,
         "measured_range_mm": w.measured_range_mm,
         "channel": w.channel,
@@ -282,12 +269,25 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
             PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"])) for p in entry.get("parts_tried", ())
         ),
         "widest_light_nm": {str(name): float(nm) for name, nm in entry.get("widest_light_nm", {}).items()},
-        "warnings": tuple(str(words) for words in entry["warnings"]),
+        "findings": tuple(_findings(entry)),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),
         "labkit_version": str(entry["labkit_version"]),
         "folder": folder,
     }
+
+
+def _findings(entry: Json) -> list[Finding]:
+    """All findings; of results before schema 3, which had none, their warnings."""
+    warnings = [str(text) for text in entry["warnings"]]
+    if entry["schema"] < FIRST_WITH_FINDINGS:
+        return [Finding(NOTE, None, {}, text) for text in warnings]
+    return [Finding.from_json(finding, warnings) for finding in entry["findings"]]
+
+
+def _key(wavefront: Json) -> Key:
+    """The identity of a wavefront; before schema 3 its range and channel."""
+    return Key.from_json(wavefront.get("key") or wavefront)
 
 
 def _plan(entry: Json, folder: Path) -> Plan:
@@ -315,14 +315,14 @@ def _numbers(values: Any) -> Floats:
 
 
 def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
-    key = array_key(entry["range_mm"], entry["channel"])
+    key = _key(entry)
     parts = [residuals[name] for part in ("data", "model", "sigma") if (name := f"{part}_{key}") in residuals]
-    range_mm = None if entry["range_mm"] is None else float(entry["range_mm"])
-    measured_mm = entry.get("measured_range_mm", range_mm)
+    measured_mm = entry.get("measured_range_mm", key.range_mm)
     return Wavefront(
-        range_mm=range_mm,
+        range_mm=key.range_mm,
         measured_range_mm=None if measured_mm is None else float(measured_mm),
-        channel=str(entry["channel"]),
+        channel=key.channel,
+        tile=key.tile,
         wavelength_nm=float(entry["wavelength_nm"]),
         reference_wavelength_nm=plan.reference_wavelength_nm,
         f_number=float(entry.get("f_number", plan.lens.f_number)),

@@ -55,9 +55,13 @@ def part_rows(tried: Sequence[PartTried]) -> Rows:
     return [["part of the camera", "log-likelihood gained", ""], *rows] if rows else []
 
 
-def as_html(title: str, *tables: Rows) -> str:
-    """Tables under a title, for a notebook."""
-    return f"<p><b>{escape(title)}</b></p>" + "".join(map(_table, tables))
+def as_html(title: str, tables: Sequence[Rows], warnings: Sequence[str]) -> str:
+    """Tables and warnings under a title, for a notebook."""
+    html = f"<p><b>{escape(title)}</b></p>" + "".join(map(_table, tables))
+    if not warnings:
+        return html
+    items = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
+    return f"{html}<p><b>Warnings</b></p><ul>{items}</ul>"
 
 
 def _signed(value: Uncertain) -> str:

@@ -11,6 +11,8 @@ from typing import Any
 
 from labkit.errors import SessionError
 from labkit.files import is_name
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.session.journal import Event
 from labkit.types import FRAME_KINDS, FrameKind
 
@@ -72,8 +74,8 @@ def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
     return tuple(again)
 
 
-def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
-    """Each photograph once, whatever its files are called; and, a line each, the files that are left out.
+def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[Finding, ...]]:
+    """Each photograph once, whatever its files are called; and the files that are left out.
 
     Noise is never the same twice, so equal files are one photograph, and count as one in every error. Raises SessionError
     for one that stands for two ranges, or for two kinds.
@@ -88,7 +90,7 @@ def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[str, ...
                 "import the session anew with the right one"
             )
         if kept is not frame:
-            again.append(f"{frame.file} is the same photograph as {kept.file}: it counts once")
+            again.append(found("same-photograph", file=frame.file, same_as=kept.file))
     return tuple(first.values()), tuple(again)
 
 

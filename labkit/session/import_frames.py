@@ -16,6 +16,7 @@ from typing import Any
 from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import refuse_special
 from labkit.filter_array import MONO
+from labkit.finding import Finding
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
 from labkit.raw.altered_picture import Alterations, alterations
@@ -55,7 +56,7 @@ class _Checked:
 
     exposure_s: float | None
     iso: int | None
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
     altered: tuple[str, ...]
 
 
@@ -89,7 +90,7 @@ def import_frames(
     made = Session.open(session_folder)
     stated = contradictions(((row.file, row.kind, row.path) for row in rows), source.plan)
     notes = [note for found in checked for note in (*found.notes, *found.altered)]
-    made.warnings = tuple(dict.fromkeys([*made.warnings, *stated, *notes]))
+    made.warnings = tuple(dict.fromkeys([*made.warnings, *map(str, [*stated, *notes])]))
     return made
 
 

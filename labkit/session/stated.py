@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.plan import Plan
 from labkit.raw.exif import Exif, read_exif
 from labkit.types import FrameKind
@@ -24,8 +26,8 @@ Stated = tuple[str, Exif]
 """A photograph's name, and what its file states."""
 
 
-def contradictions(photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan) -> list[str]:
-    """Where files contradict the plan or each other, a line each that names both and what to do.
+def contradictions(photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan) -> list[Finding]:
+    """Where files contradict the plan or each other; each finding names both and what to do.
 
     photographs: name, kind and file; darks say nothing about a lens. Files that state nothing contradict nothing.
     """
@@ -42,28 +44,22 @@ def stops_between(one: float, other: float) -> float:
     return abs(2 * math.log2(one / other))
 
 
-def _against_plan(stated: Sequence[Stated], plan: Plan) -> Iterator[str]:
+def _against_plan(stated: Sequence[Stated], plan: Plan) -> Iterator[Finding]:
     focal_mm = plan.lens.focal_length_mm
     for name, exif in stated:
         if exif.focal_length_mm and abs(exif.focal_length_mm / focal_mm - 1) > FOCAL_LENGTH_TOLERANCE:
-            yield (
-                f"{name} was taken at {exif.focal_length_mm:g} mm by its EXIF, but the plan has lens.focal_length_mm = "
-                f"{focal_mm:g}: correct the plan, or take photographs of that lens"
-            )
+            yield found("exif-focal-length", file=name, focal_length_mm=exif.focal_length_mm, planned_mm=focal_mm)
             break
     key, f_number = "lens.f_number", plan.lens.f_number
     if plan.camera is not None and plan.camera.f_number is not None:
         key, f_number = "camera.f_number", plan.camera.f_number
     for name, exif in stated:
         if exif.f_number and stops_between(exif.f_number, f_number) > STOPS_TOLERANCE:
-            yield (
-                f"{name} was taken at f/{exif.f_number:g} by its EXIF, but the plan has {key} = {f_number:g}: correct the "
-                "plan, or take photographs of that aperture"
-            )
+            yield found("exif-f-number", file=name, f_number=exif.f_number, plan_key=key, planned=f_number)
             break
 
 
-def _among_each_other(stated: Sequence[Stated]) -> Iterator[str]:
+def _among_each_other(stated: Sequence[Stated]) -> Iterator[Finding]:
     yield from _differ(stated, "focal length", lambda exif: exif.focal_length_mm, "{:g} mm")
     yield from _differ(stated, "f-number", lambda exif: exif.f_number, "f/{:g}")
     yield from _differ(stated, "lens", lambda exif: exif.lens or None, "{}")
@@ -73,15 +69,21 @@ def _among_each_other(stated: Sequence[Stated]) -> Iterator[str]:
 
 def _differ(
     stated: Sequence[Stated], what: str, value_of: Callable[[Exif], float | str | None], words: str
-) -> Iterator[str]:
-    """A line where two photographs do not state the same."""
+) -> Iterator[Finding]:
+    """The first photograph that does not state the same as the one before all."""
     values = [(name, value) for name, exif in stated if (value := value_of(exif)) is not None]
     for name, value in values[1:]:
         first_name, first = values[0]
         if not _same(value, first):
-            yield (
-                f"the photographs differ in {what}: {first_name} has {words.format(first)}, {name} {words.format(value)} by "
-                "their EXIF; a session is of one lens at one setting: make one of each"
+            yield found(
+                "settings-differ",
+                None,
+                {"first": words.format(first), "other": words.format(value)},
+                setting=what,
+                first_file=first_name,
+                first=first,
+                file=name,
+                other=value,
             )
             return
 

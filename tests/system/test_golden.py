@@ -113,7 +113,8 @@ def test_the_lens_is_right_though_engraved_otherwise(golden: Golden) -> None:
 
 @of("golden_open")
 def test_cones_that_do_not_follow_from_one_lens_are_told(golden: Golden) -> None:
-    assert any("do not follow from one lens" in words for words in golden.measured["warnings"])
+    (finding,) = (f for f in golden.measured["findings"] if f["code"] == "cones-contradict-one-lens")
+    assert finding["text"] in golden.measured["warnings"]
 
 
 @of("golden_engraved", "golden_open")
@@ -140,12 +141,11 @@ def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(g
 
 def test_a_model_that_does_not_explain_the_frames_is_told_with_its_misfit(golden: Golden) -> None:
     """Near focus they hold the simulator's own drawing: `python -m tests.golden.drawing`."""
-    told = [words for words in golden.measured["warnings"] if "what is left of the data is not noise alone" in words]
+    codes = ("model-incomplete", "optimum-doubtful")
+    told = [finding for finding in golden.measured["findings"] if finding["code"] in codes]
     poor = [fit for fit in golden.measured["wavefronts"] if not fit["model"]["accepted"]]
-    assert len(told) == len(poor)
-    for words, fit in zip(told, poor, strict=True):
-        assert words.startswith(f"{fit['channel']} at {fit['range_mm']:g} mm: ")
-        assert f"χ² per pixel {fit['chi2_per_pixel']:.2f})" in words
+    assert [finding["where"] for finding in told] == [fit["key"] for fit in poor]
+    assert [finding["numbers"]["chi2_per_pixel"] for finding in told] == [fit["chi2_per_pixel"] for fit in poor]
 
 
 def test_noise_is_right(golden: Golden) -> None:

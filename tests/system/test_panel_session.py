@@ -79,7 +79,7 @@ def test_the_bench_is_measured_though_its_panels_pixels_are_seen(bench: Bench, p
     for channel in ("R", "G"):
         assert abs(focus[channel].value - bench.truth.best_focus_mm[channel]) < 4 * focus[channel].std
     assert all(w.test is not None and w.test.explains for w in results.wavefronts)
-    assert not any("own pixels are seen" in warning for warning in results.warnings)
+    assert "panel-pixels-seen" not in {finding.code for finding in results.findings}
 
 
 def test_a_plan_without_the_panels_pixels_is_told_of_them(photographed: Session) -> None:

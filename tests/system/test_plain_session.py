@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,9 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
 ) -> None:
     folder, truth = smeared
     assert not plain.model_parts
-    assert any("call for smear" in warning and "would move" in warning for warning in plain.warnings)
+    (missing,) = (finding for finding in plain.findings if finding.code == "camera-parts-missing")
+    assert missing.numbers["parts"] == ["smear"]
+    assert missing.text in plain.warnings
     assert plain.budget["best_focus_mm.G"]["model"] > plain.budget["best_focus_mm.G"]["photons"]
     found = compared(json.loads((folder / "results/latest/results.json").read_text()), truth)
     # without the part's share in the errors: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
@@ -46,17 +47,20 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
 @pytest.mark.slow
 def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, Truth], plain: labkit.Results) -> None:
     whole = labkit.fit(smeared[0], workers=1, name="whole")
-    (words,) = [
-        warning for warning in whole.warnings if warning.startswith("the model as the plan states it would move")
-    ]
-    said = [float(number) for number in re.findall(r"by (?:up to |. )(\S+) (?:mm|waves|%)", words)]
+    (told,) = (finding for finding in whole.findings if finding.code == "stated-model-moves")
+    (part,) = (finding for finding in whole.findings if finding.code == "camera-part-found")
+    assert part.numbers["part"] == "smear"
+    for name in ("best_focus_moves_mm", "waves_move", "psf_moves_l1"):
+        assert part.numbers[name] == told.numbers[name]
     assert whole.focus is not None
     assert plain.focus is not None
     focus = plain.focus.best_focus_mm["G"].value - whole.focus.best_focus_mm["G"].value
     waves = [np.linalg.norm(a.waves - b.waves) for a, b in zip(plain.wavefronts, whole.wavefronts, strict=True)]
     psfs = [psf_of(results) for results in (plain, whole)]
     apart = [np.abs(one - other).sum() for one, other in zip(*psfs, strict=True)]
-    assert said == pytest.approx([focus, max(waves), 100 * max(apart)], rel=0.06)  # of two digits
+    assert told.numbers["best_focus_moves_mm"] == pytest.approx({"G": focus}, rel=1e-3)
+    assert told.numbers["waves_move"] == pytest.approx(max(waves), rel=1e-3)
+    assert told.numbers["psf_moves_l1"] == pytest.approx(max(apart), rel=0.06)  # of other samples
     for one, other in zip(plain.wavefronts, whole.wavefronts, strict=True):
         assert one.residual_spectrum is not None
         assert other.residual_spectrum is not None

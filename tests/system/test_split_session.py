@@ -43,7 +43,8 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_moment_is_named_and_both_halves_are_fitted(session: Path) -> None:
     assert run(["fit", str(session), "--split", "--quiet"]) == 0
     whole, before, after = (labkit.Results.load(session, f"latest{end}") for end in ("", "-before", "-after"))
-    assert any("changed between 1399.4 and 1434.1 mm" in warning for warning in whole.warnings)
+    (change,) = (finding.numbers for finding in whole.findings if finding.code == "lens-changed")
+    assert change == {"last_mm": pytest.approx(1399.4), "next_mm": pytest.approx(1434.1)}
     drawn = draw(1, 11)
     true_mm = drawn.settings.lens.best_focus_mm["G"] - drawn.settings.rail.tape_error_mm
     for half, turned_mm in ((before, 0.0), (after, TURNED_MM)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +13,15 @@ import tifffile
 from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, channel_data
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.errors import DataError, RawError
+from labkit.finding import Finding
 from labkit.raw.decode import read_raw
 from labkit.session.frame import Frame
 from labkit.types import Floats
 from tests.sensor import COLOURS, GAIN, PRNU, READ_NOISE, SHAPE, Bench, light_at
+
+
+def codes(findings: Sequence[Finding]) -> list[str]:
+    return [finding.code for finding in findings]
 
 
 def calibration_of(bench: Bench) -> Calibration:
@@ -89,7 +94,7 @@ def test_gain_and_read_noise_are_the_sensors(bench: Bench) -> None:
     assert data.noise.read_noise_std is not None
     assert abs(data.noise.gain - GAIN) < 4 * data.noise.gain_std < 0.02
     assert abs(data.noise.read_noise - READ_NOISE) < 4 * data.noise.read_noise_std < 0.1
-    assert data.warnings == ()
+    assert data.findings == ()
 
 
 def test_the_two_greens_keep_their_ratio(bench: Bench) -> None:
@@ -139,27 +144,29 @@ def test_without_any_calibration_everything_is_assumed_and_said(bench: Bench) ->
     assert np.all(data.relative_std == 0)
     assert (data.noise.gain, data.noise.read_noise) == (None, None)
     assert data.counts.mean() == pytest.approx(GAIN * 1000 * np.mean(bench.sensor.colour), rel=0.01)
-    assert [warning.split(":")[0] for warning in data.warnings] == ["no dark frames", "no flat frames"]
+    assert codes(data.findings) == ["no-dark-frames", "no-flat-frames"]
 
 
 def test_flats_of_the_nearest_range_stand_in_and_that_is_said(bench: Bench) -> None:
     bench.usual(frames=2)
     data = exposed(bench, "G", 2150.0, 1000.0)
-    assert data.warnings == ("no flat frames at 2150 mm: those at 2200 mm are taken instead",)
+    (finding,) = data.findings
+    assert finding.text == "no flat frames at 2150 mm: those at 2200 mm are taken instead"
+    assert finding.numbers == {"range_mm": 2150.0, "taken_mm": 2200.0}
 
 
 def test_one_flat_a_range_gives_light_but_neither_gain_nor_response(bench: Bench) -> None:
     bench.add("flat", 2000.0, 20000 * light_at(2000.0))
     data = exposed(bench, "G", 2000.0, 1000.0)
     assert data.noise.gain is None
-    assert any("no range has two flat frames" in warning for warning in data.warnings)
+    assert "gain-not-measured" in codes(data.findings)
     assert np.std(data.illumination[data.mask] / light_at(2000.0)[data.mask]) < 2e-3
 
 
 def test_bias_frames_stand_in_for_darks_and_that_is_said(bench: Bench) -> None:
     bench.add("bias", None, 0.0, 4)
     data = exposed(bench, "G", 2000.0, 1000.0)
-    assert any("bias frames" in warning for warning in data.warnings)
+    assert "bias-instead-of-darks" in codes(data.findings)
     assert data.noise.read_noise == pytest.approx(READ_NOISE, rel=0.02)
 
 
@@ -173,14 +180,14 @@ def test_what_the_display_does_not_reach_is_not_used(bench: Bench) -> None:
     assert data.mask[50:130, 60:180].sum() > 0.48 * 80 * 120
     ratio = (data.illumination / light_at(2000.0) / bench.sensor.response)[data.mask]
     assert ratio.std() / ratio.mean() < 0.005
-    assert any("unlit" in warning for warning in data.warnings)
+    assert "flats-partly-unlit" in codes(data.findings)
 
 
 def test_colours_that_the_plan_leaves_out_are_not_called_unlit(tmp_path: Path) -> None:
     bench = Bench(tmp_path, colours="G")
     with bench.session:
         bench.usual()
-        assert calibration_of(bench).warnings == ()
+        assert calibration_of(bench).findings == ()
 
 
 def test_frames_of_another_size_are_refused(bench: Bench) -> None:

@@ -15,9 +15,10 @@ def frame(name: str, content: str, kind: FrameKind = "target", range_mm: float |
 
 def test_copies_of_a_photograph_count_once_and_are_named() -> None:
     one, other = frame("a.dng", "1"), frame("b.dng", "2")
-    kept, words = distinct([one, other, frame("c.dng", "1"), frame("d.dng", "1")])
+    kept, again = distinct([one, other, frame("c.dng", "1"), frame("d.dng", "1")])
     assert kept == (one, other)
-    assert words == tuple(f"{name} is the same photograph as a.dng: it counts once" for name in ("c.dng", "d.dng"))
+    assert [finding.numbers for finding in again] == [{"file": name, "same_as": "a.dng"} for name in ("c.dng", "d.dng")]
+    assert again[0].text == "c.dng is the same photograph as a.dng: it counts once"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What the documentation is made of: every message explained, every key, column and option described, every link alive."""
+"""What the documentation is made of: every key, column and option described, every link alive."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from docs.check_site import Index, Page, dead_links
 from docs.generators import MADE, PLACE, filled
+from docs.generators.api import _text
 from docs.generators.commands import leaves
-from docs.generators.messages import entries, explained, messages, messages_of
 from docs.generators.plan_keys import keys, plan_keys
 from labkit.advice.advise import advise
 from labkit.advice.tables import range_rows
@@ -22,38 +22,33 @@ ROOT = Path(__file__).parents[2]
 PAGES = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "build" not in path.parts]
 
 
-def test_every_message_has_an_entry_in_troubleshooting() -> None:
-    assert set(messages()) - set(explained()) == set(), "run: python -m docs.generators.messages"
-
-
-def test_no_entry_in_troubleshooting_is_of_a_message_that_is_gone() -> None:
-    assert set(explained()) - set(messages()) == set(), "run: python -m docs.generators.messages"
-
-
-def test_messages_are_read_from_raises_warnings_and_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("docs.generators.messages.ROOT", tmp_path)
-    code = '''"""A docstring is no message, however long."""
-raise PlanError(f"lens {name!r} is unknown; known are {', '.join(known)}")
-raise ValueError("an array of another shape than this")
-notes.append(f"the photographs were taken at {a:g} mm, " f"not at {b:g}")
-key = "focal_length_mm"
-'''
-    (tmp_path / "some.py").write_text(code)
-    found = ["lens … is unknown; known are …", "the photographs were taken at … mm, not at …"]
-    assert list(messages_of(tmp_path / "some.py")) == found
-
-
-def test_entries_are_the_code_above_an_explanation() -> None:
-    page = "Some `code` in a text.\n\n`one …` ``say `two` ``\n: What to do with `three`.\n"
-    assert list(entries(page)) == ["one …", "say `two`"]
-
-
 @pytest.mark.parametrize(("key", "field"), list(keys()))
 def test_every_plan_key_says_what_it_is_and_what_it_takes(key: str, field: object) -> None:
     entry = plan_keys().partition(f"{{confval}} {key}\n")[2].partition(":::")[0]
     meaning, _, facts = entry.strip().partition("\n\n")
     assert re.fullmatch(r"[A-Z0-9`\"].{15,}[.]", meaning), key
     assert re.fullmatch(r"Allowed: .+\. Default: .+\.", facts), key
+
+
+def test_a_docstring_in_numpys_form_is_shown_as_lists() -> None:
+    made = _text("""Rays.
+
+    Parameters
+    ----------
+    n : refractive index
+
+    Raises
+    ------
+    ValueError
+        `n` is below 1.
+
+    >>> rays(1.5)
+    """)
+    parameters, errors = (
+        "**Parameters**\n\n- n : refractive index\n",
+        "**Raises**\n\n- ValueError\n    `n` is below 1.\n",
+    )
+    assert made == f"Rays.\n\n{parameters}\n{errors}\n```python\n>>> rays(1.5)\n```"
 
 
 def test_every_option_and_argument_says_what_it_is() -> None:

@@ -31,7 +31,7 @@ def photograph(path: Path, camera: str = "D7000", **stated: Any) -> Path:
 
 
 def told(*paths: Path, kind: Any = "target") -> list[str]:
-    return contradictions([(path.name, kind, path) for path in paths], PLAN)
+    return [finding.text for finding in contradictions([(path.name, kind, path) for path in paths], PLAN)]
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])

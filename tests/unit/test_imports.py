@@ -9,7 +9,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["types", "errors", "pace", "uncertain", "version"],
+    ["types", "errors", "key", "pace", "uncertain", "version"],
+    ["finding"],
+    ["findings"],
     ["files", "arrays", "images", "filter_array"],
     ["plan"],
     ["target"],

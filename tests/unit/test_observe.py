@@ -13,6 +13,7 @@ import labkit.analysis.observe
 import labkit.calibration.stack
 from labkit.analysis.observe import Observation, observe
 from labkit.errors import DataError
+from labkit.key import Key
 from labkit.plan import Plan, Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Mosaic
@@ -52,7 +53,7 @@ def test_each_photograph_is_decoded_once(bench: Bench, monkeypatch: pytest.Monke
 
 
 def test_ranges_and_channels_are_chosen_singly_or_several(bench: Bench) -> None:
-    assert [(o.range_mm, o.channel) for o in observed(bench, 2000, "G")] == [(2000.0, "G")]
+    assert [o.key for o in observed(bench, 2000, "G")] == [Key(2000.0, "G")]
     several = observed(bench, [2400.0000005, 2000], ("B", "R"))
     assert [(o.range_mm, o.channel) for o in several] == [(2000.0, "R"), (2000.0, "B"), (2400.0, "R"), (2400.0, "B")]
     assert len(observed(bench, tuple(np.array([2000.0, 2200.0])))) == 6
@@ -83,8 +84,8 @@ def test_an_observation_says_where_its_cut_stands_in_the_frame(bench: Bench) -> 
 def test_flats_of_another_range_are_taken_with_a_warning(bench: Bench) -> None:
     bench.add("target", 2150.0, 15000 * light_at(2150.0))
     plan = bench.session.plan
-    _, warnings = observe(bench.session, plan, open_target(plan.target), range_mm=2150.0)
-    assert warnings == ["no flat frames at 2150 mm: those at 2200 mm are taken instead"]
+    _, findings = observe(bench.session, plan, open_target(plan.target), range_mm=2150.0)
+    assert [str(finding) for finding in findings] == ["no flat frames at 2150 mm: those at 2200 mm are taken instead"]
 
 
 def test_another_plan_than_the_sessions_may_be_given(bench: Bench, tmp_path: Path) -> None:

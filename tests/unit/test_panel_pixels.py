@@ -189,8 +189,8 @@ def test_photographs_tell_pitch_and_layout(seen: tuple[str, SeenPixels]) -> None
     layout, found = seen
     assert (found.per_cell, found.layout) == (4, layout)
     assert found.pitch_mm == pytest.approx(0.25)
-    assert f'pixels = {{ pitch_mm = 0.25, layout = "{layout}" }} to [target]' in found.advice
-    assert "\n" not in found.advice
+    assert f'pixels = {{ pitch_mm = 0.25, layout = "{layout}" }} to [target]' in found.finding.text
+    assert "\n" not in found.finding.text
 
 
 def test_stripes_of_another_panel_are_refused(seen: tuple[str, SeenPixels]) -> None:

@@ -169,7 +169,7 @@ def results(astigmatism: float, accepted: bool) -> dict[str, Any]:
         },
         "focus": {"best_focus_mm": {"G": number(1999.99, 0.01)}, "pupil_magnification": number(1.1, 0.1)},
         "wavefronts": [wave | {"global_test": {"accepted": accepted}}],
-        "warnings": ["G at 2010 mm: fitted again from what the other fits predict, and mended"],
+        "findings": [{"code": "fit-mended"}],
     }
 
 

@@ -21,7 +21,7 @@ from labkit.report.focus_charts import defocus_chart
 from labkit.report.html import write_report
 from labkit.results.model import PartTried, Wavefront
 from labkit.uncertain import Uncertain
-from tests.results_samples import ACCEPTED, PLAN, a_wavefront, some_results, written
+from tests.results_samples import ACCEPTED, PLAN, a_wavefront, noted, some_results, written
 
 pytestmark = pytest.mark.slow  # every test draws all figures
 
@@ -140,7 +140,7 @@ def test_a_number_is_never_parted_from_its_error(report: Path) -> None:
 
 
 def test_a_warnings_number_is_not_parted_from_its_error_either(tmp_path: Path, words_only: None) -> None:
-    html = write_report(written(tmp_path, warnings=("a filter: rows 0.551 ± 0.005 px",))).read_text()
+    html = write_report(written(tmp_path, findings=noted("a filter: rows 0.551 ± 0.005 px"))).read_text()
     assert "rows 0.551\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}0.005 px" in html
 
 
@@ -203,7 +203,8 @@ def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(tmp_pat
 
 def test_warnings_stand_before_the_figures(report: Path) -> None:
     html = report.read_text()
-    assert html.index("no dark frames: the black level") < html.index("<figure>")
+    assert html.index("no dark frames: the black level") < html.index("<code>no-dark-frames</code>")
+    assert html.index("<code>no-dark-frames</code>") < html.index("<figure>")
 
 
 def test_figures_are_files_too(report: Path) -> None:
@@ -238,7 +239,7 @@ def test_hostile_strings_are_shown_and_not_obeyed(tmp_path: Path) -> None:
         tmp_path,
         wavefronts=(a_wavefront(channel="$x_</th>", frames=(hostile,), residuals=None),),
         focus=None,
-        warnings=(hostile, '"><img src=http://example.com/x.png>'),
+        findings=noted(hostile, '"><img src=http://example.com/x.png>'),
         labkit_version=hostile,
     )
     html = write_report(folder).read_text()
@@ -267,7 +268,7 @@ def test_one_fit_without_range_residuals_or_noise_figures_is_reported(tmp_path: 
     one = a_wavefront(
         None, "M", gain=unknown, read_noise=unknown, test=None, covariance=np.full((3, 3), unknown), residuals=None
     )
-    words = Page(write_report(written(tmp_path, wavefronts=(one,), focus=None, warnings=())).read_text()).words()
+    words = Page(write_report(written(tmp_path, wavefronts=(one,), focus=None, findings=())).read_text()).words()
     assert "range not known" in words
     assert "1 optimum untested" in words
     assert not re.search(r"\bnan\b", words, re.IGNORECASE)

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from labkit.errors import DataError
+from labkit.finding import Finding
+from labkit.findings import found
+from labkit.key import Key
 from labkit.report.html import write_report
 from labkit.results import OptimumTest, ResidualSpectrum, Results
 from labkit.results.model import PartTried
@@ -62,6 +65,22 @@ CONTRACT_2: dict[str, Any] = {
     ],
 }  # fmt: skip
 """And of schema 2."""
+
+CONTRACT_3: dict[str, Any] = {
+    **CONTRACT_2,
+    "schema": 3,
+    "findings": [
+        {
+            "code": "camera-part-found", "where": {"range_mm": None, "channel": None, "tile": None},
+            "numbers": {"part": "low_pass_filter", "log_likelihood_gain": 48004.3, "best_focus_moves_mm": {"G": 0.02}},
+            "text": "...",
+        }
+    ],
+    "wavefronts": [
+        {**CONTRACT_2["wavefronts"][0], "key": {"range_mm": 3000.0, "channel": "R", "tile": None}},
+    ],
+}  # fmt: skip
+"""And of schema 3, but for the pupil."""
 
 
 def printed(folder: Path, contract: Mapping[str, Any]) -> Results:
@@ -155,14 +174,44 @@ def test_what_schema_2_prints_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("contract", [CONTRACT, CONTRACT_2])
+def test_warnings_of_earlier_schemas_are_notes(tmp_path: Path, contract: dict[str, Any]) -> None:
+    results = printed(tmp_path, contract)
+    assert results.findings == (Finding("note", None, {}, "..."),)
+    assert results.warnings == ("...",)
+
+
+def test_what_schema_3_prints_is_read(tmp_path: Path) -> None:
+    results = printed(tmp_path, CONTRACT_3)
+    (finding,) = results.findings
+    assert (finding.code, finding.key, finding.warns) == ("camera-part-found", None, True)
+    assert finding.numbers == CONTRACT_3["findings"][0]["numbers"]
+    assert results[Key(3000, "R")].key == Key(3000.0, "R")
+
+
+def test_findings_and_tiles_are_read_back(tmp_path: Path) -> None:
+    findings = (
+        found("chi2-unusual", Key(3000.0, "R", (0, 2)), chi2_per_pixel=float("nan"), low=0.9, high=1.5),
+        replace(found("no-dark-frames"), warns=False),
+    )
+    folder = written(tmp_path, findings=findings, wavefronts=(a_wavefront(tile=(0, 2)), a_wavefront()))
+    again = Results.load(folder)
+    assert again.findings == findings
+    assert again.warnings == (findings[0].text,)
+    assert [w.key for w in again] == [Key(3000.0, "R", (0, 2)), Key(3000.0, "R")]
+    assert again[Key(3000, "R", (0, 2))] is again.wavefronts[0]
+    with np.load(folder / "psf.npz") as arrays:
+        assert set(arrays) == {"spacing_um", "psf_3000_R_0_2", "psf_3000_R"}
+
+
+@pytest.mark.parametrize("contract", [CONTRACT, CONTRACT_2, CONTRACT_3])
 def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
     entry = some_results().as_json()
     assert contract.keys() <= entry.keys()
     written = entry["wavefronts"][0]
     assert contract["wavefronts"][0].keys() <= written.keys()
     assert contract["focus"].keys() <= entry["focus"].keys()
-    assert entry["schema"] == 2
-    for part in ("optimum", "model") if contract["schema"] == 2 else ():
+    assert entry["schema"] == 3
+    for part in ("optimum", "model") if contract["schema"] >= 2 else ():
         assert contract["wavefronts"][0][part].keys() <= written[part].keys()
     assert entry["lens"].keys() == CONTRACT_2["lens"].keys()
     assert written["optimum"]["accepted"] == written["global_test"]["accepted"]
@@ -208,7 +257,7 @@ def test_psfs_are_kept_as_the_contract_says(tmp_path: Path) -> None:
 def test_a_wavefront_is_found_by_range_and_channel() -> None:
     results = some_results()
     assert results[3200, "B"] is results.wavefronts[3]
-    with pytest.raises(KeyError, match="no wavefront at 3100 mm, channel 'R': there are 3000 mm R"):
+    with pytest.raises(KeyError, match="no wavefront of R at 3100 mm: there are R at 3000 mm, B at 3000 mm"):
         results[3100, "R"]
     with pytest.raises(KeyError, match="Noll mode 11"):
         results[3200, "B"][11]
@@ -227,6 +276,8 @@ def test_a_table_has_a_row_for_each_coefficient() -> None:
 def test_a_notebook_shows_tables_and_obeys_no_names() -> None:
     html = some_results(wavefronts=(a_wavefront(channel="<b>"),), focus=None)._repr_html_()
     assert html.count("<table>") == 2
+    assert "<li>no dark frames: the black level of the files (or the plan)" in html
+    assert "Warnings" not in some_results(findings=())._repr_html_()
     assert "<td>&lt;b&gt;</td>" in html
 
 
@@ -270,7 +321,7 @@ def test_a_report_of_earlier_results_does_not_stay(tmp_path: Path) -> None:
 
 
 def test_what_a_folder_keeps_is_known_without_reading_it_all(tmp_path: Path) -> None:
-    assert kept_keys(written(tmp_path)) == {"3000_R", "3000_B", "3200_R", "3200_B"}
+    assert kept_keys(written(tmp_path)) == {Key(mm, channel) for mm in (3000, 3200) for channel in "RB"}
     assert kept_keys(tmp_path) == set()
 
 
@@ -279,7 +330,7 @@ def test_what_a_folder_keeps_is_known_without_reading_it_all(tmp_path: Path) -> 
     [
         (None, "run labkit fit first"),
         ("{", "cannot read"),
-        ('{"schema": 7}', "schema 7"),
+        ('{"schema": 7}', "schema 7; this version reads schemas 1 to 3"),
         ('{"schema": 1}', "plan"),
         ("[" * 100_000, "cannot read"),
     ],
@@ -291,6 +342,26 @@ def test_results_that_cannot_be_read_give_one_line(tmp_path: Path, text: str | N
         (folder / "results.json").write_text(text)
     with pytest.raises(DataError, match=complaint) as caught:
         Results.load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+WHERE = {"range_mm": None, "channel": None, "tile": None}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"findings": None},
+        {"findings": [{"code": "a-code"}]},
+        {"findings": [{"code": "NO CODE", "where": WHERE, "numbers": {}, "text": "..."}]},
+        {"findings": [{"code": "a-code", "where": WHERE | {"channel": "R", "tile": 3}, "numbers": {}, "text": "..."}]},
+        {"findings": [{"code": "a-code", "where": WHERE, "numbers": [1], "text": "..."}]},
+        {"wavefronts": [CONTRACT_3["wavefronts"][0] | {"key": {"channel": "R"}}]},
+    ],
+)
+def test_damaged_findings_and_keys_give_one_line(tmp_path: Path, damage: dict[str, Any]) -> None:
+    with pytest.raises(DataError, match=r"is not as schema 3 has it: .+; fit the session again") as caught:
+        printed(tmp_path, CONTRACT_3 | damage)
     assert "\n" not in str(caught.value)
 
 

@@ -10,9 +10,15 @@ import pytest
 from labkit.analysis.lens_fit import fit_session_lens
 from labkit.analysis.lens_model import Member
 from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.session_parts import model_parts, words_of_parts
+from labkit.analysis.session_parts import model_parts, part_findings
+from labkit.analysis.session_results import session_findings
+from labkit.findings import Moves, found
+from labkit.imaging.model import SPECTRUM_WIDTH
 from labkit.inference.cone import Measured
+from labkit.key import Key
 from labkit.plan import Plan
+from labkit.results.model import PartTried
+from labkit.uncertain import Uncertain
 from tests.lens_samples import members, stated
 from tests.plans import PORTRAIT
 
@@ -54,19 +60,42 @@ def test_a_filter_is_given_by_how_far_apart_its_spots_lie() -> None:
 
 def test_what_was_found_is_said() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
-    (words,) = words_of_parts(fits, model_parts(fits, Plan.from_tables(PORTRAIT)))
-    assert words.startswith(
-        "the photographs call for an optical low-pass filter, which the plan does not state: rows 0.55"
+    fits = replace(fits, tried=(PartTried("low_pass_filter", 120.0, adopted=True),))
+    moves = Moves({"G": 0.02}, 0.01, 0.03)
+    (finding,) = part_findings(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), moves=moves)
+    assert finding.code == "camera-part-found"
+    assert finding.text.startswith(
+        "the photographs show an optical low-pass filter, which the plan does not state: rows 0.55"
     )
+    numbers = dict(finding.numbers)
+    values = numbers.pop("values")
+    assert numbers == {
+        "part": "low_pass_filter",
+        "log_likelihood_gain": 120.0,
+        "best_focus_moves_mm": {"G": 0.02},
+        "waves_move": 0.01,
+        "psf_moves_l1": 0.03,
+    }
+    assert isinstance(values, dict)
+    assert set(values) == {"spread_px", "rows_px", "columns_px"}
+    assert Uncertain.from_json(values["rows_px"]).value == pytest.approx(0.55)
 
 
 def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
-    assert words_of_parts(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"]) == []
+    assert list(part_findings(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"])) == []
+
+
+def test_a_session_reports_what_its_lens_leaves_open() -> None:
+    fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
+    findings = session_findings(replace(fits, open_channels=("G",)))
+    assert findings[0] == found("defocus-sign-open", Key(None, "G"))
+    (without,) = session_findings(replace(fits, lens=None))
+    assert (without.code, without.numbers) == ("no-best-focus", {"why": "defocus was not fitted"})
 
 
 def test_a_spectrum_is_each_channels_own() -> None:
-    found = model_parts(session(("spectrum.variance",), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
+    found = model_parts(session((SPECTRUM_WIDTH,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
     assert set(found) == {"spectrum.G.width_nm"}
     assert found["spectrum.G.width_nm"].value == pytest.approx(0.03 * 550)
 

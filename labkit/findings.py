@@ -1,0 +1,276 @@
+"""Every finding that a fit can report: its code, and the sentence that is made of its numbers.
+
+`found` makes a finding of a code and its numbers; where the sentence needs more than numbers in their places, a function
+below makes it. What each code means, and what to do about it, is in docs/troubleshooting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from labkit.finding import Finding
+from labkit.key import Key
+from labkit.types import JSON
+from labkit.uncertain import Uncertain
+
+TEXTS = {
+    # session and photographs
+    "session-mended": "{note}",
+    "same-photograph": "{file} is the same photograph as {same_as}: it counts once",
+    "exif-focal-length": (
+        "{file} was taken at {focal_length_mm:g} mm by its EXIF, but the plan has lens.focal_length_mm = "
+        "{planned_mm:g}: correct the plan, or take photographs of that lens"
+    ),
+    "exif-f-number": (
+        "{file} was taken at f/{f_number:g} by its EXIF, but the plan has {plan_key} = {planned:g}: correct the plan, "
+        "or take photographs of that aperture"
+    ),
+    "settings-differ": (
+        "the photographs differ in {setting}: {first_file} has {first}, {file} {other} by their EXIF; a session is of "
+        "one lens at one setting: make one of each"
+    ),
+    "picture-altered": "{note}",
+    "picture-processed": (
+        "processed pictures ({file_format}, {bits} bit), {tone_curve}: demosaicing, sharpening and noise reduction are "
+        "part of the PSF that is reported, and errors are larger than stated, for neighbouring pixels share their "
+        "noise; use raw files where there are any"
+    ),
+    "colours-at-half-resolution": (
+        "JPEG stores its colours at half resolution: R and B are blurred by that; take channel G alone, or JPEGs "
+        "without subsampling (4:4:4)"
+    ),
+    "panel-pixels-seen": (
+        "the panel's own pixels are seen, {pitch_mm:.4g} mm apart with {contrast:.0%} of contrast, and the plan has no "
+        "[target.pixels], so fits would lack them: add {to_add} to [target]"
+    ),
+    # flats and darks
+    "no-dark-frames": (
+        "no dark frames: the black level of the files (or the plan) is used, and hot pixels are not known"
+    ),
+    "bias-instead-of-darks": "no dark frames: bias frames are used instead, and dark current is neglected",
+    "dark-exposure-differs": "dark and target frames differ in exposure time: dark current may be off",
+    "no-flat-frames": (
+        "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; all pixels are "
+        "assumed to be equal"
+    ),
+    "flats-of-another-range": "no flat frames{where}: those{taken} are taken instead",
+    "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: that part is not used",
+    "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
+    # each fit
+    "fit-left-out": "{note}, or with fewer --workers; fits that are done are kept",
+    "search-cut-short": (
+        "{where}: the search ended after {patience_s:g} s of processor time and {starts} starts without an accepted "
+        "optimum; the likeliest is kept, a longer --patience searches further"
+    ),
+    "fit-mended": "{where}: contradicted the other fits; fitted again from their prediction, it agrees",
+    "fit-does-not-belong": (
+        "{where}: contradicts the other fits, and is left out of best focus; was the lens touched, or is it another "
+        "optimum?"
+    ),
+    "undetermined": "{where}: the frames do not determine {list}; is the target lit, sharp and large enough?",
+    "model-incomplete": (
+        "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); {confirmed} the "
+        "optimum: the model lacks something{such_as}; standard errors allow for it"
+    ),
+    "optimum-doubtful": (
+        "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); the optimum may "
+        "be a wrong one, or the model lacks something{such_as}; standard errors allow for it"
+    ),
+    "chi2-unusual": "{where}: χ² per pixel is {chi2_per_pixel:.2f}, expected is {low:g} to {high:g}",
+    # the session's lens
+    "lens-changed": (
+        "the lens or its focus was changed between {last_mm:g} and {next_mm:g} mm, as the photographs were taken: the "
+        "ranges before and after it follow two lenses; `labkit fit --split` fits them apart"
+    ),
+    "no-best-focus": "no best focus: {why}",
+    "channel-without-best-focus": (
+        "no best focus of {where}: it needs at least 2 ranges: photograph the target at more ranges"
+    ),
+    "defocus-sign-open": (
+        "{where}: these ranges leave the sign of its defocus open; ranges on both sides of focus would determine it"
+    ),
+    "pupil-magnification-at-bound": (
+        "no pupil magnification from {least:g} to {most:g} fits: defocus does not follow a lens's curve; check ranges, "
+        "focal length and target size"
+    ),
+    "pupil-magnification-undetermined": (
+        "these ranges do not determine the pupil magnification: its standard error is {pupil_magnification_std:.3f}; "
+        "ranges near the closest focus would, or a focal length and a tape known better"
+    ),
+    "cones-contradict-one-lens": (
+        "cone and sizes do not follow from one lens that is focused as a whole (the cone is {cone_relative_error:+.1%} off): "
+        "they were not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size "
+        "right?"
+    ),
+    "modes-differ-between-ranges": (
+        "the modes differ from range to range beyond their errors: they were estimated for each range"
+    ),
+    "errors-widened": (
+        "the fits depart from one lens by {factor:.1f} times their standard errors (χ² per degree of freedom "
+        "{chi2_per_freedom:.1f}); all errors were widened by as much"
+    ),
+    # the camera
+    "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
+    "camera-parts-missing": (
+        "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include that"
+    ),
+    "stated-model-moves": "the model as the plan states it would move {moves}{rejected}",
+    "panel-aperture-found": (
+        "a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
+    ),
+}
+"""The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""
+
+PARTS = {
+    "low_pass_filter": "an optical low-pass filter",
+    "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
+    "diffusion": "charge diffusion between pixels",
+    "smear": "smear, by a shake or a rolling shutter",
+    "veil": "a veil of stray light",
+    "spectrum": "light of several wavelengths",
+}
+"""Parts of the camera, in words."""
+
+CONFIRMED_BY = {
+    "starts": "many starts ended in",
+    "parts": "a fit with more parts of the camera confirms",
+}
+"""What confirmed an optimum, by the name of its test; any other test is the session's."""
+
+NO_ANSWER = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
+"""Codes that say what was to be estimated and could not be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """How far another model of the camera would move a session's results.
+
+    Parameters
+    ----------
+    best_focus_mm : by channel; empty without a best focus
+    waves : the largest move of a wavefront, waves RMS
+    psf_l1 : the largest summed absolute difference of a PSF of unit sum
+    """
+
+    best_focus_mm: Mapping[str, float]
+    waves: float
+    psf_l1: float
+
+    def __str__(self) -> str:
+        words = [f"wavefronts by up to {self.waves:.2g} waves RMS", f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)"]
+        focus = ", ".join(f"{name} {mm:+.2g} mm" for name, mm in self.best_focus_mm.items())
+        return ", ".join([f"best focus by {focus}", *words] if focus else words)
+
+    @property
+    def numbers(self) -> dict[str, JSON]:
+        """The same as the numbers of a finding."""
+        return {
+            "best_focus_moves_mm": dict(self.best_focus_mm),
+            "waves_move": self.waves,
+            "psf_moves_l1": self.psf_l1,
+        }
+
+
+def found(code: str, key: Key | None = None, words: Mapping[str, str] | None = None, /, **numbers: JSON) -> Finding:
+    """Make a finding.
+
+    Parameters
+    ----------
+    code : a key of `TEXTS`
+    words : what the sentence holds besides the numbers
+    numbers : those of the finding; the sentence repeats them
+
+    Raises
+    ------
+    KeyError
+        `code` is not in `TEXTS`, or its sentence needs another number.
+    """
+    where = {} if key is None else {"where": key.label}
+    return Finding(code, key, numbers, TEXTS[code].format(**{**where, **numbers, **(words or {})}))
+
+
+def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Finding:
+    """A range has no flats; those of the nearest range serve it."""
+    words = {"where": _at(range_mm), "taken": _at(taken_mm)}
+    return found("flats-of-another-range", None, words, range_mm=range_mm, taken_mm=taken_mm)
+
+
+def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
+    """A share of the frame, 0 to 1, is unlit in the flats of a range."""
+    return found("flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit)
+
+
+def undetermined(key: Key, combinations: Sequence[str]) -> Finding:
+    """The frames leave combinations of modes open."""
+    return found("undetermined", key, {"list": ", ".join(combinations)}, combinations=list(combinations))
+
+
+def residuals_not_noise(
+    key: Key, p_value: float, chi2_per_pixel: float, missing: Sequence[str], confirmed_by: str | None
+) -> Finding:
+    """The model does not explain a wavefront's frames. confirmed_by: the test that accepted its optimum, None for none."""
+    words = {"such_as": "".join(f", such as {PARTS[name]}" for name in missing)}
+    code = "optimum-doubtful"
+    if confirmed_by is not None:
+        code = "model-incomplete"
+        words["confirmed"] = CONFIRMED_BY.get(confirmed_by, "the session confirms")
+    return found(
+        code,
+        key,
+        words,
+        p_value=p_value,
+        chi2_per_pixel=chi2_per_pixel,
+        missing=list(missing),
+        confirmed_by=confirmed_by,
+    )
+
+
+def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None) -> Finding:
+    """A part that the plan does not state was taken into the model.
+
+    Parameters
+    ----------
+    values : the part's numbers, each name with its unit
+    gain : log-likelihood that the part was to gain, by its slope
+    moves : how far all results would move without the parts that were found
+    """
+    plain = {name.removesuffix("_px").removesuffix("_nm"): value for name, value in values.items()}
+    words = ", ".join(f"{name} {value}" for name, value in plain.items() if name != "spread")
+    return found(
+        "camera-part-found",
+        None,
+        {"part_words": PARTS[part], "values_words": words},
+        part=part,
+        log_likelihood_gain=gain,
+        values={name: value.as_json() for name, value in values.items()},
+        **({} if moves is None else moves.numbers),
+    )
+
+
+def camera_parts_missing(parts: Sequence[str], moves: Moves) -> Finding:
+    """The frames call for parts that the model lacks. moves: how far those would move all results."""
+    words = {"list": " and ".join(PARTS[name] for name in parts), "moves": str(moves)}
+    return found("camera-parts-missing", None, words, parts=list(parts), **moves.numbers)
+
+
+def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
+    """What the parts change that were found. rejected: how many of the optima would be, without those parts."""
+    words = f"; {rejected} of {optima} optima would be rejected" if rejected else ""
+    return found(
+        "stated-model-moves",
+        None,
+        {"moves": str(moves), "rejected": words},
+        rejected_optima=rejected,
+        optima=optima,
+        **moves.numbers,
+    )
+
+
+def unanswered(findings: Collection[Finding]) -> str | None:
+    """Return what was to be estimated and could not be, in words; None where all was."""
+    return "; ".join(finding.text for finding in findings if finding.code in NO_ANSWER) or None
+
+
+def _at(range_mm: float | None) -> str:
+    return " without a range" if range_mm is None else f" at {range_mm:g} mm"

@@ -1,0 +1,181 @@
+"""Findings: data first, sentences made of the data, and every code documented."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labkit.finding import Finding, each_once
+from labkit.findings import (
+    NO_ANSWER,
+    PARTS,
+    TEXTS,
+    Moves,
+    camera_part_found,
+    camera_parts_missing,
+    flats_of_another_range,
+    flats_partly_unlit,
+    found,
+    residuals_not_noise,
+    stated_model_moves,
+    unanswered,
+    undetermined,
+)
+from labkit.inference.missing_parts import KNOWN, SPECTRUM
+from labkit.key import Key
+from labkit.types import JSON
+from labkit.uncertain import Uncertain
+
+PAGES = Path(__file__).parents[2] / "docs" / "troubleshooting"
+GREEN = Key(3200.0, "G")
+MOVES = Moves({"G": 0.024}, 0.013, 0.031)
+
+SAMPLES = [
+    found("session-mended", note="journal.jsonl: left out a torn last line"),
+    found("same-photograph", file="b.dng", same_as="a.dng"),
+    found("exif-focal-length", file="a.dng", focal_length_mm=50.0, planned_mm=70.0),
+    found("exif-f-number", file="a.dng", f_number=4.0, plan_key="lens.f_number", planned=2.8),
+    found(
+        "settings-differ", None, {"first": "50 mm", "other": "70 mm"}, setting="focal length", first_file="a", file="b"
+    ),
+    found("picture-altered", note="the photographs were sharpened"),
+    found("picture-processed", file_format="JPEG", bits=8, tone_curve="tone curve undone by sRGB"),
+    found("colours-at-half-resolution"),
+    found("panel-pixels-seen", None, {"to_add": "pixels = {}"}, pitch_mm=0.0962, contrast=0.02),
+    found("no-dark-frames"),
+    found("bias-instead-of-darks"),
+    found("dark-exposure-differs", least_s=0.01, most_s=0.02),
+    found("no-flat-frames"),
+    flats_of_another_range(2150.0, 2200.0),
+    flats_partly_unlit(2000.0, 0.125),
+    found("gain-not-measured"),
+    found("fit-left-out", note="G at 3010 mm is left out: killed; close other programs and fit again"),
+    found("search-cut-short", GREEN, patience_s=120.0, starts=40),
+    found("fit-mended", GREEN),
+    found("fit-does-not-belong", GREEN),
+    undetermined(GREEN, ["defocus"]),
+    residuals_not_noise(GREEN, 1e-6, 1.234, [], "session"),
+    residuals_not_noise(GREEN, 1e-6, 1.234, [], None),
+    found("chi2-unusual", GREEN, chi2_per_pixel=0.7, low=0.9, high=1.5),
+    found("lens-changed", last_mm=3200.0, next_mm=3300.0),
+    found("no-best-focus", why="the frames carry no ranges"),
+    found("channel-without-best-focus", Key(None, "G")),
+    found("defocus-sign-open", Key(None, "G")),
+    found("pupil-magnification-at-bound", least=0.05, most=20.0),
+    found("pupil-magnification-undetermined", pupil_magnification_std=0.3),
+    found("cones-contradict-one-lens", cone_relative_error=0.02),
+    found("modes-differ-between-ranges"),
+    found("errors-widened", factor=1.7, chi2_per_freedom=2.9),
+    camera_part_found("smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES),
+    camera_parts_missing(["veil"], MOVES),
+    stated_model_moves(MOVES, 0, 4),
+    found("panel-aperture-found", None, {"across": "0.8 ± 0.1", "down": "0.9 ± 0.1"}),
+]
+"""One of each."""
+
+
+def entries() -> Iterator[str]:
+    """Codes that have an entry in the pages: code in a line above an explanation."""
+    for page in PAGES.glob("*.md"):
+        for terms in re.findall(r"^(`.+)\n: ", page.read_text(encoding="utf-8"), re.MULTILINE):
+            yield from re.findall(r"`([^`]+)`", terms)
+
+
+def test_every_code_has_an_entry_in_troubleshooting() -> None:
+    assert set(TEXTS) - set(entries()) == set()
+
+
+def test_each_code_makes_one_sentence_that_begins_with_its_key() -> None:
+    assert [finding.code for finding in SAMPLES] == list(TEXTS)
+    for finding in SAMPLES:
+        assert len(finding.text.splitlines()) == 1
+        if finding.key == GREEN:
+            assert finding.text.startswith("G at 3200 mm: ")
+        assert Finding.from_json(json.loads(json.dumps(finding.as_json())), [finding.text]) == finding
+
+
+def test_what_is_not_finite_is_null_and_the_rest_is_read_back() -> None:
+    finding = Finding("a-code", GREEN, {"p_value": float("nan"), "many": (1, np.float64(2.5))}, "words")
+    assert finding.numbers == {"p_value": None, "many": [1, 2.5]}
+    kept = json.loads(json.dumps(finding.as_json(), allow_nan=False))
+    assert Finding.from_json(kept, ["words"]) == finding
+    assert not Finding.from_json(kept, []).warns
+
+
+@pytest.mark.parametrize("code", ["", "Two-Words", "two words", "two--words"])
+def test_a_code_is_in_kebab_case(code: str) -> None:
+    with pytest.raises(ValueError, match="code"):
+        Finding(code, None, {}, "words")
+
+
+def test_numbers_are_json() -> None:
+    nothing: JSON = object()  # type: ignore[assignment]
+    with pytest.raises(TypeError, match="object"):
+        Finding("a-code", None, {"what": nothing}, "words")
+
+
+def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
+    assert [Finding(code, None, {}, text).code for code, text in TEXTS.items()] == list(TEXTS)
+    assert set(NO_ANSWER) <= set(TEXTS)
+    with pytest.raises(KeyError):
+        found("no-such-code")
+
+
+def test_the_parts_of_the_camera_have_words() -> None:
+    assert {*KNOWN, SPECTRUM} == set(PARTS)
+
+
+def test_the_same_sentence_is_said_once() -> None:
+    findings = [found("no-dark-frames"), found("no-flat-frames"), found("no-dark-frames")]
+    assert each_once(findings) == findings[:2]
+
+
+def test_what_could_not_be_estimated_is_the_answer() -> None:
+    findings = [found("no-dark-frames"), found("no-best-focus", why="every fit was rejected")]
+    assert unanswered(findings) == "no best focus: every fit was rejected"
+    assert unanswered(findings[:1]) is None
+
+
+def test_an_accepted_optimum_and_a_doubtful_one_have_codes_of_their_own() -> None:
+    confirmed = residuals_not_noise(GREEN, 1e-6, 1.234, ["smear"], "parts")
+    assert confirmed.code == "model-incomplete"
+    assert confirmed.text == (
+        "G at 3200 mm: the residuals are more than noise (p = 1e-06, χ² per pixel 1.23); a fit with more parts of the "
+        "camera confirms the optimum: the model lacks something, such as smear, by a shake or a rolling shutter; "
+        "standard errors allow for it"
+    )
+    doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, [], None)
+    assert (doubtful.code, doubtful.key) == ("optimum-doubtful", GREEN)
+    assert doubtful.numbers == {"p_value": None, "chi2_per_pixel": 1.2, "missing": [], "confirmed_by": None}
+
+
+def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
+    moved = {"best_focus_moves_mm": {"G": 0.024}, "waves_move": 0.013, "psf_moves_l1": 0.031}
+    words = "best focus by G +0.024 mm, wavefronts by up to 0.013 waves RMS, PSFs by up to 3.1 % (L1)"
+    missing = camera_parts_missing(["smear", "veil"], MOVES)
+    assert missing.numbers == {"parts": ["smear", "veil"]} | moved
+    assert missing.text.endswith(f"{words}; standard errors include that")
+    stated = stated_model_moves(MOVES, 1, 4)
+    assert stated.numbers == {"rejected_optima": 1, "optima": 4} | moved
+    assert stated.text.endswith(f"{words}; 1 of 4 optima would be rejected")
+    assert "best focus" not in str(Moves({}, 0.013, 0.031))
+
+
+def test_a_part_is_told_with_its_numbers() -> None:
+    values = {"spread_px": Uncertain(0.55, 0.01, "px"), "rows_px": Uncertain(0.5, 0.01, "px")}
+    finding = camera_part_found("low_pass_filter", values, None, None)
+    assert finding.text.endswith("which the plan does not state: rows 0.500 ± 0.010 px")
+    assert finding.numbers["values"] == {name: value.as_json() for name, value in values.items()}
+
+
+def test_ranges_and_combinations_are_told_in_words() -> None:
+    assert flats_of_another_range(None, 2200.0).text.startswith("no flat frames without a range: those at 2200 mm are")
+    assert flats_partly_unlit(2000.0, 0.125).text.startswith("flat frames at 2000 mm leave 12% of the frame unlit")
+    assert undetermined(GREEN, ["defocus", "mode 11"]).text.startswith(
+        "G at 3200 mm: the frames do not determine defocus, mode 11;"
+    )
