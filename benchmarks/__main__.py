@@ -16,7 +16,7 @@ from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import maximize
+from labkit.estimation.climb import maximize
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import zernike
 from labkit.types import Floats

@@ -15,8 +15,8 @@ from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.methods.optimum_tests import bootstrap, embedding, one_sided, recalibrated, two_sided
 from labkit.experiments.methods.psf_basis import shipped_psf_basis
 from labkit.experiments.roc import area
-from labkit.inference.fisher_scoring import Problem, State, maximize
-from labkit.inference.goodness_of_fit import SIGNIFICANCE, judge
+from labkit.estimation.climb import Problem, State, maximize
+from labkit.estimation.residual_tests import SIGNIFICANCE, judge
 from labkit.types import Floats
 
 STARTS = 6

@@ -13,9 +13,9 @@ from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optic
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free
 from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
-from labkit.inference.fisher_scoring import Problem, maximize
-from labkit.inference.likelihood import predict
-from labkit.inference.sketch import NEAR_WINDOW
+from labkit.estimation.climb import Problem, maximize
+from labkit.estimation.likelihood import predict
+from labkit.estimation.sketches import NEAR_WINDOW
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 

@@ -6,13 +6,11 @@ below makes it. What each code means, and what to do about it, is in docs/troubl
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 
 from labkit.finding import Finding
 from labkit.key import Key
 from labkit.types import JSON
-from labkit.uncertain import Uncertain
 
 TEXTS = {
     # session and photographs
@@ -122,54 +120,8 @@ TEXTS = {
 }
 """The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""
 
-PARTS = {
-    "low_pass_filter": "an optical low-pass filter",
-    "low_pass_filter_turned": "an optical low-pass filter turned by 45 degrees",
-    "diffusion": "charge diffusion between pixels",
-    "smear": "smear, by a shake or a rolling shutter",
-    "veil": "a veil of stray light",
-    "spectrum": "light of several wavelengths",
-}
-"""Parts of the camera, in words."""
-
-CONFIRMED_BY = {
-    "starts": "many starts ended in",
-    "parts": "a fit with more parts of the camera confirms",
-}
-"""What confirmed an optimum, by the name of its test; any other test is the session's."""
-
 NO_ANSWER = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
 """Codes that say what was to be estimated and could not be."""
-
-
-@dataclass(frozen=True, slots=True)
-class Moves:
-    """How far another model of the camera would move a session's results.
-
-    Parameters
-    ----------
-    best_focus_mm : by channel; empty without a best focus
-    waves : the largest move of a wavefront, waves RMS
-    psf_l1 : the largest summed absolute difference of a PSF of unit sum
-    """
-
-    best_focus_mm: Mapping[str, float]
-    waves: float
-    psf_l1: float
-
-    def __str__(self) -> str:
-        words = [f"wavefronts by up to {self.waves:.2g} waves RMS", f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)"]
-        focus = ", ".join(f"{name} {mm:+.2g} mm" for name, mm in self.best_focus_mm.items())
-        return ", ".join([f"best focus by {focus}", *words] if focus else words)
-
-    @property
-    def numbers(self) -> dict[str, JSON]:
-        """The same as the numbers of a finding."""
-        return {
-            "best_focus_moves_mm": dict(self.best_focus_mm),
-            "waves_move": self.waves,
-            "psf_moves_l1": self.psf_l1,
-        }
 
 
 def found(code: str, key: Key | None = None, words: Mapping[str, str] | None = None, /, **numbers: JSON) -> Finding:
@@ -199,72 +151,6 @@ def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Fi
 def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
     """A share of the frame, 0 to 1, is unlit in the flats of a range."""
     return found("flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit)
-
-
-def undetermined(key: Key, combinations: Sequence[str]) -> Finding:
-    """The frames leave combinations of modes open."""
-    return found("undetermined", key, {"list": ", ".join(combinations)}, combinations=list(combinations))
-
-
-def residuals_not_noise(
-    key: Key, p_value: float, chi2_per_pixel: float, missing: Sequence[str], confirmed_by: str | None
-) -> Finding:
-    """The model does not explain a wavefront's frames. confirmed_by: the test that accepted its optimum, None for none."""
-    words = {"such_as": "".join(f", such as {PARTS[name]}" for name in missing)}
-    code = "optimum-doubtful"
-    if confirmed_by is not None:
-        code = "model-incomplete"
-        words["confirmed"] = CONFIRMED_BY.get(confirmed_by, "the session confirms")
-    return found(
-        code,
-        key,
-        words,
-        p_value=p_value,
-        chi2_per_pixel=chi2_per_pixel,
-        missing=list(missing),
-        confirmed_by=confirmed_by,
-    )
-
-
-def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None) -> Finding:
-    """A part that the plan does not state was taken into the model.
-
-    Parameters
-    ----------
-    values : the part's numbers, each name with its unit
-    gain : log-likelihood that the part was to gain, by its slope
-    moves : how far all results would move without the parts that were found
-    """
-    plain = {name.removesuffix("_px").removesuffix("_nm"): value for name, value in values.items()}
-    words = ", ".join(f"{name} {value}" for name, value in plain.items() if name != "spread")
-    return found(
-        "camera-part-found",
-        None,
-        {"part_words": PARTS[part], "values_words": words},
-        part=part,
-        log_likelihood_gain=gain,
-        values={name: value.as_json() for name, value in values.items()},
-        **({} if moves is None else moves.numbers),
-    )
-
-
-def camera_parts_missing(parts: Sequence[str], moves: Moves) -> Finding:
-    """The frames call for parts that the model lacks. moves: how far those would move all results."""
-    words = {"list": " and ".join(PARTS[name] for name in parts), "moves": str(moves)}
-    return found("camera-parts-missing", None, words, parts=list(parts), **moves.numbers)
-
-
-def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
-    """What the parts change that were found. rejected: how many of the optima would be, without those parts."""
-    words = f"; {rejected} of {optima} optima would be rejected" if rejected else ""
-    return found(
-        "stated-model-moves",
-        None,
-        {"moves": str(moves), "rejected": words},
-        rejected_optima=rejected,
-        optima=optima,
-        **moves.numbers,
-    )
 
 
 def unanswered(findings: Collection[Finding]) -> str | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from labkit.analysis.lens_model import Member, Stated
-from labkit.inference.cone import Measured
+from labkit.estimation.expansion import Measured
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

@@ -10,10 +10,10 @@ from typing import Any
 from labkit.advice.expected_fit import ExpectedFit, Setup
 from labkit.advice.notes import notes_of
 from labkit.advice.outlook import STEP_WAVES, Errors, Outlook, Proposal, outlook, propose_ranges
-from labkit.analysis.lens_model import Stated
 from labkit.analysis.panel import panel_pixels
 from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
+from labkit.estimation.stated import Stated
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan
 

@@ -8,13 +8,15 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from labkit.imaging.model import ForwardModel, Optics
+from labkit.estimation.candidate import Measured
+from labkit.estimation.climb import NoisePrior, Problem, Start, State
+from labkit.estimation.expansion import expand
+from labkit.estimation.identifiability import Bound, bound_of
+from labkit.estimation.likelihood import FrameData
+from labkit.estimation.parameter_names import parameter_names
+from labkit.imaging.model import ForwardModel
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.bounds import parameter_names
-from labkit.inference.cone import Measured, expand
-from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State
-from labkit.inference.identifiability import Bound, bound_of
-from labkit.inference.likelihood import FrameData
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan

@@ -10,7 +10,7 @@ import numpy as np
 from labkit.advice.expected_fit import ExpectedFit, middle_mm
 from labkit.analysis.lens_fit import fit_lens
 from labkit.analysis.lens_model import LensModel, Member, Stated
-from labkit.inference.cone import Measured
+from labkit.estimation.expansion import Measured
 from labkit.optics.lens import TELLING_STD, ThinLens, blur_per_wave_um, defocus_waves
 from labkit.optics.zernike import twin_signs
 from labkit.uncertain import Uncertain

@@ -5,30 +5,32 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from labkit.analysis.joint import Joint, climb, refined
 from labkit.analysis.kept_fits import FOLDER, KeptFits
-from labkit.analysis.lens_model import Stated
-from labkit.analysis.light_width import widest_light_nm
-from labkit.analysis.local_fits import PATIENCE_S, fit_task
-from labkit.analysis.model_error import with_model_error
-from labkit.analysis.observe import Observation, observe
-from labkit.analysis.panel import pixels_per_cell
+from labkit.analysis.observe import observe
+from labkit.analysis.panel import as_shown, pixels_per_cell
 from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
-from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import camera_findings, model_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
-from labkit.analysis.split import changes, find_change
-from labkit.analysis.stated_parts import wanted_parts
 from labkit.analysis.steps import Steps
-from labkit.analysis.wavefronts import fit_session
 from labkit.errors import DataError, FitError, InputError, SessionError
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.findings import residuals_not_noise, undetermined
+from labkit.estimation.joint import Joint, climb, refined
+from labkit.estimation.light_width import widest_light_nm
+from labkit.estimation.model_error import with_model_error
+from labkit.estimation.observation import Observation
+from labkit.estimation.session import estimate, fit_task
+from labkit.estimation.split import Change, find_change
+from labkit.estimation.stated import Stated
+from labkit.estimation.stated_optics import wanted_parts
 from labkit.execute import Workers, default_workers
 from labkit.finding import Finding, each_once
-from labkit.findings import found, residuals_not_noise, unanswered, undetermined
+from labkit.findings import found, unanswered
 from labkit.key import Key, same_range
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
@@ -59,7 +61,7 @@ def fit(
     noll: tuple[int, int] | None = None,
     workers: int | None = None,
     name: str | None = None,
-    patience_s: float = PATIENCE_S,
+    patience_s: float = inf,
     joint: bool = False,
     split: bool = False,
     plain: bool = False,
@@ -83,10 +85,13 @@ def fit(
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
         assumed += _panel_findings(plan, target, observations)
         run = KeptFits(processes, folder / FOLDER)
-        fits = refined(fit_session(observations, plan, target, run, steps, patience_s, diagnose=not plain), run)
-        together = climb(fits, run, steps) if joint and fits.lens is not None else None
-        change = find_change(fits, Stated.of(plan))
-    common = (plan, checksum, _noted(session, plan, [*assumed, *changes(change)]))
+        targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
+        stated = Stated.of(plan)
+        fits = estimate(observations, plan, targets, run, steps, patience_s, plain)
+        fits = refined(fits, targets, stated, run)
+        together = climb(fits, targets, stated, run, steps) if joint and fits.lens is not None else None
+        change = find_change(fits, stated)
+    common = (plan, checksum, _noted(session, plan, [*assumed, *_changes(change)]), patience_s)
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
     return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)
@@ -139,13 +144,17 @@ def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Find
     return each_once([*stated, *altered, *others, *mended])
 
 
-def _joint_results(fits: SessionFits, joint: Joint, plan: Plan, checksum: str, noted: Sequence[Finding]) -> Results:
+def _joint_results(
+    fits: Estimate, joint: Joint, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float
+) -> Results:
     """Of fits whose lens a joint climb has settled."""
-    results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, wanted=True)
+    results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, patience_s, wanted=True)
     return replace(results, joint=joint.differences)
 
 
-def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[Finding], wanted: bool) -> Results:
+def _results(
+    fits: Estimate, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float, wanted: bool
+) -> Results:
     """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
@@ -153,7 +162,7 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[Findi
         *noted,
         *(found("fit-left-out", note=words) for words in fits.lost),
         *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
-        *session_findings(fits),
+        *session_findings(fits, patience_s),
         *(doubt for w in wavefronts for doubt in _doubts(w)),
     ]
     focus = None if lens is None else as_focus(lens)
@@ -171,6 +180,11 @@ def _results(fits: SessionFits, plan: Plan, checksum: str, noted: Sequence[Findi
         findings=tuple(findings),
         unanswered=unanswered(findings) if fits.lost or (wanted and focus is None) else None,
     )
+
+
+def _changes(change: Change | None) -> list[Finding]:
+    """What a session that is fitted as one reports of its change, where there is one."""
+    return [] if change is None else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
 
 
 def _opened(

@@ -14,13 +14,13 @@ from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
 from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.errors import DataError
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.filter_array import channel_pixels, pattern_of
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior
 from labkit.inference.fit import canonical
-from labkit.inference.likelihood import FrameData, low_orders
 from labkit.results import Wavefront
 from labkit.target import Target
 from labkit.types import Bools, Floats

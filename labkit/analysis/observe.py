@@ -11,14 +11,15 @@ from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.errors import DataError, TargetError
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.likelihood import FrameData, low_orders
+from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finding import Finding, each_once
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior
-from labkit.inference.likelihood import FrameData, low_orders
-from labkit.key import Key, same_range
+from labkit.key import same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
@@ -33,47 +34,6 @@ MARGIN_PX = 10
 INSET = 0.04  # of the target's size: what is left out along its edge where the surround is unknown
 INSET_PX = 4
 LEAST_PIXELS = 100  # usable ones on the target
-
-
-@dataclass(frozen=True)
-class Observation:
-    """The frames of one channel at one range, cut to the target, and where it stands in them.
-
-    range_mm: as planned, which names it. measured_range_mm: as the rail's scale had it, where it has one; else the same.
-    names: of the files. poses: in pixels of the cut. places: (row, column) of the channel's planes in the cut,
-    each of which repeats every `period` pixels. origin_px: (row, column) of the cut's first pixel in the raw. homings:
-    of each frame, how often the rail had been homed; empty where that was not recorded. order: of the first photograph in the
-    session.
-    """
-
-    range_mm: float | None
-    measured_range_mm: float | None
-    channel: str
-    names: tuple[str, ...]
-    frames: tuple[FrameData, ...]
-    poses: tuple[Pose, ...]
-    noise: NoisePrior
-    places: tuple[tuple[int, int], ...]
-    period: int
-    origin_px: tuple[int, int] = (0, 0)
-    homings: tuple[int, ...] = ()
-    order: int = 0
-
-    @property
-    def key(self) -> Key:
-        """The identity of this observation and of its wavefront."""
-        return Key(self.range_mm, self.channel)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the cut."""
-        rows, columns = self.frames[0].counts.shape
-        return rows, columns
-
-    @property
-    def corners_px(self) -> tuple[Floats, ...]:
-        """Of each frame the target's corners (4, 2) as (row, column) in pixels of the raw, in the target's order."""
-        return tuple(pose.corners_px() + np.array(self.origin_px) for pose in self.poses)
 
 
 @dataclass(frozen=True)

@@ -4,62 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 
-from labkit.analysis.lens_fit import LensFit
-from labkit.analysis.lens_model import whose
-from labkit.analysis.model_error import shift
-from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_results import as_focus, as_wavefronts
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.findings import Moves, camera_part_found, camera_parts_missing, stated_model_moves
+from labkit.estimation.lens_fit import LensFit
+from labkit.estimation.lens_model import PART
+from labkit.estimation.model_error import shift
 from labkit.finding import Finding
-from labkit.findings import Moves, camera_part_found, camera_parts_missing, found, stated_model_moves
-from labkit.imaging.parts import Aperture
-from labkit.imaging.parts.veil import SCALE_PX
-from labkit.inference.fit import twin_signs
+from labkit.findings import found
+from labkit.imaging.aperture import Aperture
+from labkit.imaging.optics import ESTIMATED
 from labkit.optics.metrics import psf_difference
 from labkit.optics.wavefront import FittedWavefront
-from labkit.panel_target import USUAL_APERTURE
+from labkit.optics.zernike import twin_signs
 from labkit.plan import Plan
 from labkit.results import Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-LOG_SCALE = "veil.log_scale"
 
-
-def model_parts(session: SessionFits, plan: Plan) -> dict[str, Uncertain]:
-    """Numbers of the parts that were fitted: how far apart a low-pass filter's spots lie, px; standard deviations of what
-    diffuses and smears, px, and of spectra, nm; a veil's share of the light and scale, px; shares that a panel's
-    stripes are lit over."""
+def model_parts(session: Estimate, plan: Plan) -> dict[str, Uncertain]:
+    """Return the data-sheet quantities of all parts of the camera, and of a panel, that were fitted, by key."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
-    found = dict[str, Uncertain]()
-    for name, of in groupby(numbers.items(), key=lambda item: item[0][0].split(".")[0]):
-        values = dict(of)
-        if name == Aperture.name:
-            for key, value in values.items():
-                found[f"{name}.lit_{key[0].split('.')[1]}"] = Uncertain(USUAL_APERTURE + value.value, value.std)
-        elif name == "veil":
-            share, scale = values.values()
-            px = SCALE_PX * float(np.exp(scale.value))
-            found |= {f"{name}.share": share, f"{name}.scale_px": Uncertain(px, px * scale.std, "px")}
-        elif name == "spectrum":
-            for (_, channel), value in values.items():
-                nm = next(c.wavelength_nm for c in plan.channel if c.name == channel)
-                width = _root(value)
-                found[f"spectrum.{channel}.width_nm"] = Uncertain(nm * width.value, nm * width.std, "nm")
-        else:
-            squares = {key[0].split(".")[1].removesuffix("_px2"): value for key, value in values.items()}
-            squares.pop("across", None)
-            if name.startswith("low_pass_filter"):
-                found[f"{name}.spread_px"] = _root(_mean([*squares.values()]), "px")
-            found |= {f"{name}.{'sigma' if k == 'variance' else k}_px": _root(v, "px") for k, v in squares.items()}
-    return found
+    groups = dict[tuple[str, ...], list[Uncertain]]()
+    for (label, *channel), number in numbers.items():
+        groups.setdefault((label.partition(".")[0], *channel), []).append(number)
+    channels = {channel.name: channel for channel in plan.channel}
+    names = list(dict.fromkeys(name for name, *_ in groups))
+    quantities = dict[str, Uncertain]()
+    for name, *channel in sorted(groups, key=lambda of: names.index(of[0])):
+        of = channels[channel[0]] if channel else None
+        quantities |= ESTIMATED[name].quantities(groups[name, *channel], of)
+    return quantities
 
 
 def camera_findings(
-    session: SessionFits,
+    session: Estimate,
     wavefronts: Sequence[Wavefront],
     numbers: Mapping[str, Uncertain],
     wanted: Collection[str] = (),
@@ -83,7 +66,7 @@ def camera_findings(
 
 
 def part_findings(
-    session: SessionFits, numbers: Mapping[str, Uncertain], wanted: Collection[str] = (), moves: Moves | None = None
+    session: Estimate, numbers: Mapping[str, Uncertain], wanted: Collection[str] = (), moves: Moves | None = None
 ) -> Iterator[Finding]:
     """Every part that was found. moves: how far the results would move without all that the plan does not state."""
     gains = {part.name: part.gain for part in session.tried if part.adopted}
@@ -97,11 +80,11 @@ def part_findings(
             yield camera_part_found(name, values, gains.get(name), moves)
 
 
-def _moves_by_missing(session: SessionFits, wavefronts: Sequence[Wavefront]) -> Moves:
+def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Moves:
     """How far the parts that the model lacks would move the session's results."""
     pairs = list[tuple[FittedWavefront, FittedWavefront]]()
     for k in session.trusted:
-        modes, cone = shift(session.fits[k].fit, session.fullest(k).fit)
+        modes, cone = shift(session.fits[k].optimum, session.fullest(k))
         here = wavefronts[k].fitted
         there = replace(here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone)))
         pairs.append((here, there))
@@ -113,10 +96,10 @@ def _focus_lean(lens: LensFit) -> dict[str, float]:
     focus = as_focus(lens)
     if focus is None or lens.lean is None:
         return {}
-    return {c: float(lens.lean[lens.model.index("best focus", c)]) for c in focus.best_focus_mm}
+    return {c: float(lens.model.best_focus(c) @ lens.lean.theta) for c in focus.best_focus_mm}
 
 
-def _change(session: SessionFits, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:
+def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:
     """How far results would move without the parts that were found, how many optima would be rejected then, and of how many.
 
     None where no part was found.
@@ -154,36 +137,26 @@ def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> flo
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
     """By label, and channel where each has its own: values and standard errors of all parts."""
     return {
-        tuple(map(str, c.of)): Uncertain(lens.value(c.kind, *c.of), lens.std(c.kind, *c.of))
-        for c in lens.model.columns
-        if c.kind == "part"
+        tuple(map(str, column.name)): Uncertain(lens.value(PART, *column.name), lens.std(PART, *column.name))
+        for column in lens.model.columns
+        if column.kind == PART
     }
 
 
-def _of_fits(session: SessionFits) -> dict[tuple[str, ...], Uncertain]:
+def _of_fits(session: Estimate) -> dict[tuple[str, ...], Uncertain]:
     """The same of fits without a lens in common: means weighted by their errors."""
     seen = dict[tuple[str, ...], list[tuple[float, float]]]()
     for local in session.fits:
-        measured, modes = local.fit.measured, len(local.fit.noll)
+        measured, modes = local.optimum.measured, len(local.optimum.noll)
         for k, label in enumerate(measured.parts, modes):
-            of = whose(label, local.channel)
-            seen.setdefault(of, []).append((measured.values[k], measured.covariance[k, k]))
-    return {of: _weighted(np.array(pairs)) for of, pairs in seen.items()}
+            own = ESTIMATED[label.partition(".")[0]].per_channel
+            name = (label, local.channel) if own else (label,)
+            seen.setdefault(name, []).append((measured.values[k], measured.covariance[k, k]))
+    return {name: _weighted(np.array(pairs)) for name, pairs in seen.items()}
 
 
 def _weighted(pairs: Floats) -> Uncertain:
+    """Mean of values and variances (n, 2), weighted."""
     values, variances = pairs.T
     whole = float(np.sum(1 / variances))
     return Uncertain(float(np.sum(values / variances)) / whole, whole**-0.5)
-
-
-def _mean(values: Sequence[Uncertain]) -> Uncertain:
-    """Of independent numbers."""
-    many = len(values)
-    return Uncertain(sum(v.value for v in values) / many, float(np.sqrt(sum(v.std**2 for v in values))) / many)
-
-
-def _root(square: Uncertain, unit: str = "") -> Uncertain:
-    """Of a square that may be estimated below 0."""
-    root = float(np.sqrt(max(square.value, 0.0)))
-    return Uncertain(root, square.std / (2 * root) if root**2 > square.std else float(np.sqrt(square.std)), unit)

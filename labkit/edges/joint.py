@@ -15,10 +15,10 @@ import numpy as np
 import scipy.linalg
 
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.identifiability import Bound, bound_of, inverse
+from labkit.estimation.likelihood import Slopes
 from labkit.imaging.optics import Optics
-from labkit.inference.fisher_scoring import NoisePrior
-from labkit.inference.identifiability import Bound, bound_of, inverse
-from labkit.inference.likelihood import Slopes
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats
 

@@ -14,7 +14,6 @@ import numpy as np
 from labkit.estimation.lens_model import LensModel
 from labkit.types import Bools, Floats
 
-DEBUG=False
 MOST_STEPS = 50
 SETTLED = 1e-4  # standard errors: a step shorter than this ends a climb
 
@@ -142,7 +141,6 @@ def solve(model: LensModel, data: Data, start: Point) -> Solved:
             here, damping = trial, damping / 10
         else:
             damping = max(damping, 1e-6) * 30
-        if DEBUG: print(_, length, here[0].chi2, trial[0].chi2, damping)
         if length < SETTLED or damping > 1e10:
             break
     return here[0]

@@ -16,8 +16,8 @@ from scipy.linalg import block_diag
 
 from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
+from labkit.estimation.scores import Call
 from labkit.imaging.parts import KNOWN
-from labkit.inference.missing_parts import Call
 from labkit.results.model import PartTried
 
 PART_COST = 10.0

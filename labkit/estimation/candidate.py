@@ -10,6 +10,9 @@ from labkit.estimation.lens_model import Reading
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
+UNMEASURED = 1e4
+"""Standard error of a number that was not measured, in the number's unit."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -46,6 +49,23 @@ class Measured:
         signs = np.ones(len(self.values))
         signs[: len(self.noll)] = twin_signs(self.noll)
         return signs
+
+    def labelled(self, parts: tuple[str, ...]) -> Measured:
+        """The same with numbers of more parts, of which nothing was measured: some channels have light of a known width."""
+        if parts == self.parts:
+            return self
+        modes, size = len(self.noll), len(self.noll) + len(parts) + 2
+        at = [*range(modes), *(modes + parts.index(label) for label in self.parts), size - 2, size - 1]
+        values = np.zeros(size)
+        values[at] = self.values
+        covariance = np.eye(size) * UNMEASURED**2
+        covariance[np.ix_(at, at)] = self.covariance
+        calibration = np.zeros((size, size))
+        calibration[np.ix_(at, at)] = self.calibration
+        model = np.zeros((size, size)) if self.model.size else self.model
+        if self.model.size:
+            model[np.ix_(at, at)] = self.model
+        return replace(self, values=values, covariance=covariance, calibration=calibration, model=model, parts=parts)
 
     def twin(self) -> Measured:
         """The same with the even modes reversed: the same pictures."""

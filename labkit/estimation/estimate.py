@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from labkit.analysis.observe import Observation
 from labkit.estimation.candidate import Observed
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import DEFOCUS, Reading
 from labkit.estimation.local import Found, Optimum
+from labkit.estimation.observation import Observation
 from labkit.imaging.optics import Optics
-from labkit.key import Key
 from labkit.results.model import PartTried
 
 
@@ -42,7 +41,7 @@ class LocalFit:
     @property
     def label(self) -> str:
         """Channel and range, in words."""
-        return label_of(self.observation)
+        return self.observation.key.label
 
     @property
     def ranged(self) -> bool:
@@ -103,12 +102,6 @@ class Estimate:
         return self.fits[k].optimum if with_missing is None else with_missing
 
 
-def label_of(observation: Observation) -> str:
-    """Channel and range, in words."""
-    where = "" if observation.range_mm is None else f" at {observation.range_mm:g} mm"
-    return f"{observation.channel}{where}"
-
-
 def is_ranged(observation: Observation, noll: tuple[int, ...]) -> bool:
     """Whether an observation bears on the lens: its range is known, and defocus is fitted."""
     return observation.measured_range_mm is not None and DEFOCUS in noll
@@ -118,8 +111,7 @@ def reading_of(observation: Observation) -> Reading:
     """Where the rail stood for an observation of known range."""
     assert observation.measured_range_mm is not None
     station = observation.measured_range_mm if observation.range_mm is None else observation.range_mm
-    key = Key(observation.range_mm, observation.channel)
-    return Reading(key, observation.measured_range_mm, station, observation.homings)
+    return Reading(observation.key, observation.measured_range_mm, station, observation.homings)
 
 
 def observed(observation: Observation, found: Found | None) -> Observed:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labkit.errors import LostTasksError
 from labkit.estimation.candidate import Candidate, Measured, Observed
+from labkit.estimation.climb import Problem, Start, State
 from labkit.estimation.estimate import Estimate
+from labkit.estimation.expansion import expand
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
 from labkit.estimation.select import exact_lens
@@ -18,8 +20,6 @@ from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
-from labkit.inference.cone import expand
-from labkit.inference.fisher_scoring import Problem, Start, State
 from labkit.target import Target
 from labkit.types import Floats, Progress
 
@@ -74,7 +74,7 @@ class Joint:
     log_likelihoods: tuple[float, ...]
 
 
-def climb(session: Estimate, targets: Sequence[Target], stated: Stated, run: Run, progress: Progress) -> Joint:
+def climb(session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run, progress: Progress) -> Joint:
     """Gauss-Newton over everything at once, from the two levels' end.
 
     The parameters of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by
@@ -102,7 +102,7 @@ def climb(session: Estimate, targets: Sequence[Target], stated: Stated, run: Run
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def refined(session: Estimate, targets: Sequence[Target], stated: Stated, run: Run) -> Estimate:
+def refined(session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run) -> Estimate:
     """With the lens after the climb's first step, where camera parts were fitted.
 
     In squares of a filter's spread a likelihood is less of a parabola than in all else, and the session's spread is beyond
@@ -120,7 +120,7 @@ def refined(session: Estimate, targets: Sequence[Target], stated: Stated, run: R
 
 def _all_reached(
     session: Estimate,
-    targets: Sequence[Target],
+    targets: Mapping[str, Target],
     lens: LensFit,
     places: Sequence[tuple[State, Optics]],
     run: Run,
@@ -132,7 +132,9 @@ def _all_reached(
         fit, row = session.fits[k], session.rows[k]
         o = fit.observation
         explained = fit.optimum.verdict.accepted
-        legs.append(Leg(Views(o.frames, o.poses, o.noise), targets[k], state, optics, predicted[row], explained))
+        legs.append(
+            Leg(Views(o.frames, o.poses, o.noise), targets[o.channel], state, optics, predicted[row], explained)
+        )
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 
@@ -183,5 +185,3 @@ def _differences(one: LensFit, other: LensFit) -> dict[str, float]:
     names = [" ".join(map(str, (column.kind, *column.name))) for column in one.model.columns]
     std = np.sqrt(np.diag(other.errors))
     return dict(zip(names, np.abs((one.theta - other.theta) / std).tolist(), strict=True))
-
-

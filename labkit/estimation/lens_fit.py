@@ -147,7 +147,9 @@ class LensFit:
         shares = np.clip(shares, 0.0, 1.0)
         grown = shares / np.maximum(1 - shares, 1 / UNKNOWN)
         turned = root @ vectors
-        rest = np.einsum("nji,nj->ni", vectors, np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted))
+        rest = np.einsum(
+            "nji,nj->ni", vectors, np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted)
+        )
         away = np.einsum("nij,nj->ni", turned, grown * rest) * self.measured.used[:, None]
         others = (turned * grown[:, None]) @ turned.transpose(0, 2, 1)
         used = self.measured.used[:, None, None]
@@ -209,7 +211,9 @@ class LensFit:
         scatter = np.sum(pull**2, axis=0) * model.scatter()
         prior = (gradient @ normal.covariance) ** 2 / np.array([c.prior_std for c in model.columns]) ** 2
         kinds = [column.kind for column in model.columns]
-        share = {kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)}
+        share = {
+            kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)
+        }
         shares = {
             "photons": _quadratic(pull, measured.covariance) - calibration - poor,
             "calibration": calibration,
@@ -286,5 +290,3 @@ def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:
 def _quadratic(pull: Floats, covariance: Floats) -> float:
     """Variance that errors (n, values, values) make of a combination (n, values)."""
     return float(np.sum(pull * (covariance @ pull[..., None])[..., 0]))
-
-

@@ -18,7 +18,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.optics import ESTIMATED
 from labkit.key import Key
-from labkit.optics.lens import ThinLens, defocus_waves
+from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.types import Floats, Indices
 
 FOCAL_LENGTH = "focal length"
@@ -357,7 +357,7 @@ class LensModel:
         focal, f_number = stated.focal_length, stated.f_number
         yield Column(FOCAL_LENGTH, (), focal.value, focal.std, 1e-2 * focal.value)
         yield Column(F_NUMBER, (), f_number.value, f_number.std, 1e-2 * f_number.value)
-        yield Column(MAGNIFICATION, (), 0.0, SETTINGS.magnification_log_std, 0.1)
+        yield Column(MAGNIFICATION, (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1)
         yield Column(TAPE, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
         yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
         yield Column(CONE, (), 0.0, self.laws.cone_std, 1e-2)

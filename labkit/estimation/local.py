@@ -10,17 +10,17 @@ import numpy as np
 
 from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
+from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
+from labkit.estimation.expansion import SPARE, Freed, free_cone
+from labkit.estimation.likelihood import FrameData, predict
+from labkit.estimation.residual_spectrum import residual_spectrum
+from labkit.estimation.residual_tests import Verdict, judge
+from labkit.estimation.scores import Call, calls
+from labkit.estimation.sketches import Sketches
 from labkit.estimation.starts import SAME_OPTIMUM, Log
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.cone import SPARE, Freed, free_cone
-from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
-from labkit.inference.goodness_of_fit import Verdict, judge
-from labkit.inference.likelihood import FrameData, predict
-from labkit.inference.missing_parts import Call, calls
-from labkit.inference.residual_spectrum import residual_spectrum
-from labkit.inference.sketch import Sketches
 from labkit.optics.zernike import twin_signs
 from labkit.target import Target
 from labkit.types import Floats
@@ -251,9 +251,7 @@ class _Search:
     first: State
 
     @classmethod
-    def of(
-        cls, optics: Optics, target: Target, views: Views, guesses: Guesses, seed: int | Sequence[int]
-    ) -> _Search:
+    def of(cls, optics: Optics, target: Target, views: Views, guesses: Guesses, seed: int | Sequence[int]) -> _Search:
         frame, pose = views.frames[0], views.poses[0]
         spare = SPARE if guesses.f_number_std else 0.0
         model = ForwardModel.build(optics, target, frame.counts.shape, pose, spare=spare, shine=frame.shine)
@@ -364,5 +362,3 @@ def residuals(optimum: Optimum, frames: Sequence[FrameData]) -> list[tuple[Float
         for image, frame, detector in zip(optimum.relative, frames, optimum.state.detectors(), strict=True)
     ]
     return [(mean, np.sqrt(variance)) for mean, variance in predictions]
-
-

@@ -6,6 +6,7 @@ the part say that. Estimates stay as the model has them; their errors hold the m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,20 +39,21 @@ def with_model_error(session: Estimate) -> Estimate:
     """With the lens's errors as what is missing makes them."""
     if session.lens is None or not any(session.with_missing):
         return session
+    model = session.lens.model
     shifts = np.zeros_like(session.lens.measured.values)
     for k in session.members:
         row = session.rows[k]
         assert row is not None
-        shifts[row] = _measured_shift(session.fits[k].optimum, session.fullest(k))
+        shifts[row] = _measured_shift(session.fits[k].optimum, session.fullest(k), (*model.noll, *model.parts))
     return replace(session, lens=session.lens.leaning(shifts))
 
 
-def _measured_shift(optimum: Optimum, with_missing: Optimum) -> Floats:
-    """(values,) of `Measured`; a part that the other has no more is one of numbers 0."""
+def _measured_shift(optimum: Optimum, with_missing: Optimum, labels: Sequence[str | int]) -> Floats:
+    """(values,) of the session's model; a part that one of the two lacks has numbers 0."""
     here, there = optimum.measured, _near(optimum, with_missing).measured
-    known = _by_label(there)
-    moved = [known.get(label, 0.0) for label in (*here.noll, *here.parts)]
-    return np.asarray([*moved, *there.values[-2:]]) - here.values
+    before, after = _by_label(here), _by_label(there)
+    moved = [after.get(label, 0.0) - before.get(label, 0.0) for label in labels]
+    return np.array([*moved, *(there.values[-2:] - here.values[-2:])])
 
 
 def _by_label(measured: Measured) -> dict[str | int, float]:

@@ -45,8 +45,9 @@ class Options:
     shortening: Floats
 
     @classmethod
-    def of(cls, observed: Sequence[Observed], size: int) -> Options:
-        """size: values of an observation."""
+    def of(cls, observed: Sequence[Observed], model: LensModel) -> Options:
+        """All candidates, as the model's observations have their values."""
+        size = model.values
         most = 2 * max(len(one.candidates) for one in observed)
         n = len(observed)
         options = cls(
@@ -61,7 +62,7 @@ class Options:
             explained = any(c.explained for c in one.candidates)
             options.cost[k] = SETTINGS.outlier_cost if explained else SETTINGS.doubtful_cost
             for at, candidate in enumerate(one.candidates):
-                measured = candidate.measured
+                measured = candidate.measured.labelled(model.parts)
                 here = [2 * at, 2 * at + 1]
                 options.values[k, here] = measured.values, measured.values * measured.signs
                 options.covariance[k, here] = measured.covariance
@@ -138,7 +139,9 @@ class _Choices:
         spread = np.linalg.slogdet(noise + np.diag(self.model.scatter()))[1]
         return 0.5 * float(np.sum(spread - np.linalg.slogdet(noise + np.diag(strict))[1]))
 
-    def ascend(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[Indices, Bools, LensFit, float]:
+    def ascend(
+        self, choice: Indices, members: Bools, start: Point | None = None
+    ) -> tuple[Indices, Bools, LensFit, float]:
         """Change choices while that raises the penalised log-likelihood.
 
         In each round every group of observations changes its most promising member; if all changes together do not
@@ -216,11 +219,10 @@ def select(
     first = next((one.candidates[0].measured for one in observed if one.candidates), None)
     if first is None:
         raise ValueError("no observation has a candidate: there is nothing to select from")
-    options = Options.of(observed, len(first.values))
+    model = LensModel(tuple(one.reading for one in observed), first.noll, _labels(observed), stated)
+    options = Options.of(observed, model)
     if everyone:
         options.cost[:] = np.inf
-    readings = tuple(one.reading for one in observed)
-    model = LensModel(readings, first.noll, first.parts, stated)
     choices = [
         _Choices(observed, options, replace(model, laws=laws.rough()), model.groups)
         for laws in (Laws(), Laws(mode_scatter=SETTINGS.mode_scatter_waves[-1]))
@@ -241,9 +243,11 @@ def exact_lens(
     observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated, *, laws: Laws | None = None
 ) -> LensFit:
     """The lens of chosen candidates under the strictest laws that they do not contradict, or under given ones."""
-    measured, tilt_std, own_tilt = _measurements(observed, choice, members)
     first = next(one.candidates[0].measured for one in observed if one.candidates)
-    model = LensModel(tuple(one.reading for one in observed), first.noll, first.parts, stated, laws or Laws(), tilt_std)
+    readings = tuple(one.reading for one in observed)
+    model = LensModel(readings, first.noll, _labels(observed), stated, laws or Laws())
+    measured, tilt_std, own_tilt = _measurements(observed, choice, members, model)
+    model = replace(model, tilt_std=tilt_std)
     if own_tilt.size:
         measured.covariance[:, -1, -1] += own_tilt**2
     lens = fit_lens(model, measured)
@@ -259,17 +263,16 @@ def exact_lens(
 
 
 def _measurements(
-    observed: Sequence[Observed], choice: Indices, members: Bools
+    observed: Sequence[Observed], choice: Indices, members: Bools, model: LensModel
 ) -> tuple[Measurements, float, Floats]:
     """Chosen candidates, the common error of all sizes by the target's tilt, and (n,) each one's own where it has one."""
-    size = len(next(one.candidates[0].measured.values for one in observed if one.candidates))
-    n = len(observed)
+    size, n = model.values, len(observed)
     values, tilts = np.zeros((n, size)), np.zeros((n, 2))
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
     calibration, poor = np.zeros((n, size, size)), np.zeros((n, size, size))
     for k in np.flatnonzero(choice != OUT):
         place, twin = divmod(int(choice[k]), 2)
-        measured = observed[k].candidates[place].measured
+        measured = observed[k].candidates[place].measured.labelled(model.parts)
         measured = measured.twin() if twin else measured
         values[k], covariance[k], calibration[k] = measured.values, measured.covariance, measured.calibration
         tilts[k] = measured.shortening
@@ -282,6 +285,12 @@ def _measurements(
         0.0 if common is None else common[1],
         tilts[:, 1] if common is None else np.empty(0),
     )
+
+
+def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
+    """Labels of all parts' numbers that some candidate has."""
+    every = (label for one in observed for candidate in one.candidates for label in candidate.measured.parts)
+    return tuple(dict.fromkeys(every))
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:

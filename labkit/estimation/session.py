@@ -8,18 +8,17 @@ from functools import reduce
 
 import numpy as np
 
-from labkit.analysis.local_fits import engraved_cone, optics_of, wanted_parts
-from labkit.analysis.observe import Observation
-from labkit.analysis.panel import as_shown
 from labkit.errors import FitError, LostTasksError
 from labkit.estimation.camera import CameraChoice, Parts
-from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, label_of, observed
+from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.lens_model import Laws
 from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima
-from labkit.estimation.select import OUT, Selection, select
+from labkit.estimation.observation import Observation
+from labkit.estimation.select import OUT, Selection, exact_lens, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
+from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_parts
 from labkit.execute import Run, say
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
@@ -53,7 +52,7 @@ def fit_task(task: Task) -> Found:
 def estimate(
     observations: Sequence[Observation],
     plan: Plan,
-    target: Target,
+    targets: Mapping[str, Target],
     run: Run,
     progress: Progress,
     patience_s: float = np.inf,
@@ -64,7 +63,8 @@ def estimate(
     Parameters
     ----------
     observations : the session's, in order
-    plan, target : what they were taken with
+    plan : what they were taken with
+    targets : the target as it is shown to each channel
     run : maps the searches
     progress : called with what is under way
     patience_s : processor time of one search, after which it makes no further start
@@ -74,7 +74,7 @@ def estimate(
     ------
     FitError : no observation could be fitted
     """
-    loop = _Loop(tuple(observations), plan, target, run, progress, patience_s)
+    loop = _Loop(tuple(observations), plan, targets, run, progress, patience_s)
     loop.explore()
     return loop.ended(plain)
 
@@ -95,12 +95,12 @@ class _Loop:
 
     observations: tuple[Observation, ...]
     plan: Plan
-    target: Target
+    targets: Mapping[str, Target]
     run: Run
     progress: Progress
     patience_s: float
     found: dict[int, Found] = field(default_factory=dict)
-    parts: Parts = Parts()
+    parts: Parts = field(default_factory=Parts)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
     deep: set[int] = field(default_factory=set)
     again: set[int] = field(default_factory=set)
@@ -127,7 +127,7 @@ class _Loop:
 
     def _next(self) -> dict[int, Guesses]:
         """What to fit next, by place: nothing once nothing is left to gain."""
-        places = [k for k in range(len(self.observations)) if label_of(self.observations[k]) not in self.lost]
+        places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.lost]
         left = [k for k in places if k not in self.found]
         if not self.found:
             return dict.fromkeys(self._anchors(left), self._from_nothing(deep=False)) if left else {}
@@ -154,18 +154,16 @@ class _Loop:
             return []
         selection = self.selection()
         if selection is not None:
-            stations = {one.reading.station for one, member in zip(selection.observed, selection.members, strict=True) if member}
-            fitted = selection.choice != OUT
-            if len(stations) > 1 and selection.members[fitted].all():
+            inside = np.flatnonzero(selection.members)
+            stations = {selection.observed[k].reading.station for k in inside}
+            if len(stations) > 1 and selection.members[selection.choice != OUT].all():
                 return []
         return [k for k in self.found if k not in self.deep]
 
     def _from_nothing(self, *, deep: bool) -> Guesses:
         cone = self._engraved_cone()
         alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
-        return Guesses(
-            cone.std / cone.value, deep=deep or alone, alone=alone, score=True, patience_s=self.patience_s
-        )
+        return Guesses(cone.std / cone.value, deep=deep or alone, alone=alone, score=True, patience_s=self.patience_s)
 
     def _predicted(self, left: Sequence[int], selection: Selection | None) -> dict[int, Guesses]:
         """First fits of observations: where defocus is predicted from there; else of each channel the clearest one.
@@ -268,8 +266,7 @@ class _Loop:
 
     def _task(self, k: int, guesses: Guesses, optics: Optics) -> Task:
         o = self.observations[k]
-        target = as_shown(self.plan, self.target, o.channel)
-        return Task(label_of(o), optics, target, Views(o.frames, o.poses, o.noise), guesses)
+        return Task(o.key.label, optics, self.targets[o.channel], Views(o.frames, o.poses, o.noise), guesses)
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
@@ -336,8 +333,7 @@ class _Loop:
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Climb fits again, each from its end, with other camera parts."""
-        made = self._climbed(places, parts, score=True)
-        return made
+        return self._climbed(places, parts, score=True)
 
     def _climbed(self, places: Sequence[int], parts: Parts, *, score: bool) -> dict[int, Optimum]:
         tasks = {}
@@ -348,7 +344,9 @@ class _Loop:
                 SETTINGS.shared_cone_std, starts=(end.waves,), deep=False, score=score, patience_s=self.patience_s
             )
             tasks[k] = self._task(k, guess, optics)
-        made = {k: found.best for k, found in self._done(tasks, "fitting with other parts of the camera")} if tasks else {}
+        made = (
+            {k: found.best for k, found in self._done(tasks, "fitting with other parts of the camera")} if tasks else {}
+        )
         self._refits.setdefault(parts, {}).update(made)
         return made
 
@@ -400,8 +398,6 @@ class _Loop:
         return replace(whole, fits=fits, lens=lens)
 
     def _lens_of(self, fits: Sequence[LocalFit], like: Estimate) -> LensFit:
-        from labkit.estimation.select import exact_lens
-
         every = [observed(self.observations[k], None) for k in self.ranged]
         choice = np.full(len(every), OUT)
         members = np.zeros(len(every), bool)
@@ -431,7 +427,7 @@ class _Loop:
 
     def _left_out(self) -> list[str]:
         """Observations without a fit, in words."""
-        fitted = {label_of(self.observations[k]) for k in self.found}
+        fitted = {self.observations[k].key.label for k in self.found}
         lost = [(label, why) for label, why in self.lost.items() if label not in fitted]
         return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
 
@@ -450,8 +446,7 @@ def with_parts_of(stated: Optics, parts: Parts, like: Optics) -> Optics:
     optics = _with(stated, parts)
     known = dict(zip((*like.shape_labels, "f_number"), like.shape, strict=True))
     shape = [
-        known.get(label, value)
-        for label, value in zip((*optics.shape_labels, "f_number"), optics.shape, strict=True)
+        known.get(label, value) for label, value in zip((*optics.shape_labels, "f_number"), optics.shape, strict=True)
     ]
     return optics.shaped(np.array(shape))
 
@@ -470,5 +465,3 @@ def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:
 def _some(labels: Sequence[str]) -> str:
     more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
     return ", ".join(labels[:NAMED]) + more
-
-

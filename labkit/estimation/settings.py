@@ -13,8 +13,6 @@ class Settings:
     """
 
     # lens_model: what is known of every lens, camera and rail before a session
-    magnification_log_std: float = 0.7
-    """ln of a pupil magnification: those of lenses lie between 0.5 and 2."""
     magnification_bounds: tuple[float, float] = (0.05, 20.0)
     """Pupil magnifications that are tried: no lens lies beyond."""
     defocus_floor_waves: float = 2e-4

@@ -12,11 +12,11 @@ from time import process_time
 
 import numpy as np
 
+from labkit.estimation.climb import Problem, Solution, State, maximize
+from labkit.estimation.residual_tests import judge
+from labkit.estimation.sketches import Sketches, sweep
+from labkit.estimation.small_problem import START_WAVES, PhaseRetrieval, Retrieved
 from labkit.imaging.optics import Optics
-from labkit.inference.fisher_scoring import Problem, Solution, State, maximize
-from labkit.inference.goodness_of_fit import judge
-from labkit.inference.phase_retrieval import START_WAVES, PhaseRetrieval, Retrieved
-from labkit.inference.sketch import Sketches, sweep
 from labkit.types import Floats
 
 SEARCH_STEPS = 25

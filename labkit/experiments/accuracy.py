@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from labkit.estimation.climb import maximize
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.inference.fisher_scoring import maximize
 from labkit.report.style import SOFT
 from labkit.types import Floats
 

@@ -5,17 +5,17 @@ from functools import cache
 
 import numpy as np
 
+from labkit.estimation.climb import NoisePrior, Problem, State
+from labkit.estimation.identifiability import bound_of
+from labkit.estimation.likelihood import FrameData
+from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.camera import Camera
 from labkit.experiments.methods.bounds import fisher_information
 from labkit.finder.find_target import find_target
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State
 from labkit.inference.fit import WavefrontFit, fit_wavefront
-from labkit.inference.identifiability import bound_of
-from labkit.inference.likelihood import FrameData
-from labkit.inference.parameter_names import parameter_names
 from labkit.optics.zernike import twin_signs
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target

@@ -15,10 +15,10 @@ from labkit.edges.profile import near_focus, side_of
 from labkit.edges.ranges import FocusLaw, edge_range
 from labkit.edges.region import Region
 from labkit.edges.search import fit_depth, rough_edge
+from labkit.estimation.climb import NoisePrior
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.optics import Optics
-from labkit.inference.fisher_scoring import NoisePrior
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.report.style import SOFT
 from labkit.types import Floats

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
+from labkit.estimation.climb import maximize
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.inference.fisher_scoring import maximize
 from labkit.types import Floats
 
 START_WAVES = 1e-3  # RMS: at exactly zero the likelihood has a saddle

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from labkit.errors import LabkitError
+from labkit.estimation.small_problem import PhaseRetrieval
 from labkit.experiments.conditions import NOLL, WAVES_RMS, Trial, carpet, draw_trial, optics
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.inference.phase_retrieval import PhaseRetrieval
 
 STARTS = 12  # single ones that are counted in each trial
 SAME_END = 0.05  # waves RMS: ends nearer to one another are one

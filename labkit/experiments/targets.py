@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from labkit.estimation.climb import NoisePrior, Problem
+from labkit.estimation.identifiability import Bound, bound_of
+from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import FRAME, GAIN, NOISE_STD, Trial, carpet, draw_trial, optics
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
-from labkit.inference.fisher_scoring import NoisePrior, Problem
-from labkit.inference.identifiability import Bound, bound_of
-from labkit.inference.parameter_names import parameter_names
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
 from labkit.types import Floats

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from labkit.estimation.climb import Problem
+from labkit.estimation.identifiability import bound_of
+from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import AIRY_UM, FRAME, carpet, draw_trial, optics
 from labkit.experiments.methods.bounds import bias_sensitivity, fisher_information, uniform_bound
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
-from labkit.inference.fisher_scoring import Problem
-from labkit.inference.identifiability import bound_of
-from labkit.inference.parameter_names import parameter_names
 from labkit.types import Floats
 
 UNDERSAMPLED = (2.5, 6.25)  # the thesis's prose and its figure's caption differ

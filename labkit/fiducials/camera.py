@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.local_fits import optics_of
 from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.edges.joint import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.stated_optics import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
-from labkit.inference.fisher_scoring import NoisePrior
 from labkit.measured_camera import optics_behind
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.wavefront import DEFOCUS

@@ -16,10 +16,10 @@ from labkit.experiments.methods.bounds import (
     fisher_information,
     uniform_bound,
 )
-from labkit.inference.fisher_scoring import Problem, maximize
-from labkit.inference.identifiability import bound_of
-from labkit.inference.likelihood import low_orders
-from labkit.inference.parameter_names import parameter_names
+from labkit.estimation.climb import Problem, maximize
+from labkit.estimation.identifiability import bound_of
+from labkit.estimation.likelihood import low_orders
+from labkit.estimation.parameter_names import parameter_names
 from labkit.types import Floats
 
 

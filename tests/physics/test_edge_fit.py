@@ -12,7 +12,7 @@ from labkit.edges.response import fitted_response
 from labkit.edges.search import fit_depth, fit_jointly, halves, rough_edge, twin
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.imaging.optics import Optics
-from labkit.inference.fisher_scoring import NoisePrior
+from labkit.estimation.climb import NoisePrior
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 12))

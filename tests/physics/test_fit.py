@@ -9,9 +9,9 @@ import pytest
 
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior
+from labkit.estimation.climb import NoisePrior
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
-from labkit.inference.likelihood import FrameData
+from labkit.estimation.likelihood import FrameData
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 

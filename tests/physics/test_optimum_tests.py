@@ -16,7 +16,7 @@ from labkit.experiments.methods.optimum_tests import (
     wilson_hilferty,
 )
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free, shipped_psf_basis
-from labkit.inference.fisher_scoring import Problem, State, maximize
+from labkit.estimation.climb import Problem, State, maximize
 from labkit.types import Floats
 
 

@@ -6,7 +6,7 @@ import pytest
 from labkit.analysis.local_fits import Task, fit_task
 from labkit.analysis.observe import Observation
 from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
-from labkit.inference.likelihood import FrameData
+from labkit.estimation.likelihood import FrameData
 
 NOLL = (4, 5, 6, 7)
 

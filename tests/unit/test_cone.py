@@ -12,9 +12,9 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.inference.cone import SPARE, expand, free_cone, reshaped
-from labkit.inference.fisher_scoring import NoisePrior, Problem, Start, State, maximize
-from labkit.inference.likelihood import FrameData
+from labkit.estimation.expansion import SPARE, expand, free_cone, reshaped
+from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
+from labkit.estimation.likelihood import FrameData
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats

@@ -26,7 +26,7 @@ from labkit.findings import (
     unanswered,
     undetermined,
 )
-from labkit.inference.missing_parts import KNOWN, SPECTRUM
+from labkit.estimation.scores import KNOWN, SPECTRUM
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain

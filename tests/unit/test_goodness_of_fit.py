@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State
-from labkit.inference.goodness_of_fit import SIGNIFICANCE, Verdict, judge
-from labkit.inference.likelihood import FrameData
+from labkit.estimation.climb import NoisePrior, Problem, State
+from labkit.estimation.residual_tests import SIGNIFICANCE, Verdict, judge
+from labkit.estimation.likelihood import FrameData
 from labkit.types import Floats
 
 SHAPE = (24, 26)

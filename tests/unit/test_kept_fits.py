@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labkit.analysis.kept_fits import KeptFits
-from labkit.inference.goodness_of_fit import Verdict
+from labkit.estimation.residual_tests import Verdict
 
 HALF = np.arange(8.0)[::2]
 

@@ -18,7 +18,7 @@ from labkit.analysis.lens_model import (
 )
 from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.errors import covariance_with_bias
-from labkit.inference.cone import Measured
+from labkit.estimation.expansion import Measured
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

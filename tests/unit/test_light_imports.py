@@ -23,9 +23,9 @@ ESTIMATE = {
 }
 SEARCH = {
     "labkit.inference.fit",
-    "labkit.inference.phase_retrieval",
+    "labkit.estimation.small_problem",
     "labkit.inference.search",
-    "labkit.inference.sketch",
+    "labkit.estimation.sketches",
 }
 
 PROGRAM = """
@@ -74,7 +74,7 @@ def test_results_are_loaded_by_results_and_optics(session: Path) -> None:
 
 def test_advice_takes_information_and_no_search() -> None:
     modules = loaded_by("import labkit; labkit.advise")
-    assert "labkit.inference.identifiability" in modules
+    assert "labkit.estimation.identifiability" in modules
     assert modules & (SEARCH | {"rawpy", "labkit.calibration", "labkit.finder"}) == set()
 
 

@@ -12,7 +12,7 @@ import pytest
 from labkit.analysis.light_width import widest_light_nm
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.wavefronts import fit_session
-from labkit.inference.missing_parts import Call
+from labkit.estimation.scores import Call
 from labkit.plan import Plan
 from tests.unit.test_wavefronts import PLAN, TARGET, as_found, observations
 

@@ -12,9 +12,9 @@ from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
-from labkit.inference.cone import SPARE, Freed, Measured, free_cone
-from labkit.inference.fisher_scoring import Problem, Start
-from labkit.inference.missing_parts import Call, calls
+from labkit.estimation.expansion import SPARE, Freed, Measured, free_cone
+from labkit.estimation.climb import Problem, Start
+from labkit.estimation.scores import Call, calls
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 

@@ -15,8 +15,8 @@ from labkit.calibration.calibrate import calibrate, channel_data
 from labkit.calibration.lattice import repeating
 from labkit.errors import PlanError
 from labkit.imaging.warp import Pose
-from labkit.inference.fisher_scoring import NoisePrior
-from labkit.inference.likelihood import FrameData
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.likelihood import FrameData
 from labkit.panel_target import PanelTarget
 from labkit.plan import Plan, TargetPixels
 from labkit.raw.decode import read_raw

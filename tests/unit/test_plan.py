@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.local_fits import optics_of
+from labkit.estimation.stated_optics import optics_of
 from labkit.errors import PlanError
 from labkit.imaging.parts import Diffusion, Smear, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.inference.likelihood import Detector, FrameData
-from labkit.inference.residual_spectrum import BINS, residual_frequencies, residual_spectrum
+from labkit.estimation.likelihood import Detector, FrameData
+from labkit.estimation.residual_spectrum import BINS, residual_frequencies, residual_spectrum
 from labkit.types import Bools, Floats
 
 SHAPE = (96, 120)

@@ -7,7 +7,7 @@ import pytest
 
 from labkit.analysis.lens_model import Member
 from labkit.analysis.twins import choose_twins, twin
-from labkit.inference.cone import Measured
+from labkit.estimation.expansion import Measured
 from tests.lens_samples import covariance, laws, stated
 
 NOLL = (4, 6, 7, 11)

@@ -14,11 +14,11 @@ from labkit.analysis.observe import Observation
 from labkit.analysis.wavefronts import ANCHOR_S, fit_session
 from labkit.errors import FitError, LostTasksError
 from labkit.imaging.warp import Pose
-from labkit.inference.cone import Measured
-from labkit.inference.fisher_scoring import NoisePrior, State
+from labkit.estimation.expansion import Measured
+from labkit.estimation.climb import NoisePrior, State
 from labkit.inference.fit import WavefrontFit
-from labkit.inference.goodness_of_fit import Verdict
-from labkit.inference.missing_parts import Call
+from labkit.estimation.residual_tests import Verdict
+from labkit.estimation.scores import Call
 from labkit.plan import Plan
 from labkit.target import CellTarget
 from tests.lens_samples import covariance, laws

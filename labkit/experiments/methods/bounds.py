@@ -4,8 +4,8 @@ import numpy as np
 import scipy.linalg
 
 from labkit.arrays import positive, real_array, symmetric
-from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, State
-from labkit.inference.likelihood import slopes
+from labkit.estimation.climb import NOISE, PER_FRAME, Problem, State
+from labkit.estimation.likelihood import slopes
 from labkit.types import Floats, Integers
 
 

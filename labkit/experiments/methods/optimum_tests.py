@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from labkit.arrays import positive, real_array
+from labkit.estimation.climb import PER_FRAME, NoisePrior, Problem, State, maximize
+from labkit.estimation.likelihood import predict
 from labkit.experiments.methods.psf_basis import PsfBasis
-from labkit.inference.fisher_scoring import PER_FRAME, NoisePrior, Problem, State, maximize
-from labkit.inference.likelihood import predict
 from labkit.types import Complexes, Floats
 
 

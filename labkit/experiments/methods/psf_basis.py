@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from labkit.arrays import real_array
+from labkit.estimation.climb import Problem, State
+from labkit.estimation.likelihood import FrameData, predict
 from labkit.imaging.model import ForwardModel
-from labkit.inference.fisher_scoring import Problem, State
-from labkit.inference.likelihood import FrameData, predict
 from labkit.types import Complexes, Floats
 
 SPACING_AIRY = 0.4  # between samples of a direction, in lambda N; Nyquist's is 0.5

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from labkit.arrays import positive, real_array
-from labkit.inference.fit import twin_signs
-from labkit.optics.zernike import noll_to_nm, zernike
+from labkit.optics.zernike import noll_to_nm, twin_signs, zernike
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))

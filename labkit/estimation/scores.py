@@ -13,10 +13,10 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.estimation.expansion import Expansion
+from labkit.estimation.identifiability import inverse
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
-from labkit.inference.cone import Expansion
-from labkit.inference.identifiability import inverse
 from labkit.types import Floats
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import least_squares
 
+from labkit.estimation.climb import NoisePrior, State
+from labkit.estimation.likelihood import FrameData, predict
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
-from labkit.inference.fisher_scoring import NoisePrior, State
-from labkit.inference.likelihood import FrameData, predict
 from labkit.optics.psf import Pupil
 from labkit.target import Target
 from labkit.types import Floats, Floats32

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from labkit.estimation.climb import State
 from labkit.imaging.warp import POSE_SIZE
-from labkit.inference.fisher_scoring import State
 from labkit.optics.zernike import mode_name
 
 OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
-from labkit.inference.fisher_scoring import Problem, State
-from labkit.inference.identifiability import worse_than
-from labkit.inference.likelihood import predict
+from labkit.estimation.climb import Problem, State
+from labkit.estimation.identifiability import worse_than
+from labkit.estimation.likelihood import predict
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats
 

@@ -6,16 +6,16 @@ from functools import reduce
 
 import numpy as np
 
-from labkit.analysis.session_fits import SessionFits
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.scores import Call
 from labkit.imaging.parts import SpectrumWidth
-from labkit.inference.missing_parts import Call
 from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
 
 ONE_SIDED = 1.645  # standard errors, above which a Gaussian lies 5 times in 100
 
 
-def widest_light_nm(session: SessionFits, plan: Plan) -> dict[str, float]:
+def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
     """By channel, standard deviations of the light that its photographs allow, nm: the largest, with 95 % confidence.
 
     At most `WIDEST` of the wavelength. Of channels of which the plan states no spectrum, nor the fits have one, by the score
@@ -24,9 +24,9 @@ def widest_light_nm(session: SessionFits, plan: Plan) -> dict[str, float]:
     silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
     said = dict[str, list[Call]]()
     for k in session.trusted:
-        local = session.fullest(k)
-        if local.channel in silent and SpectrumWidth.name in local.fit.calls:
-            said.setdefault(local.channel, []).append(local.fit.calls[SpectrumWidth.name])
+        channel, scores = session.fits[k].channel, session.fullest(k).scores
+        if channel in silent and SpectrumWidth.name in scores:
+            said.setdefault(channel, []).append(scores[SpectrumWidth.name])
     return {name: silent[name] * _most(reduce(Call.__add__, calls)) for name, calls in said.items()}
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labkit.inference.likelihood import Detector, FrameData, predict
+from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.types import Floats
 
 BINS = 12

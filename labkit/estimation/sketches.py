@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from labkit.estimation.climb import NoisePrior, Problem, State
+from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
-from labkit.inference.fisher_scoring import NoisePrior, Problem, State
-from labkit.inference.likelihood import FrameData
 from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.target import Target
 

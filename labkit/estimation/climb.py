@@ -8,11 +8,11 @@ import numpy as np
 import scipy.linalg
 
 from labkit.arrays import positive, real_array
+from labkit.estimation.identifiability import inverse
+from labkit.estimation.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.inference.identifiability import inverse
-from labkit.inference.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
 from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient

@@ -16,12 +16,12 @@ import scipy.linalg
 import scipy.sparse
 
 from labkit.estimation.candidate import Measured
+from labkit.estimation.climb import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
+from labkit.estimation.identifiability import inverse
+from labkit.estimation.likelihood import slopes
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.inference.fisher_scoring import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
-from labkit.inference.identifiability import inverse
-from labkit.inference.likelihood import slopes
 from labkit.types import Bools, Floats
 
 # Two or three do where the cone is a few per cent off; at f/1.9 and 12 % off, where cone and defocus go along a bent ridge, six

@@ -1,0 +1,115 @@
+"""What an estimate reports about itself, as findings: the sentences are in `labkit.findings`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from labkit.finding import Finding
+from labkit.findings import found
+from labkit.imaging.parts import KNOWN
+from labkit.key import Key
+from labkit.types import JSON
+from labkit.uncertain import Uncertain
+
+CONFIRMED_BY = {
+    "starts": "many starts ended in",
+    "parts": "a fit with more parts of the camera confirms",
+}
+"""What confirmed an optimum, by the name of its test; any other test is the session's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """How far another model of the camera would move a session's results.
+
+    Parameters
+    ----------
+    best_focus_mm : by channel; empty without a best focus
+    waves : the largest move of a wavefront, waves RMS
+    psf_l1 : the largest summed absolute difference of a PSF of unit sum
+    """
+
+    best_focus_mm: Mapping[str, float]
+    waves: float
+    psf_l1: float
+
+    def __str__(self) -> str:
+        words = [f"wavefronts by up to {self.waves:.2g} waves RMS", f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)"]
+        focus = ", ".join(f"{name} {mm:+.2g} mm" for name, mm in self.best_focus_mm.items())
+        return ", ".join([f"best focus by {focus}", *words] if focus else words)
+
+    @property
+    def numbers(self) -> dict[str, JSON]:
+        """The same as the numbers of a finding."""
+        return {
+            "best_focus_moves_mm": dict(self.best_focus_mm),
+            "waves_move": self.waves,
+            "psf_moves_l1": self.psf_l1,
+        }
+
+
+def undetermined(key: Key, combinations: Sequence[str]) -> Finding:
+    """The frames leave combinations of modes open."""
+    return found("undetermined", key, {"list": ", ".join(combinations)}, combinations=list(combinations))
+
+
+def residuals_not_noise(
+    key: Key, p_value: float, chi2_per_pixel: float, missing: Sequence[str], confirmed_by: str | None
+) -> Finding:
+    """The model does not explain a wavefront's frames. confirmed_by: the test that accepted its optimum, None for none."""
+    words = {"such_as": "".join(f", such as {KNOWN[name].words}" for name in missing)}
+    code = "optimum-doubtful"
+    if confirmed_by is not None:
+        code = "model-incomplete"
+        words["confirmed"] = CONFIRMED_BY.get(confirmed_by, "the session confirms")
+    return found(
+        code,
+        key,
+        words,
+        p_value=p_value,
+        chi2_per_pixel=chi2_per_pixel,
+        missing=list(missing),
+        confirmed_by=confirmed_by,
+    )
+
+
+def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None) -> Finding:
+    """A part that the plan does not state was taken into the model.
+
+    Parameters
+    ----------
+    values : the part's numbers, each name with its unit
+    gain : log-likelihood that the part was to gain, by its slope
+    moves : how far all results would move without the parts that were found
+    """
+    plain = {name.removesuffix("_px").removesuffix("_nm"): value for name, value in values.items()}
+    words = ", ".join(f"{name} {value}" for name, value in plain.items() if name != "spread")
+    return found(
+        "camera-part-found",
+        None,
+        {"part_words": KNOWN[part].words, "values_words": words},
+        part=part,
+        log_likelihood_gain=gain,
+        values={name: value.as_json() for name, value in values.items()},
+        **({} if moves is None else moves.numbers),
+    )
+
+
+def camera_parts_missing(parts: Sequence[str], moves: Moves) -> Finding:
+    """The frames call for parts that the model lacks. moves: how far those would move all results."""
+    words = {"list": " and ".join(KNOWN[name].words for name in parts), "moves": str(moves)}
+    return found("camera-parts-missing", None, words, parts=list(parts), **moves.numbers)
+
+
+def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
+    """What the parts change that were found. rejected: how many of the optima would be, without those parts."""
+    words = f"; {rejected} of {optima} optima would be rejected" if rejected else ""
+    return found(
+        "stated-model-moves",
+        None,
+        {"moves": str(moves), "rejected": words},
+        rejected_optima=rejected,
+        optima=optima,
+        **moves.numbers,
+    )
