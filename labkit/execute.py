@@ -6,6 +6,7 @@ of memory as a rule, costs nothing but time: what was under way then is tried ag
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import pickle
@@ -34,6 +35,12 @@ from labkit.files import writing
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Parameters of glibc's mallopt, malloc.h."""
+
+KEPT_BYTES = 1 << 30
+"""Arrays up to this size are kept; larger ones go back to the system."""
 
 KILLED = "the process at work on it was killed, by the system for lack of memory as a rule"
 SHORT = "there is not enough memory"
@@ -70,6 +77,18 @@ def pin_threads() -> None:
     """One thread for linear algebra and OpenCV: the work is spread over processes instead."""
     threadpool_limits(1)
     cv2.setNumThreads(1)
+    _keep_freed_memory()
+
+
+def _keep_freed_memory() -> None:
+    """Have the C library keep freed arrays for the next ones, where it is glibc.
+
+    Arrays of a model are made and freed by the hundred; handing each back to the system costs a fit 15 % of its time.
+    """
+    with suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
+        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 def run_all(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[tuple[int, Result]]:

@@ -170,8 +170,8 @@ class LensFit:
         scatter = np.zeros(model.values)
         scatter[: len(model.noll)] = model.laws.mode_scatter**2
         scatter[model.defocus] = 0.0
-        noise = self.measured.covariance[k]
-        pull = np.diag(scatter) @ np.linalg.inv(noise + np.diag(scatter))
+        noise = self.measured.covariance[k] + np.diag(model.scatter())
+        pull = np.diag(scatter) @ np.linalg.inv(noise)
         left = np.eye(model.values) - pull
         value = value + pull @ (self.measured.values[k] - self.solved.predicted[k])
         return value, left @ whole @ left.T + left @ np.diag(scatter)

@@ -164,7 +164,9 @@ class Guesses:
     Attributes
     ----------
     f_number_std : relative standard error of the optics' f-number; 0: exact
+    state : where an earlier climb of the same frames ended, to begin at
     starts : wavefronts (modes,) that other frames predict
+    poses : of the target in every frame, as another channel has them to a fraction of a pixel; empty where unknown
     modes : wavefronts whose defocus is not known
     deep : whether the search goes on where the first ends are not explained
     alone : whether no frames of other ranges will tell a wrong optimum
@@ -174,7 +176,9 @@ class Guesses:
     """
 
     f_number_std: float = 0.0
+    state: State | None = None
     starts: tuple[Floats, ...] = ()
+    poses: tuple[Pose, ...] = ()
     modes: tuple[Floats, ...] = ()
     deep: bool = True
     alone: bool = True
@@ -262,19 +266,24 @@ class _Search:
     def states(self, log: Log) -> Iterator[tuple[Floats | None, State]]:
         """Where to climb from, and what was predicted there."""
         guesses = self.guesses
-        for many, function in ((guesses.starts, starts.predicted), (guesses.modes, starts.at_known_modes)):
-            for waves in many:
-                guess = replace(self.first, waves=np.asarray(waves, float))
-                for state in function(self.sketches, [guess], log):
-                    yield waves, state
-        if guesses.deep or not (guesses.starts or guesses.modes):
+        if guesses.state is not None:
+            yield guesses.state.waves, guesses.state
+        for waves in guesses.starts:
+            log.starts += 1
+            guess = replace(self.first, waves=np.asarray(waves, float))
+            yield waves, self._lit(waves) if guesses.poses else starts.settled(self.sketches, guess)
+        for waves in guesses.modes:
+            guess = replace(self.first, waves=np.asarray(waves, float))
+            for state in starts.at_known_modes(self.sketches, guess, log):
+                yield waves, state
+        if guesses.deep or not (guesses.state or guesses.starts or guesses.modes):
             swept = starts.swept(self.sketches, self.first, log, doubt_near_focus=guesses.alone)
             for state in swept:
                 yield None, state
 
     def climbed(self, state: State) -> _Climbed:
-        """The optimum over all frames near a state of the first one, judged."""
-        begin = self._all_frames(state)
+        """The optimum over all frames near a state of the first one, or of all, judged."""
+        begin = state if len(state.poses) == len(self.views.poses) > 1 else self._all_frames(state)
         freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
         if not freed.solution.converged:
             near = maximize(self.whole, begin, exact=False)
@@ -286,6 +295,17 @@ class _Search:
         assert optimum.freed is not None
         expansion = optimum.freed.expansion
         return replace(optimum, scores=calls(expansion, expansion.optics.lacking, self.guesses.f_number_std))
+
+    def _lit(self, waves: Floats) -> State:
+        """The state of a wavefront at known poses, its light fitted frame by frame."""
+        poses, frames = self.guesses.poses, self.views.frames
+        start = replace(self.first, waves=waves, poses=poses, scales=np.ones(len(poses)), ambients=np.zeros(len(poses)))
+        levels = []
+        for frame, image in zip(frames, self.whole.relative(start), strict=True):
+            light = frame.illumination[frame.used]
+            levels.append(np.linalg.lstsq(np.stack([light * image, light], axis=1), frame.counts[frame.used])[0])
+        scales, ambients = np.array(levels).T
+        return replace(start, scales=scales, ambients=ambients)
 
     def _all_frames(self, state: State) -> State:
         """The same light and wavefront for all frames, their poses as the first one's was corrected."""

@@ -22,6 +22,7 @@ from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_par
 from labkit.execute import Run, say
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
+from labkit.imaging.warp import Pose
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
@@ -183,7 +184,7 @@ class _Loop:
                 continue
             waves = predicted[rows[k], : len(self.noll)]
             if covariance[rows[k], at, at] < SETTINGS.sure_waves**2:
-                sure[k] = self._guess(starts=(waves,))
+                sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
                 continue
             channel = self.observations[k].channel
             leaders[channel] = max(leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k))
@@ -212,7 +213,7 @@ class _Loop:
             doubtful = not selection.members[row] or not selection.lens.model.laws.shared
             doubtful = doubtful or (anyone and not candidate.explained)
             if far and doubtful and self._new(k, waves):
-                doubted[k] = self._guess(starts=(waves,))
+                doubted[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
         self.again |= doubted.keys()
         return doubted
 
@@ -222,12 +223,29 @@ class _Loop:
         far = all(np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before)
         return far and len(before) < SETTINGS.most_predictions
 
-    def _guess(self, starts: tuple[Floats, ...] = (), modes: tuple[Floats, ...] = ()) -> Guesses:
+    def _known_poses(self, k: int) -> tuple[Pose, ...]:
+        """Poses of the target in the photographs of observation k, as a fit of another channel has them; else none."""
+        here = self.observations[k]
+        for j in self.found:
+            there = self.observations[j]
+            if j != k and there.names and there.names == here.names:
+                (top, left), (other_top, other_left) = here.origin_px, there.origin_px
+                poses = self.found[j].best.state.poses
+                return tuple(pose.shifted(top - other_top, left - other_left) for pose in poses)
+        return ()
+
+    def _guess(
+        self,
+        starts: tuple[Floats, ...] = (),
+        modes: tuple[Floats, ...] = (),
+        poses: tuple[Pose, ...] = (),
+    ) -> Guesses:
         known = self._clearest().verdict.accepted
         alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
         return Guesses(
             SETTINGS.shared_cone_std if known else self._from_nothing(deep=False).f_number_std,
             starts=starts,
+            poses=poses,
             modes=modes,
             deep=alone,
             alone=alone,
@@ -341,7 +359,7 @@ class _Loop:
             end = self._end(k, parts)
             optics = with_parts_of(optics_of(self.plan, self.observations[k].channel), parts, end.optics)
             guess = Guesses(
-                SETTINGS.shared_cone_std, starts=(end.waves,), deep=False, score=score, patience_s=self.patience_s
+                SETTINGS.shared_cone_std, state=end.state, deep=False, score=score, patience_s=self.patience_s
             )
             tasks[k] = self._task(k, guess, optics)
         made = (

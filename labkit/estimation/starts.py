@@ -81,19 +81,16 @@ class Log:
             self.others.append((end.state.waves, -end.objective))
 
 
-def predicted(sketches: Sketches, states: Sequence[State], log: Log) -> Iterator[State]:
-    """States that other frames predict, their poses settled."""
-    for state in states:
-        log.starts += 1
-        yield settle(sketches.problem(state, sketches.band), state)
+def settled(sketches: Sketches, state: State) -> State:
+    """A state that other frames predict, its pose and light settled."""
+    return settle(sketches.problem(state, sketches.band), state)
 
 
-def at_known_modes(sketches: Sketches, states: Sequence[State], log: Log) -> Iterator[State]:
+def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     """Where the modes but defocus are predicted: the best two values of a sweep over defocus."""
-    for one in states:
-        for state in sweep(sketches, one)[:2]:
-            log.starts += 1
-            yield searched_from(sketches.problem(state, sketches.band), state).state
+    for swept_state in sweep(sketches, state)[:2]:
+        log.starts += 1
+        yield searched_from(sketches.problem(swept_state, sketches.band), swept_state).state
 
 
 def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool) -> Iterator[State]:
@@ -109,9 +106,9 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
     plausible = _excess(sketches, end.state) < PLAUSIBLE * _excess(sketches, given[0])
     if plausible and not (doubt_near_focus and sketches.near(end.state)):
         yield end.state
-    if near:
-        settled = settle(sketches.problem(given[0], sketches.band), given[0])
-        yield from retrieved(sketches, settled, [state.waves for state in given], log)
+    if near and not log.over:
+        posed = settled(sketches, given[0])
+        yield from retrieved(sketches, posed, [state.waves for state in given], log)
     ends = [end]
     for state in given[1:]:
         ends.append(searched_from(sketches.problem(state, sketches.band), state))
@@ -119,6 +116,8 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
     best = max(ends, key=lambda one: one.objective).state
     if best is not end.state or not plausible:
         yield best
+    if log.over:
+        return
     if not sketches.near(best):
         yield from at_random(sketches, best, log)
     elif not near:
