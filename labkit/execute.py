@@ -20,7 +20,7 @@ from concurrent.futures import wait as first_done
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -32,6 +32,7 @@ from threadpoolctl import threadpool_limits
 
 from labkit.errors import LostTasksError
 from labkit.files import writing
+from labkit.sharing import Shared, Stored, Value, digest_of, looked_up_by
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -44,6 +45,9 @@ KEPT_BYTES = 1 << 30
 
 KILLED = "the process at work on it was killed, by the system for lack of memory as a rule"
 SHORT = "there is not enough memory"
+
+SHARED_KEPT = 8
+"""Shared values that a process keeps: targets, and the photographs that it is at work on."""
 
 HEARD_EVERY_S = 0.5
 """How often it is looked what processes say that they do."""
@@ -114,6 +118,7 @@ class Workers:
         self._others = set(multiprocessing.active_children())
         self._pool: ProcessPoolExecutor | None = None
         self._folder: Path | None = None
+        self._shared: dict[str, object] = {}
 
     def __enter__(self) -> Workers:
         return self
@@ -124,6 +129,17 @@ class Workers:
         self._close_pool()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def share(self, value: Value) -> Shared[Value]:
+        """A handle for tasks to a value, which each process reads once."""
+        digest = digest_of(value)
+        if digest not in self._shared:
+            self._shared[digest] = value
+            if self._count > 1:
+                path = _of_digest(self._tasks_folder(), digest)
+                with writing(path):
+                    path.write_bytes(pickle.dumps(value))
+        return Stored(digest)
 
     def warm_up(self, module: str) -> None:
         """Begin the processes, each with a module imported, while there is nothing yet for them to do: that takes a second."""
@@ -136,7 +152,7 @@ class Workers:
         """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
         lost: dict[int, str] = {}
         if self._count == 1:
-            yield from _here(function, tasks, lost, self._heard)
+            yield from _here(function, tasks, lost, self._heard, self._shared.__getitem__)
         else:
             try:
                 yield from self._spread(function, tasks, lost)
@@ -254,10 +270,11 @@ def _here(
     tasks: Sequence[Task],
     lost: dict[int, str],
     heard: Callable[[str], None] | None,
+    lookup: Callable[[str], object],
 ) -> Iterator[tuple[int, Result]]:
     for index, task in enumerate(tasks):
         try:
-            with _saying(heard):
+            with _saying(heard), looked_up_by(lookup):
                 result = function(task)
         except MemoryError:
             lost[index] = SHORT
@@ -301,8 +318,20 @@ def _run_stored(function: Callable[[Task], Result], stored: Path) -> Result:
         with suppress(OSError):  # on a full disk it is unheard
             _said(stored).write_text(step, encoding="utf-8")
 
-    with _saying(heard):
+    with _saying(heard), looked_up_by(lambda digest: _read(_of_digest(stored.parent, digest))):
         return function(pickle.loads(stored.read_bytes()))
+
+
+def _of_digest(folder: Path, digest: str) -> Path:
+    """Where a shared value is stored."""
+    return folder / f"shared-{digest}"
+
+
+@lru_cache(maxsize=SHARED_KEPT)
+def _read(path: Path) -> object:
+    """A shared value, read once by a process."""
+    value: object = pickle.loads(path.read_bytes())
+    return value
 
 
 @contextmanager

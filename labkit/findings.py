@@ -75,6 +75,10 @@ TEXTS = {
         "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); the optimum may "
         "be a wrong one, or the model lacks something{such_as}; standard errors allow for it"
     ),
+    "model-incomplete-everywhere": (
+        "the residuals of {count} of {fits} fits are more than noise (χ² per pixel {least:.2f} to {most:.2f}); the fits "
+        "confirm each other's optima: the model lacks something; standard errors allow for it"
+    ),
     "chi2-unusual": "{where}: χ² per pixel is {chi2_per_pixel:.2f}, expected is {low:g} to {high:g}",
     # the session's lens
     "lens-changed": (

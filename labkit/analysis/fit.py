@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -19,7 +20,7 @@ from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, bu
 from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.findings import residuals_not_noise, undetermined
+from labkit.estimation.findings import model_incomplete_everywhere, residuals_not_noise, undetermined
 from labkit.estimation.joint import Joint, climb, refined
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.model_error import with_model_error
@@ -28,7 +29,7 @@ from labkit.estimation.session import estimate, fit_task
 from labkit.estimation.split import Change, find_change
 from labkit.estimation.stated import Stated
 from labkit.estimation.stated_optics import wanted_parts
-from labkit.execute import Workers, default_workers
+from labkit.execute import Run, Workers, default_workers
 from labkit.finding import Finding, each_once
 from labkit.findings import found, unanswered
 from labkit.key import Key, same_range
@@ -45,6 +46,9 @@ from labkit.types import Progress, no_progress
 USUAL_CHI2 = (0.9, 1.5)
 """Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
+MANY = 0.5
+"""Share of the wavefronts whose model is poor, above which that is one finding of the session."""
+
 GO_ON = "fit again: that goes on where this one ended"
 """Fits that are done are kept."""
 
@@ -60,6 +64,7 @@ def fit(
     channels: Channels = None,
     noll: tuple[int, int] | None = None,
     workers: int | None = None,
+    run: Run | None = None,
     name: str | None = None,
     patience_s: float = inf,
     joint: bool = False,
@@ -69,32 +74,64 @@ def fit(
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
 
-    plan: or its path, instead of the session's own; noll: first and last mode instead of the plan's. ranges_mm, channels:
-    only these. patience_s: of processor time, after which the search for a wavefront makes no further start. joint: climb
-    over all frames at once in the end. split: where the lens was changed half-way, write NAME-before and NAME-after besides.
-    plain: the model is the plan's, whatever it lacks. name: "latest", or of only some ranges or channels their names.
-    Raises SessionError for photographs or a plan that were altered, TargetError, DataError for frames that cannot be fitted
-    and where more results would be lost than made. Too few ranges for a focus are no error: `Results.unanswered`.
+    Parameters
+    ----------
+    session : the session, or its folder
+    plan : a plan, or its path, instead of the session's own
+    ranges_mm, channels : fit only these
+    noll : first and last mode, instead of the plan's
+    workers : processes at once, by default one for each core; results do not depend on it
+    run : maps the fits' tasks, in place of `workers` processes of this machine: see `labkit.execute.Run`
+    name : of the results; "latest", or for some ranges or channels their names
+    patience_s : processor time after which the search for one wavefront makes no further start
+    joint : climb over all frames at once in the end
+    split : where the lens was changed half-way, write NAME-before and NAME-after besides
+    plain : keep to the camera of the plan, whatever it lacks
+    progress : called with what is under way
+
+    Returns
+    -------
+    The results, which are written too. Too few ranges for a best focus are no error: `Results.unanswered`.
+
+    Raises
+    ------
+    SessionError
+        Photographs or the plan were altered.
+    TargetError
+        A photograph does not show the target.
+    DataError
+        The frames cannot be fitted, or more results would be lost than made.
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
     session, plan, checksum = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
-    with threadpool_limits(1), Workers(workers or default_workers(), (steps := Steps(progress)).heard) as processes:
-        processes.warm_up(fit_task.__module__)
+    steps = Steps(progress)
+    with threadpool_limits(1), _running(run, workers, steps) as mapped:
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
         assumed += _panel_findings(plan, target, observations)
-        run = KeptFits(processes, folder / FOLDER)
+        kept = KeptFits(mapped, folder / FOLDER)
         targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
         stated = Stated.of(plan)
-        fits = estimate(observations, plan, targets, run, steps, patience_s, plain)
-        fits = refined(fits, targets, stated, run)
-        together = climb(fits, targets, stated, run, steps) if joint and fits.lens is not None else None
+        fits = estimate(observations, plan, targets, kept, steps, patience_s, plain)
+        fits = refined(fits, targets, stated, kept)
+        together = climb(fits, targets, stated, kept, steps) if joint and fits.lens is not None else None
         change = find_change(fits, stated)
     common = (plan, checksum, _noted(session, plan, [*assumed, *_changes(change)]), patience_s)
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
     halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
-    return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, run, fits.lost)
+    return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, kept, fits.lost)
+
+
+@contextmanager
+def _running(run: Run | None, workers: int | None, steps: Steps) -> Iterator[Run]:
+    """What maps the fits: a caller's run, or processes of this machine."""
+    if run is not None:
+        yield run
+        return
+    with Workers(workers or default_workers(), steps.heard) as processes:
+        processes.warm_up(fit_task.__module__)
+        yield processes
 
 
 def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]) -> Results:
@@ -163,7 +200,7 @@ def _results(
         *(found("fit-left-out", note=words) for words in fits.lost),
         *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
         *session_findings(fits, patience_s),
-        *(doubt for w in wavefronts for doubt in _doubts(w)),
+        *_doubts(wavefronts),
     ]
     focus = None if lens is None else as_focus(lens)
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
@@ -237,14 +274,21 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
     return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
 
 
-def _doubts(w: Wavefront) -> Iterator[Finding]:
-    """What to beware of in a wavefront."""
-    assert w.test is not None
-    if w.test.undetermined:
-        yield undetermined(w.key, w.test.undetermined)
-    elif not w.test.explains:
-        confirmed_by = w.test.name if w.test.accepted else None
-        yield residuals_not_noise(w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by)
-    low, high = USUAL_CHI2
-    if not low <= w.chi2_per_pixel <= high:
-        yield found("chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high)
+def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
+    """What to beware of in the wavefronts. A poor model of all of them is one finding."""
+    poor = [w for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains]
+    if len(poor) > MANY * len(wavefronts) and len(poor) > 1 and not any(w.missing for w in poor):
+        chi2 = {w.key.array_name: w.chi2_per_pixel for w in poor}
+        yield model_incomplete_everywhere(chi2, len(wavefronts))
+    else:
+        poor = []
+    for w in wavefronts:
+        assert w.test is not None
+        if w.test.undetermined:
+            yield undetermined(w.key, w.test.undetermined)
+        elif not w.test.explains and all(w is not one for one in poor):
+            confirmed_by = w.test.name if w.test.accepted else None
+            yield residuals_not_noise(w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by)
+        low, high = USUAL_CHI2
+        if not low <= w.chi2_per_pixel <= high and all(w is not one for one in poor):
+            yield found("chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high)

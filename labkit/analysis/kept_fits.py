@@ -21,6 +21,7 @@ import labkit
 from labkit.errors import InputError
 from labkit.execute import Result, Run, Task
 from labkit.files import write_atomically, writing
+from labkit.sharing import Shared, Value, packed, share
 
 FOLDER = ".fits"
 
@@ -49,6 +50,10 @@ class KeptFits:
         for index, result in self._run(function, [tasks[index] for index in missing]) if missing else ():
             self._keep(places[missing[index]], result)
             yield missing[index], result
+
+    def share(self, value: Value) -> Shared[Value]:
+        """A handle for tasks to a value, as the other run has it."""
+        return share(self._run, value)
 
     def clear(self) -> None:
         """Remove what is kept: the results are written."""
@@ -86,13 +91,9 @@ def _read(place: Path) -> Any:
 
 
 def _key(function: Callable[..., object], task: object) -> str:
-    """The same for equal tasks, whatever objects they share: pickled without back references, after one journey."""
-    packed = io.BytesIO()
-    pickler = pickle.Pickler(packed)
-    pickler.fast = True
-    pickler.dump(pickle.loads(pickle.dumps(task)))
+    """The same for equal tasks, whatever objects they have in common."""
     name = f"{_source()} {function.__module__}.{function.__qualname__}\n".encode()
-    return hashlib.sha256(name + packed.getvalue()).hexdigest()
+    return hashlib.sha256(name + packed(task)).hexdigest()
 
 
 @cache

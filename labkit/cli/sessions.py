@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -161,7 +162,13 @@ ResultsName = Annotated[
     ),
 ]
 Patience = Annotated[
-    float, typer.Option(min=0.0, metavar="S", help="Processor seconds after which the search for a wavefront ends.")
+    float | None,
+    typer.Option(
+        min=0.0,
+        metavar="S",
+        help="Processor seconds after which the search for a wavefront ends.",
+        show_default="as many starts as it needs",
+    ),
 ]
 Joint = Annotated[bool, typer.Option("--joint", help="Finally climb over all frames at once.")]
 Split = Annotated[bool, typer.Option("--split", help="Fit separately what came before and after the lens was changed.")]
@@ -182,7 +189,7 @@ def fit(
     noll: Modes = None,
     name: ResultsName = None,
     workers: Workers = None,
-    patience: Patience = 120.0,
+    patience: Patience = None,
     joint: Joint = False,
     split: Split = False,
     plain: Plain = False,
@@ -204,7 +211,7 @@ def fit(
             noll=_modes(noll),
             workers=workers,
             name=name,
-            patience_s=patience,
+            patience_s=inf if patience is None else patience,
             joint=joint,
             split=split,
             plain=plain,

@@ -113,3 +113,22 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
         optima=optima,
         **moves.numbers,
     )
+
+
+def model_incomplete_everywhere(chi2_per_pixel: Mapping[str, float], fits: int) -> Finding:
+    """The model explains the frames of few fits, whose optima confirm each other.
+
+    Parameters
+    ----------
+    chi2_per_pixel : by key, of those fits that are not explained
+    fits : how many there are in all
+    """
+    values = list(chi2_per_pixel.values())
+    return found(
+        "model-incomplete-everywhere",
+        chi2_per_pixel=dict(chi2_per_pixel),
+        count=len(values),
+        fits=fits,
+        least=min(values),
+        most=max(values),
+    )

@@ -20,6 +20,7 @@ from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
+from labkit.sharing import Shared, share
 from labkit.target import Target
 from labkit.types import Floats, Progress
 
@@ -40,8 +41,8 @@ class Leg:
     explained : whether the model explains its frames
     """
 
-    views: Views
-    target: Target
+    views: Shared[Views]
+    target: Shared[Target]
     state: State
     optics: Optics
     values: Floats
@@ -128,12 +129,20 @@ def _all_reached(
     """From where members stand, at a lens's values for them."""
     predicted = lens.solved.predicted
     legs = []
+    shown = {channel: share(run, target) for channel, target in targets.items()}
     for k, (state, optics) in zip(session.members, places, strict=True):
         fit, row = session.fits[k], session.rows[k]
         o = fit.observation
         explained = fit.optimum.verdict.accepted
         legs.append(
-            Leg(Views(o.frames, o.poses, o.noise), targets[o.channel], state, optics, predicted[row], explained)
+            Leg(
+                share(run, Views(o.frames, o.poses, o.noise)),
+                shown[o.channel],
+                state,
+                optics,
+                predicted[row],
+                explained,
+            )
         )
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
@@ -162,16 +171,16 @@ def reach(leg: Leg) -> Reached:
 
 def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
     """A leg's frames and a model of them about a state."""
-    frames = leg.views.frames
+    views = leg.views.value
     model = ForwardModel.build(
         optics,
-        leg.target,
-        frames[0].counts.shape,
+        leg.target.value,
+        views.frames[0].counts.shape,
         state.poses[0],
         window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
-        shine=frames[0].shine,
+        shine=views.frames[0].shine,
     )
-    return Problem(model, frames, leg.views.noise)
+    return Problem(model, views.frames, views.noise)
 
 
 def _prior_chi2(lens: LensFit) -> float:

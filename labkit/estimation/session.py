@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
@@ -24,6 +24,7 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
+from labkit.sharing import Shared, share
 from labkit.target import Target
 from labkit.types import Floats, Progress
 from labkit.uncertain import Uncertain
@@ -38,15 +39,19 @@ class Task:
 
     label: str
     optics: Optics
-    target: Target
-    views: Views
+    target: Shared[Target]
+    views: Shared[Views]
     guesses: Guesses
 
 
 def fit_task(task: Task) -> Found:
     """Do one search."""
     return find_optima(
-        task.optics, task.target, task.views, task.guesses, progress=lambda step: say(f"{task.label}: {step}")
+        task.optics,
+        task.target.value,
+        task.views.value,
+        task.guesses,
+        progress=lambda step: say(f"{task.label}: {step}"),
     )
 
 
@@ -111,6 +116,8 @@ class _Loop:
     _selected: tuple[dict[int, Found], Selection | None] | None = None
 
     def __post_init__(self) -> None:
+        self.shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
+        self.views = [share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations]
         self.stated = Stated.of(self.plan)
         first, last = self.plan.fit.zernike_noll
         self.noll = tuple(range(first, last + 1))
@@ -260,14 +267,18 @@ class _Loop:
         selection = self.selection() if self.found else None
         tasks = {k: self._task(k, guess, self._optics(k, selection)) for k, guess in guesses.items()}
         doing = "fitting" if self.found else "searching from nothing"
-        for k, found in self._done(tasks, doing):
+        for k, found in self._done(tasks, doing).items():
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
             self.deep |= {k} if guess.deep else set()
 
-    def _done(self, tasks: Mapping[int, Task], doing: str) -> Iterator[tuple[int, Found]]:
-        """Results as they come; the finest pictures, of the shortest wavelength, are begun first."""
+    def _done(self, tasks: Mapping[int, Task], doing: str) -> dict[int, Found]:
+        """Results in the order of the observations, whichever ended first.
+
+        The finest pictures, of the shortest wavelength, are begun first.
+        """
+        results = dict[int, Found]()
         order = sorted(tasks, key=lambda k: tasks[k].optics.wavelength_um)
         under_way = {k: tasks[k].label for k in order}
         left = sum(k not in self.found for k in range(len(self.observations)))
@@ -278,13 +289,14 @@ class _Loop:
                 self.made += 1
                 del under_way[order[index]]
                 self.progress(self.made, total, f"{doing}: {_some(list(under_way.values()))}" if under_way else doing)
-                yield order[index], found
+                results[order[index]] = found
         except LostTasksError as error:
             self.lost |= {task.label: why for task, why in error.lost}
+        return dict(sorted(results.items()))
 
     def _task(self, k: int, guesses: Guesses, optics: Optics) -> Task:
-        o = self.observations[k]
-        return Task(o.key.label, optics, self.targets[o.channel], Views(o.frames, o.poses, o.noise), guesses)
+        observation = self.observations[k]
+        return Task(observation.key.label, optics, self.shown[observation.channel], self.views[k], guesses)
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
@@ -362,9 +374,8 @@ class _Loop:
                 SETTINGS.shared_cone_std, state=end.state, deep=False, score=score, patience_s=self.patience_s
             )
             tasks[k] = self._task(k, guess, optics)
-        made = (
-            {k: found.best for k, found in self._done(tasks, "fitting with other parts of the camera")} if tasks else {}
-        )
+        doing = "fitting with other parts of the camera"
+        made = {k: found.best for k, found in self._done(tasks, doing).items()} if tasks else {}
         self._refits.setdefault(parts, {}).update(made)
         return made
 

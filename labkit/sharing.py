@@ -1,0 +1,81 @@
+"""Values that many tasks need: each travels once to a process, however many tasks take it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+Value = TypeVar("Value")
+Kept = TypeVar("Kept", covariant=True)
+
+
+class Shared(Protocol[Kept]):
+    """A handle to a value, small enough to be part of a task."""
+
+    @property
+    def value(self) -> Kept:
+        """The value, wherever the task runs."""
+        ...
+
+
+@dataclass(frozen=True)
+class Carried(Generic[Value]):
+    """A value that travels with each task: for runs that offer nothing better."""
+
+    value: Value
+
+
+@dataclass(frozen=True)
+class Stored(Generic[Value]):
+    """A value that is looked up by its digest where the task runs."""
+
+    digest: str
+
+    @property
+    def value(self) -> Value:
+        """The value. Raises LookupError outside of a task."""
+        found: Value = _lookup.get()(self.digest)
+        return found
+
+
+def _nowhere(digest: str) -> Any:
+    raise LookupError(f"shared value {digest[:8]} was asked for outside of a task")
+
+
+_lookup: ContextVar[Callable[[str], Any]] = ContextVar("lookup", default=_nowhere)
+
+
+@contextmanager
+def looked_up_by(lookup: Callable[[str], Any]) -> Iterator[None]:
+    """Look shared values up by a function of their digests, until the end."""
+    token = _lookup.set(lookup)
+    try:
+        yield
+    finally:
+        _lookup.reset(token)
+
+
+def share(run: object, value: Value) -> Shared[Value]:
+    """A handle to a value for the tasks of a run: the run's own, where it has `share`, else one that carries the value."""
+    own: Callable[[Value], Shared[Value]] = getattr(run, "share", Carried)
+    return own(value)
+
+
+def packed(value: object) -> bytes:
+    """A pickle that is the same for equal values, whatever objects they have in common."""
+    buffer = io.BytesIO()
+    pickler = pickle.Pickler(buffer)
+    pickler.fast = True  # no references back
+    pickler.dump(pickle.loads(pickle.dumps(value)))
+    return buffer.getvalue()
+
+
+def digest_of(value: object) -> str:
+    """SHA-256 of a value's content."""
+    return hashlib.sha256(packed(value)).hexdigest()
