@@ -10,13 +10,13 @@ import numpy as np
 import poppy
 import scipy.fft
 
+from labkit.estimation.climb import maximize
 from labkit.execute import pin_threads
 from labkit.experiments.annealing import Task, work
 from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.estimation.climb import maximize
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import zernike
 from labkit.types import Floats

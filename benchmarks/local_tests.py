@@ -10,13 +10,13 @@ from time import perf_counter
 
 import numpy as np
 
+from labkit.estimation.climb import Problem, State, maximize
+from labkit.estimation.residual_tests import SIGNIFICANCE, judge
 from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.methods.optimum_tests import bootstrap, embedding, one_sided, recalibrated, two_sided
 from labkit.experiments.methods.psf_basis import shipped_psf_basis
 from labkit.experiments.roc import area
-from labkit.estimation.climb import Problem, State, maximize
-from labkit.estimation.residual_tests import SIGNIFICANCE, judge
 from labkit.types import Floats
 
 STARTS = 6

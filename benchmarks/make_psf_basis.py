@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from labkit.estimation.climb import Problem, maximize
+from labkit.estimation.likelihood import predict
+from labkit.estimation.sketches import NEAR_WINDOW
 from labkit.experiments import methods
 from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves, upright
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free
 from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
-from labkit.estimation.climb import Problem, maximize
-from labkit.estimation.likelihood import predict
-from labkit.estimation.sketches import NEAR_WINDOW
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labkit.estimation.small_problem import PhaseRetrieval
 from labkit.experiments.conditions import NOLL, carpet, draw_trial, optics, random_waves
 from labkit.experiments.search import NOLL_22, SAME_END, STARTS
 from labkit.inference import phase_retrieval
-from labkit.estimation.small_problem import PhaseRetrieval
 
 SNR = 75.0
 CASES = ((NOLL, 0.25, 4), (NOLL, 0.5, 6), (NOLL_22, 0.35, 6), (NOLL_22, 0.5, 10))

@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
+from labkit.estimation.climb import Problem, maximize
+from labkit.estimation.identifiability import bound_of
+from labkit.estimation.likelihood import low_orders
+from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import NOLL, Trial, draw_trial
 from labkit.experiments.methods.bounds import (
     DETECTOR,
@@ -16,10 +20,6 @@ from labkit.experiments.methods.bounds import (
     fisher_information,
     uniform_bound,
 )
-from labkit.estimation.climb import Problem, maximize
-from labkit.estimation.identifiability import bound_of
-from labkit.estimation.likelihood import low_orders
-from labkit.estimation.parameter_names import parameter_names
 from labkit.types import Floats
 
 

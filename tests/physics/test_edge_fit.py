@@ -10,9 +10,9 @@ from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior, climb
 from labkit.edges.region import Edge, Region
 from labkit.edges.response import fitted_response
 from labkit.edges.search import fit_depth, fit_jointly, halves, rough_edge, twin
+from labkit.estimation.climb import NoisePrior
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.imaging.optics import Optics
-from labkit.estimation.climb import NoisePrior
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 12))

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation.climb import NoisePrior
+from labkit.estimation.likelihood import FrameData
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.estimation.climb import NoisePrior
 from labkit.inference.fit import WavefrontFit, canonical, fit_wavefront, residuals
-from labkit.estimation.likelihood import FrameData
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 

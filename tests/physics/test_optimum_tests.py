@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from labkit.estimation.climb import Problem, State, maximize
 from labkit.experiments.conditions import Trial, draw_trial, random_waves
 from labkit.experiments.methods.optimum_tests import (
     SignificanceTest,
@@ -16,7 +17,6 @@ from labkit.experiments.methods.optimum_tests import (
     wilson_hilferty,
 )
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free, shipped_psf_basis
-from labkit.estimation.climb import Problem, State, maximize
 from labkit.types import Floats
 
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
-from labkit.imaging.model import ForwardModel
-from labkit.inference import phase_retrieval
 from labkit.estimation.climb import State
 from labkit.estimation.likelihood import low_orders, predict
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
+from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
+from labkit.imaging.model import ForwardModel
+from labkit.inference import phase_retrieval
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
 

@@ -5,8 +5,8 @@ import pytest
 
 from labkit.analysis.local_fits import Task, fit_task
 from labkit.analysis.observe import Observation
-from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
 from labkit.estimation.likelihood import FrameData
+from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
 
 NOLL = (4, 5, 6, 7)
 

@@ -11,8 +11,8 @@ import numpy as np
 from labkit.analysis.local_fits import LocalFit, Task
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.wavefronts import fit_session
-from labkit.inference.fit import WavefrontFit
 from labkit.estimation.scores import Call
+from labkit.inference.fit import WavefrontFit
 from labkit.plan import Plan
 from tests.plans import PORTRAIT
 from tests.unit.test_wavefronts import TARGET, as_found, observations

@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.estimation.climb import NoisePrior, Problem, State, maximize
+from labkit.estimation.identifiability import bound_of
+from labkit.estimation.likelihood import Detector, FrameData, low_orders, predict
+from labkit.estimation.residual_tests import judge
 from labkit.experiments.methods.bounds import bias_sensitivity, detector_information, uniform_bound
 from labkit.experiments.methods.optimum_tests import (
     SignificanceTest,
@@ -31,10 +35,6 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.estimation.climb import NoisePrior, Problem, State, maximize
-from labkit.estimation.residual_tests import judge
-from labkit.estimation.identifiability import bound_of
-from labkit.estimation.likelihood import Detector, FrameData, low_orders, predict
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves, ground_sample_mm
 from labkit.optics.psf import Pupil, diffraction_mtf
 from labkit.optics.pupil import smooth_disc

@@ -9,15 +9,15 @@ from typing import ClassVar, Self
 import numpy as np
 import pytest
 
+from labkit.estimation.climb import Start
+from labkit.estimation.expansion import SPARE, free_cone
+from labkit.estimation.scores import calls
 from labkit.estimation.stated_optics import optics_of, wanted_parts
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import root
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import ESTIMATED
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
-from labkit.estimation.expansion import SPARE, free_cone
-from labkit.estimation.climb import Start
-from labkit.estimation.scores import calls
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.report.camera_table import part_table

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
+from labkit.estimation.expansion import SPARE, expand, free_cone, reshaped
+from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.estimation.expansion import SPARE, expand, free_cone, reshaped
-from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.likelihood import FrameData
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats

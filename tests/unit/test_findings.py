@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labkit.estimation.scores import KNOWN, SPECTRUM
 from labkit.finding import Finding, each_once
 from labkit.findings import (
     NO_ANSWER,
@@ -26,7 +27,6 @@ from labkit.findings import (
     unanswered,
     undetermined,
 )
-from labkit.estimation.scores import KNOWN, SPECTRUM
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain

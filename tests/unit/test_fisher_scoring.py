@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation.climb import PER_FRAME, NoisePrior, Problem, Solution, Start, State, maximize
+from labkit.estimation.expansion import free_cone
+from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
-from labkit.estimation.expansion import free_cone
-from labkit.estimation.climb import PER_FRAME, NoisePrior, Problem, Solution, Start, State, maximize
-from labkit.estimation.likelihood import FrameData
 from labkit.target import CellTarget
 from labkit.types import Floats
 

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.estimation.climb import NoisePrior, Problem, State
-from labkit.estimation.residual_tests import SIGNIFICANCE, Verdict, judge
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.residual_tests import SIGNIFICANCE, Verdict, judge
 from labkit.types import Floats
 
 SHAPE = (24, 26)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from labkit.imaging.model import Evaluation
 from labkit.estimation.climb import NoisePrior, Problem, State
-from labkit.estimation.residual_tests import SIGNIFICANCE, judge
 from labkit.estimation.likelihood import Detector, FrameData, log_likelihood, low_orders, predict, score
+from labkit.estimation.residual_tests import SIGNIFICANCE, judge
+from labkit.imaging.model import Evaluation
 from labkit.types import Floats
 
 DETECTOR = Detector(400.0, 30.0, 0.5, 4.0)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, numbers, together, worth
+from labkit.estimation.climb import Problem, Start
+from labkit.estimation.expansion import SPARE, Freed, Measured, free_cone
+from labkit.estimation.scores import Call, calls
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
-from labkit.estimation.expansion import SPARE, Freed, Measured, free_cone
-from labkit.estimation.climb import Problem, Start
-from labkit.estimation.scores import Call, calls
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 

@@ -14,9 +14,9 @@ from labkit.analysis.seen_pixels import SeenPixels, refuse_other_pixels, seen_pi
 from labkit.calibration.calibrate import calibrate, channel_data
 from labkit.calibration.lattice import repeating
 from labkit.errors import PlanError
-from labkit.imaging.warp import Pose
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
+from labkit.imaging.warp import Pose
 from labkit.panel_target import PanelTarget
 from labkit.plan import Plan, TargetPixels
 from labkit.raw.decode import read_raw

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.estimation.stated_optics import optics_of
 from labkit.errors import PlanError
+from labkit.estimation.stated_optics import optics_of
 from labkit.imaging.parts import Diffusion, Smear, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
 from labkit.optics.spectrum import WIDEST, Spectrum

@@ -15,9 +15,9 @@ from PIL import Image, ImageCms
 
 from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.errors import DataError, InputError, RawError
+from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.images.encoding import Encoding, profile_curves, srgb
 from labkit.images.jpeg import read_header
-from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem

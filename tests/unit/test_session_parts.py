@@ -12,9 +12,9 @@ from labkit.analysis.lens_model import Member
 from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import model_parts, part_findings
 from labkit.analysis.session_results import session_findings
+from labkit.estimation.expansion import Measured
 from labkit.findings import Moves, found
 from labkit.imaging.model import SPECTRUM_WIDTH
-from labkit.estimation.expansion import Measured
 from labkit.key import Key
 from labkit.plan import Plan
 from labkit.results.model import PartTried

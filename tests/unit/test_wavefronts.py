@@ -13,12 +13,12 @@ from labkit.analysis.local_fits import PATIENCE_S, Task
 from labkit.analysis.observe import Observation
 from labkit.analysis.wavefronts import ANCHOR_S, fit_session
 from labkit.errors import FitError, LostTasksError
-from labkit.imaging.warp import Pose
-from labkit.estimation.expansion import Measured
 from labkit.estimation.climb import NoisePrior, State
-from labkit.inference.fit import WavefrontFit
+from labkit.estimation.expansion import Measured
 from labkit.estimation.residual_tests import Verdict
 from labkit.estimation.scores import Call
+from labkit.imaging.warp import Pose
+from labkit.inference.fit import WavefrontFit
 from labkit.plan import Plan
 from labkit.target import CellTarget
 from tests.lens_samples import covariance, laws
