@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labkit.estimation import small_problem
 from labkit.estimation.small_problem import PhaseRetrieval
 from labkit.experiments.conditions import NOLL, carpet, draw_trial, optics, random_waves
 from labkit.experiments.search import NOLL_22, SAME_END, STARTS
-from labkit.inference import phase_retrieval
 
 SNR = 75.0
 CASES = ((NOLL, 0.25, 4), (NOLL, 0.5, 6), (NOLL_22, 0.35, 6), (NOLL_22, 0.5, 10))
@@ -21,10 +21,10 @@ PSFS = 40
 
 def left(small: PhaseRetrieval, waves_rms: float) -> float:
     """Median share of a PSF's departure from the perfect one that the components leave."""
-    components, perfect = phase_retrieval._components(small.pupil)
+    components, perfect = small_problem._components(small.pupil)
     rng, shares = np.random.default_rng(5), []
     for _ in range(PSFS):
-        waves = np.append(np.zeros(len(phase_retrieval.TILTS)), random_waves(rng, len(small.optics.noll), waves_rms))
+        waves = np.append(np.zeros(len(small_problem.TILTS)), random_waves(rng, len(small.optics.noll), waves_rms))
         departure = (small.pupil.psf(waves) - perfect).ravel()
         rest = departure - components.T @ (components @ departure)
         shares.append(np.linalg.norm(rest) / np.linalg.norm(departure))
@@ -56,9 +56,9 @@ def case(noll: Sequence[int], waves_rms: float, pictures: int) -> str:
 
 if __name__ == "__main__":
     for components, strongest in SETTINGS:
-        phase_retrieval.COMPONENTS, phase_retrieval.DRAWS = components, 3 * components
-        phase_retrieval.DRAWN_WAVES = (phase_retrieval.DRAWN_WAVES[0], strongest)
-        phase_retrieval._components.cache_clear()
+        small_problem.COMPONENTS, small_problem.DRAWS = components, 3 * components
+        small_problem.DRAWN_WAVES = (small_problem.DRAWN_WAVES[0], strongest)
+        small_problem._components.cache_clear()
         print(f"{components} components, drawn up to {strongest:g} waves")
         for noll, waves_rms, pictures in CASES:
             print(" ", case(noll, waves_rms, pictures), flush=True)

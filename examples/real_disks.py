@@ -13,7 +13,7 @@ not where the lens is focused in millimetres of range, for the size of the disks
 
 import argparse
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -21,12 +21,15 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from labkit.analysis.local_fits import LocalFit, Task, fit_task, optics_of
 from labkit.analysis.observe import observe
+from labkit.estimation.local import Found, Guesses, Views, find_optima
+from labkit.estimation.observation import Observation
+from labkit.estimation.stated_optics import optics_of
+from labkit.imaging.optics import Optics
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
-from labkit.target import open_target
+from labkit.target import Target, open_target
 
 Floats = npt.NDArray[np.float64]
 
@@ -99,12 +102,13 @@ def check(photographs: Path, work: Path) -> Outcome:
     """Import and fit a photograph of each band in WORK/400 to WORK/700, and draw WORK/real_disks.png."""
     work.mkdir(parents=True)
     corners = corners_of(disks_of(photographs))
-    fits = together({nm: task_of(photographs, work / str(nm), nm, corners) for nm in BANDS})
+    bands = {nm: band_of(photographs, work / str(nm), nm, corners) for nm in BANDS}
+    fits = together(bands)
     um = 8 * F_NUMBER**2 * np.sqrt(12) * REFERENCE_NM * 1e-3  # of a wave RMS of defocus
-    poor = [fits[nm].fit.poor for nm in BANDS]  # the model is rejected: errors hold what it leaves unexplained
+    poor = [fits[nm].best.poor for nm in BANDS]  # the model is rejected: errors hold what it leaves unexplained
     focus = um * np.array([measured.values[0] for measured in poor])
     std = um * np.sqrt([measured.covariance[0, 0] for measured in poor])
-    places = np.array([corners_found(fits[nm]) for nm in BANDS])
+    places = np.array([corners_found(bands[nm], fits[nm]) for nm in BANDS])
     sizes = np.array([np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places])
     middle = list(BANDS).index(550)
     outcome = Outcome(
@@ -113,21 +117,36 @@ def check(photographs: Path, work: Path) -> Outcome:
         chi2_of_parabola(focus, std),
         sizes / sizes[middle],
         places.mean(axis=1) - places[middle].mean(axis=0),
-        fits[FIRST_NM].fit.settled,
+        fits[FIRST_NM].settled,
         nonlinearity(photographs),
     )
     draw(outcome, work / "real_disks.png")
     return outcome
 
 
-def together(tasks: dict[int, Task]) -> dict[int, LocalFit]:
+@dataclass(frozen=True)
+class Band:
+    """The photograph of one band, and what it was taken with. f_number_std: relative."""
+
+    observation: Observation
+    optics: Optics
+    target: Target
+    f_number_std: float
+
+    def fit(self, *starts: Floats) -> Found:
+        """Search from wavefronts (modes,), or where there are none from nothing."""
+        views = Views(self.observation.frames, self.observation.poses, self.observation.noise)
+        guesses = Guesses(self.f_number_std, starts=starts, deep=not starts, alone=False)
+        return find_optima(self.optics, self.target, views, guesses)
+
+
+def together(bands: dict[int, Band]) -> dict[int, Found]:
     """Every band fitted, from the first one outwards."""
-    fits = {FIRST_NM: LocalFit(tasks[FIRST_NM], fit_task(tasks[FIRST_NM]))}
+    fits = {FIRST_NM: bands[FIRST_NM].fit()}
     shorter, longer = ([nm for nm in BANDS if (nm > FIRST_NM) is up and nm != FIRST_NM] for up in (False, True))
     for row in (shorter[::-1], longer):
         for beside, nm in zip([FIRST_NM, *row], row, strict=False):
-            task = replace(tasks[nm], starts=(fits[beside].fit.waves,), patience_s=0.0)
-            fits[nm] = LocalFit(task, fit_task(task))
+            fits[nm] = bands[nm].fit(fits[beside].best.waves)
     return fits
 
 
@@ -159,8 +178,8 @@ def corners_of(disks: npt.NDArray[np.bool_]) -> Floats:
     return np.asarray(cv2.perspectiveTransform(ends[None], homography)[0][:, ::-1])
 
 
-def task_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Task:
-    """The fit of a band's photograph, out of a session in a new folder."""
+def band_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Band:
+    """The photograph of a band, out of a session in a new folder."""
     channel, ms = BANDS[nm]
     folder.mkdir()
     path = photograph(photographs, nm, ms)
@@ -172,12 +191,12 @@ def task_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Task:
     plan, target = session.plan, open_target(session.plan.target)
     (observation,), _ = observe(session, plan, target)
     stated = plan.lens.stated_f_number
-    return Task(optics_of(plan, channel), target, observation, stated.std / stated.value)
+    return Band(observation, optics_of(plan, channel), target, stated.std / stated.value)
 
 
-def corners_found(local: LocalFit) -> Floats:
+def corners_found(band: Band, found: Found) -> Floats:
     """(4, 2) (row, col) of the target's corners in the frame."""
-    return np.asarray(local.fit.state.poses[0].corners_px() + np.array(local.task.observation.origin_px))
+    return np.asarray(found.best.state.poses[0].corners_px() + np.array(band.observation.origin_px))
 
 
 def chi2_of_parabola(focus: Floats, std: Floats) -> float:

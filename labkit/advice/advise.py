@@ -14,6 +14,7 @@ from labkit.analysis.panel import panel_pixels
 from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.estimation.stated import Stated
+from labkit.key import Key
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan
 
@@ -158,13 +159,13 @@ def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
         return None
     first = shortest(plan)
     every = {
-        (channel.name, range_mm): fits[range_mm]
+        Key(range_mm, channel.name): fits[range_mm]
         if channel == first
         else setup.fit(channel, range_mm, setup.defocus(range_mm))
         for channel in plan.channel
         for range_mm in ranges
     }
-    determined = {key: fit for key, fit in every.items() if not fit.bound.undetermined}
+    determined = {key: fit.measured for key, fit in every.items() if not fit.bound.undetermined}
     return outlook(determined, Stated.of(plan), setup.focus_mm)
 
 

@@ -7,12 +7,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.advice.expected_fit import ExpectedFit, middle_mm
-from labkit.analysis.lens_fit import fit_lens
-from labkit.analysis.lens_model import LensModel, Member, Stated
-from labkit.estimation.expansion import Measured
+from labkit.advice.expected_fit import middle_mm
+from labkit.estimation.block_solve import Point
+from labkit.estimation.candidate import Measured
+from labkit.estimation.lens_fit import Measurements, fit_lens
+from labkit.estimation.lens_model import (
+    COMMON_MODE,
+    DEFOCUS,
+    F_NUMBER,
+    FOCAL_LENGTH,
+    FOCUS,
+    MAGNIFICATION,
+    TAPE,
+    LensModel,
+    Reading,
+)
+from labkit.estimation.stated import Stated
+from labkit.key import Key
 from labkit.optics.lens import TELLING_STD, ThinLens, blur_per_wave_um, defocus_waves
-from labkit.optics.zernike import twin_signs
+from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 STEP_WAVES = 1.0
@@ -119,18 +132,17 @@ MEASUREMENTS: tuple[tuple[str, str, Callable[[Stated], Stated]], ...] = (
 """Measurements besides the photographs: in words, the number's key, and the plan's statement with them."""
 
 
-def outlook(fits: Mapping[tuple[str, float], ExpectedFit], stated: Stated, focus_mm: float) -> Outlook:
-    """What a session will determine.
+def outlook(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Outlook:
+    """Forecast what a session will determine.
 
     Parameters
     ----------
-    fits : by channel and range, mm; one channel at two ranges or more
+    fits : what the fits will measure; one channel at two ranges or more
     stated : of lens, target and rail
     focus_mm : the range that the lens is focused at
     """
-    members = _as_predicted({key: fit.measured for key, fit in fits.items()}, stated, focus_mm)
     remedies = [
-        Remedy(what, of, _errors(members, better(stated)))
+        Remedy(what, of, _errors(fits, better(stated), focus_mm))
         for what, of, better in MEASUREMENTS
         if better(stated) != stated
     ]
@@ -139,43 +151,64 @@ def outlook(fits: Mapping[tuple[str, float], ExpectedFit], stated: Stated, focus
         "f_number": stated.f_number.std,
         "range_zero_mm": stated.range_zero_std_mm,
     }
-    return Outlook(_errors(members, stated), of_plan, tuple(remedies))
+    return Outlook(_errors(fits, stated, focus_mm), of_plan, tuple(remedies))
 
 
-def _as_predicted(fits: Mapping[tuple[str, float], Measured], stated: Stated, focus_mm: float) -> list[Member]:
-    """Members of a session whose lens is as stated, its pupils of one size, focused at a range."""
-    members = [Member(channel, range_mm, range_mm, fit) for (channel, range_mm), fit in fits.items()]
-    model = LensModel(tuple(members), stated)
-    theta = np.array([column.value for column in model.columns])
-    first = members[0].measured
-    for k, column in enumerate(model.columns):
-        if column.kind == "best focus":
-            theta[k] = focus_mm
-        elif column.kind == "mode":
-            theta[k] = first.values[first.noll.index(int(column.of[-1]))]
-    return [
-        replace(member, measured=replace(member.measured, values=values))
-        for member, values in zip(members, model.predicted(theta), strict=True)
-    ]
-
-
-def _errors(members: Sequence[Member], stated: Stated) -> Errors:
-    lens = fit_lens(members, stated)
-    pupils = float(np.exp(lens.value("pupil magnification")))
-    return {f"best_focus_mm.{name}": lens.std("best focus", name) for name in lens.model.channels} | {
-        "focal_length_mm": lens.std("focal length"),
-        "f_number": lens.std("f-number"),
-        "pupil_magnification": pupils * lens.std("pupil magnification"),
-        "range_zero_mm": lens.std("tape"),
+def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Errors:
+    """Standard errors of a session whose lens is as stated, its pupils of one size, focused at a range."""
+    model = _model(fits, stated)
+    first = next(iter(fits.values()))
+    start = Point(_truth(model, first, focus_mm), np.zeros((model.groups.max() + 1, 0)))
+    lens = fit_lens(model, _measurements(model, list(fits.values()), start), start)
+    pupils = float(np.exp(lens.value(MAGNIFICATION)))
+    focus = lens.errors_of(np.array([model.best_focus(channel) for channel in model.channels]))
+    best_focus_std = np.sqrt(np.diag(focus))
+    return {
+        **{f"best_focus_mm.{c}": float(std) for c, std in zip(model.channels, best_focus_std, strict=True)},
+        "focal_length_mm": lens.std(FOCAL_LENGTH),
+        "f_number": lens.std(F_NUMBER),
+        "pupil_magnification": pupils * lens.std(MAGNIFICATION),
+        "range_zero_mm": lens.std(TAPE),
     }
+
+
+def _model(fits: Mapping[Key, Measured], stated: Stated) -> LensModel:
+    """The laws of such a session. The target leans alike in all photographs."""
+    readings = [Reading(key, key.range_mm, key.range_mm) for key in fits if key.range_mm is not None]
+    first = next(iter(fits.values()))
+    tilt_std = min(fit.shortening[1] for fit in fits.values())
+    return LensModel(tuple(readings), first.noll, first.parts, stated, tilt_std=tilt_std)
+
+
+def _truth(model: LensModel, first: Measured, focus_mm: float) -> Floats:
+    """(columns,) the stated lens, focused at a range, with the modes of a fit."""
+    theta = np.array([column.value for column in model.columns])
+    theta[model.index(FOCUS)] = focus_mm
+    for j, waves in zip(first.noll, first.waves, strict=True):
+        if j != DEFOCUS:
+            theta[model.index(COMMON_MODE, j)] = waves
+    return theta
+
+
+def _measurements(model: LensModel, fits: Sequence[Measured], truth: Point) -> Measurements:
+    """What the fits will measure at the truth."""
+    covariance = np.array([fit.covariance for fit in fits])
+    none = np.zeros_like(covariance)
+    used = np.ones(len(fits), bool)
+    return Measurements(model.predicted(truth.theta, truth.own), covariance, none, none, used)
 
 
 def propose_ranges(
     nearest_mm: float, channels: Sequence[str], stated: Stated, sharp: Measured, blurred: Measured
 ) -> Proposal:
-    """The farthest three ranges, the first at most `nearest_mm`, that determine the pupil magnification.
+    """Propose the farthest three ranges, the first at most `nearest_mm`, that determine the pupil magnification.
 
-    sharp, blurred: what a fit measures in focus, and STEP_WAVES of defocus beyond it.
+    Parameters
+    ----------
+    nearest_mm : of the plan's ranges
+    channels : of the plan
+    stated : of lens, target and rail
+    sharp, blurred : what a fit measures in focus, and with `STEP_WAVES` of defocus
     """
     lens = ThinLens(stated.focal_length.value, stated.f_number.value)
     closest = CLOSEST * lens.focal_length_mm
@@ -184,14 +217,12 @@ def propose_ranges(
         if len(set(ranges)) < 3:
             continue
         focus_mm = middle_mm(ranges, lens)
-        fits = {
-            (channel, range_mm): _at_range(
-                float(defocus_waves(lens, range_mm, focus_mm, stated.reference_nm)), sharp, blurred
-            )
-            for range_mm in ranges
-            for channel in channels
+        measured = {
+            mm: _at_range(float(defocus_waves(lens, mm, focus_mm, stated.reference_nm)), sharp, blurred)
+            for mm in ranges
         }
-        errors = _errors(_as_predicted(fits, stated, focus_mm), stated)
+        fits = {Key(mm, channel): measured[mm] for mm in ranges for channel in channels}
+        errors = _errors(fits, stated, focus_mm)
         if errors["pupil_magnification"] <= CLEARLY * TELLING_STD:
             return Proposal(ranges, errors)
     return Proposal()
@@ -209,4 +240,4 @@ def _at_range(waves: float, sharp: Measured, blurred: Measured) -> Measured:
     """What a fit of so much defocus measures: in focus, a step beyond it, or as its twin before it."""
     if abs(waves) < STEP_WAVES / 2:
         return sharp
-    return blurred if waves > 0 else blurred.twin(twin_signs(blurred.noll))
+    return blurred if waves > 0 else blurred.twin()

@@ -8,19 +8,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from labkit.analysis.local_fits import LocalFit, Task, fit_task
-from labkit.analysis.observe import Observation, cut_around, sees_target_only
+from labkit.analysis.observe import cut_around, sees_target_only
 from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
 from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
 from labkit.errors import DataError
 from labkit.estimation.climb import NoisePrior
+from labkit.estimation.estimate import LocalFit
 from labkit.estimation.likelihood import FrameData, low_orders
+from labkit.estimation.local import Guesses, Views, find_optima
+from labkit.estimation.observation import Observation
 from labkit.filter_array import channel_pixels, pattern_of
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fit import canonical
 from labkit.results import Wavefront
 from labkit.target import Target
 from labkit.types import Bools, Floats
@@ -41,15 +42,32 @@ def fit_image(
     gain: float | None = None,
     read_noise: float | None = None,
 ) -> Wavefront:
-    """The wavefront of one colour, from photographs in memory of a target at one range.
+    """Fit the wavefront of one colour to photographs in memory, of a target at one range.
 
-    counts: (rows, columns) or (frames, rows, columns), black level removed, nothing demosaiced. cfa_pattern: "mono", or the
-    2 × 2 cell row by row, such as "RGGB", whose colour `channel` is fitted. mask: of counts' shape, True where a pixel is good.
-    corners_px: (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search; mm_per_pixel: on the
-    target, about. gain: counts per electron, read_noise: counts; estimated from these frames where not given. There are no
-    flats: uneven light is estimated to low order. Of twins the one is taken whose largest even mode is positive.
+    There are no flats: uneven light is estimated to low order. Of twins the one is taken whose largest even mode is
+    positive.
 
-    Raises ValueError for other shapes, TargetError where the target is not in a frame, DataError where no pixel sees it.
+    Parameters
+    ----------
+    counts : (rows, columns) or (frames, rows, columns), black level removed, nothing demosaiced
+    target : what the photographs show
+    optics : lens, light and sensor; the f-number is held
+    cfa_pattern : "mono", or the 2 × 2 cell row by row, such as "RGGB"
+    channel : the colour that is fitted
+    mask : of the shape of `counts`, True where a pixel is good
+    corners_px : (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search for the target
+    mm_per_pixel : about, on the target
+    gain : counts per electron; estimated from these photographs where not given
+    read_noise : counts; likewise
+
+    Raises
+    ------
+    ValueError
+        An array has another shape.
+    TargetError
+        A photograph does not show the target.
+    DataError
+        No pixel shows the target, or the counts are no photograph.
 
     >>> w = labkit.fit_image(counts, labkit.open_target("sierpinski:order=4,size_mm=15.6"), optics)
     """
@@ -62,9 +80,10 @@ def fit_image(
     pattern = pattern_of(cfa_pattern)
     corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
     observation = _observation(images, good, target, corners, pattern, channel, _noise(images, gain, read_noise))
-    task = Task(optics, target, observation)
+    views = Views(observation.frames, observation.poses, observation.noise)
     with threadpool_limits(1):  # several for matrices of this size take twice the time
-        return as_wavefront(LocalFit(task, canonical(fit_task(task))))
+        found = find_optima(optics, target, views, Guesses(deep=True, alone=True))
+        return as_wavefront(LocalFit(observation, found.best.canonical(), found))
 
 
 def _observation(

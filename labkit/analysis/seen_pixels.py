@@ -13,9 +13,9 @@ from itertools import groupby
 import cv2
 import numpy as np
 
-from labkit.analysis.observe import Observation
 from labkit.analysis.stripe_contrast import LEAST_CONTRAST
 from labkit.errors import PlanError
+from labkit.estimation.observation import Observation
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.plan import TargetPixels

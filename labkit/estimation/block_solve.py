@@ -57,7 +57,7 @@ class Normal:
     @cached_property
     def eliminated(self) -> Floats:
         """(groups, own, p) own columns' response to the common ones."""
-        return np.linalg.solve(self.own, self.cross.transpose(0, 2, 1))
+        return np.asarray(np.linalg.solve(self.own, self.cross.transpose(0, 2, 1)), float)
 
     @cached_property
     def covariance(self) -> Floats:
@@ -69,7 +69,7 @@ class Normal:
     @cached_property
     def own_covariance(self) -> Floats:
         """(groups, own, own) of the groups' columns where the common ones are held."""
-        return np.linalg.inv(self.own)
+        return np.asarray(np.linalg.inv(self.own), float)
 
     def solve(self, common: Floats, own: Floats) -> tuple[Floats, Floats]:
         """Solve for right-hand sides (p,) and (groups, own)."""
@@ -136,7 +136,7 @@ def solve(model: LensModel, data: Data, start: Point) -> Solved:
         step, own_step = normal.holding(outward).damped(damping).solve(np.where(outward, 0.0, gradient), own_gradient)
         clipped = np.clip(theta + step, low, high)
         trial = _expanded(model, data, prior, Point(clipped, here[0].point.own + own_step))
-        length = np.sqrt(max(step @ gradient + np.sum(own_step * own_gradient), 0.0))
+        length = np.sqrt(max(float(step @ gradient + np.sum(own_step * own_gradient)), 0.0))
         if trial[0].chi2 <= here[0].chi2 * (1 + 1e-12) + 1e-9:
             here, damping = trial, damping / 10
         else:

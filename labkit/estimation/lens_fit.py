@@ -272,7 +272,7 @@ def focus_slope(model: LensModel) -> float:
     """Slope of defocus, waves RMS, over 1/(range - f), mm: of the image's distance and the pupil's sagitta in it."""
     focal_mm, f_number = model.stated.focal_length.value, model.stated.f_number.value
     reference_mm = model.stated.reference_nm * 1e-6
-    return -(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm)
+    return float(-(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm))
 
 
 def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:

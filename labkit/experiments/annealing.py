@@ -71,7 +71,7 @@ def work(task: Task) -> Answer:
     except _EnoughError as enough:
         capped = not enough.args[0]
     annealing = task.cap_s if capped else perf_counter() - began
-    return Answer(fit.seconds, annealing, trial.found(fit.waves), capped)
+    return Answer(fit.seconds, annealing, trial.found(fit.best.waves), capped)
 
 
 def run(setting: Setting) -> Outcome:

@@ -8,6 +8,7 @@ import numpy as np
 from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.identifiability import bound_of
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.camera import Camera
 from labkit.experiments.methods.bounds import fisher_information
@@ -15,7 +16,6 @@ from labkit.finder.find_target import find_target
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.inference.fit import WavefrontFit, fit_wavefront
 from labkit.optics.zernike import twin_signs
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
@@ -73,13 +73,14 @@ class Trial:
         """Whether an estimate is in the optimum of the truth, or of its twin."""
         return bool(np.linalg.norm(self.error(waves)) < FOUND_BOUNDS * self.bound)
 
-    def fit(self, rng: np.random.Generator) -> WavefrontFit:
-        """From nothing: the target found in the picture, the wavefront searched for.
+    def fit(self, rng: np.random.Generator) -> Found:
+        """From nothing: the target found in the picture, the wavefront searched for. rng: for further starts.
 
         Raises TargetError where the target is not found.
         """
         pose = Pose.from_corners(find_target(self.frame.counts, carpet()), carpet().size_mm)
-        return fit_wavefront(optics(self.noll), carpet(), [self.frame], [pose], self.noise, rng=rng)
+        views = Views((self.frame,), (pose,), self.noise)
+        return find_optima(optics(self.noll), carpet(), views, Guesses(), seed=int(rng.integers(2**32)))
 
 
 def draw_trial(

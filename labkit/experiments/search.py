@@ -72,9 +72,9 @@ def work(task: tuple[Condition, int]) -> Answer:
         return Answer(trial.bound, lost=True)
     return Answer(
         trial.bound,
-        trial.found(fit.waves),
-        fit.verdict.accepted,
-        float(np.linalg.norm(trial.error(fit.waves))),
+        trial.found(fit.best.waves),
+        fit.best.verdict.accepted,
+        float(np.linalg.norm(trial.error(fit.best.waves))),
         fit.starts,
         fit.seconds,
         *_single_starts(trial, rng),
