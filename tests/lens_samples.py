@@ -1,15 +1,19 @@
-"""Fits of a session, made of the laws of a lens as physics.md §10 and §15 print them: nothing here is labkit's formula."""
+"""Observations of a session, by the laws of a lens as physics.md §10 and §15 print them: nothing here is labkit's formula."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from labkit.analysis.lens_model import Member, Stated
-from labkit.estimation.expansion import Measured
+from labkit.estimation.candidate import Candidate, Measured, Observed
+from labkit.estimation.lens_fit import LensFit
+from labkit.estimation.lens_model import Laws, Reading
+from labkit.estimation.select import exact_lens
+from labkit.estimation.stated import Stated
+from labkit.key import Key
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -17,6 +21,8 @@ REFERENCE_MM = 450e-6
 COLOURS = ("R", "G", "B")
 DEFOCUS_STD, CONE_STD, SIZE_STD = 3e-4, 4e-3, 1.5e-5
 """Of one fit, physics.md §15: waves with the cone known; relative errors of cone and size."""
+MODE_STD = 1e-3
+"""Of a mode above defocus, waves RMS."""
 
 
 def laws(range_mm: Any, focus_mm: Any, reference_mm: Any, f: Any, n: Any, mp: Any) -> list[Any]:
@@ -44,27 +50,72 @@ def covariance(waves: float, *, size_std: float = SIZE_STD) -> Floats:
     return np.diag([DEFOCUS_STD**2, 0.0, size_std**2]) + CONE_STD**2 * np.outer(slope, slope)
 
 
-def member(range_mm: float, channel: str, values: Floats, *, size_std: float = SIZE_STD) -> Member:
-    """A fit of defocus alone. values: (3,)."""
-    cov = covariance(float(values[0]), size_std=size_std)
-    return Member(channel, range_mm, range_mm, Measured((4,), np.asarray(values, float), cov, np.zeros((3, 3))))
+def measured(values: Floats, modes: Mapping[int, float] | None = None, *, size_std: float = SIZE_STD) -> Measured:
+    """What one fit measures. values: (3,) of the laws; modes: waves RMS above defocus, by Noll index."""
+    modes = modes or {}
+    inserted = [1] * len(modes)
+    cov = np.diag(np.insert(np.zeros(3), inserted, MODE_STD**2))
+    of = [0, -2, -1]
+    cov[np.ix_(of, of)] = covariance(float(values[0]), size_std=size_std)
+    return Measured((4, *modes), np.insert(values, inserted, [*modes.values()]), cov, np.zeros_like(cov))
+
+
+def reading(range_mm: float, channel: str, tile: tuple[int, int] | None = None) -> Reading:
+    """The rail at a range, read as planned."""
+    return Reading(Key(range_mm, channel, tile), range_mm, range_mm)
+
+
+def observed(range_mm: float, channel: str, optimum: Measured, *others: Candidate) -> Observed:
+    """An observation with an optimum that explains its frames, and with others."""
+    return Observed(reading(range_mm, channel), (Candidate(optimum), *others))
 
 
 def members(
-    ranges_mm: Sequence[float], focus_mm: float, f: float, n: float, mp: float = 1.0, *, size_std: float = SIZE_STD
-) -> list[Member]:
+    ranges_mm: Sequence[float],
+    focus_mm: float,
+    f: float,
+    n: float,
+    mp: float = 1.0,
+    *,
+    modes: Mapping[int, float] | None = None,
+    size_std: float = SIZE_STD,
+) -> list[Observed]:
     """Of three colours, all focused at one range, ranges as stated."""
     return [
-        member(r, colour, np.array(laws(r, focus_mm, focus_mm, f, n, mp)), size_std=size_std)
+        observed(r, colour, measured(np.array(laws(r, focus_mm, focus_mm, f, n, mp)), modes, size_std=size_std))
         for r in ranges_mm
         for colour in COLOURS
     ]
 
 
-def moved(m: Member, waves: float = 0.0, cone: float = 0.0) -> Member:
-    """A fit that ended elsewhere, by waves of defocus and by ln of its cone."""
-    values = m.measured.values + np.array([waves, cone, 0.0])
-    return replace(m, measured=replace(m.measured, values=values))
+def measured_of(one: Observed) -> Measured:
+    """Of the first candidate."""
+    return one.candidates[0].measured
+
+
+def with_measured(one: Observed, of: Measured) -> Observed:
+    """The observation with another Gaussian in its first candidate."""
+    first, *others = one.candidates
+    return replace(one, candidates=(replace(first, measured=of), *others))
+
+
+def with_values(one: Observed, values: Floats) -> Observed:
+    """The observation with other values in its first candidate."""
+    return with_measured(one, replace(measured_of(one), values=values))
+
+
+def moved(one: Observed, waves: float = 0.0, cone: float = 0.0, modes: float = 0.0) -> Observed:
+    """A fit that ended elsewhere, by waves of defocus, by ln of its cone, by waves of each mode above defocus."""
+    values = measured_of(one).values.copy()
+    values[0] += waves
+    values[1:-2] += modes
+    values[-2] += cone
+    return with_values(one, values)
+
+
+def turned(one: Observed) -> Observed:
+    """The observation with the twin of its first candidate in place of it."""
+    return with_measured(one, measured_of(one).twin())
 
 
 def stated(f: float, n: float, **changed: Any) -> Stated:
@@ -80,3 +131,16 @@ def stated(f: float, n: float, **changed: Any) -> Stated:
         "reference_nm": 450.0,
     }
     return Stated(**fields | changed)
+
+
+def lens_of(every: Sequence[Observed], plan: Stated, of: Laws | None = None) -> LensFit:
+    """The lens of observations that all belong, with the signs that they have, under given laws: the strictest, if none."""
+    n = len(every)
+    return exact_lens(every, np.zeros(n, np.intp), np.ones(n, bool), plan, laws=of or Laws())
+
+
+def best_focus(lens: LensFit, channel: str) -> Uncertain:
+    """Best focus of a channel, mm on the rail's scale."""
+    combination = lens.model.best_focus(channel)
+    variance = lens.errors_of(combination[None])[0, 0]
+    return Uncertain(float(combination @ lens.theta), float(np.sqrt(variance)), "mm")

@@ -16,6 +16,7 @@ from labkit.types import Bools, Floats
 
 MOST_STEPS = 50
 SETTLED = 1e-4  # standard errors: a step shorter than this ends a climb
+STIFF = 1e12  # factor of a column's information by which it is held where it is
 
 
 @dataclass(frozen=True)
@@ -85,11 +86,24 @@ class Normal:
         """Marquardt's: diagonals grown by a share."""
         return Normal(_grown(self.common, damping), self.cross, _grown(self.own, damping))
 
-    def holding(self, held: Bools) -> Normal:
-        """With common columns (p,) that do not move."""
+    def solve_within(self, common: Floats, own: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+        """Solve, where common columns that would leave bounds (p,) end there, and all others follow them."""
+        held = np.zeros(len(common), bool)
+        ends = np.zeros(len(common))
+        while True:
+            stiff = self._holding(held)
+            step, own_step = stiff.solve(np.where(held, np.diag(stiff.common) * ends, common), own)
+            beyond = ~held & ((step < low) | (step > high))
+            if not beyond.any():
+                return step, own_step
+            ends = np.where(beyond, np.clip(step, low, high), ends)
+            held |= beyond
+
+    def _holding(self, held: Bools) -> Normal:
+        """With common columns (p,) too stiff to leave where the right-hand side puts them."""
         common = self.common.copy()
         at = np.flatnonzero(held)
-        common[at, at] *= 1e12
+        common[at, at] *= STIFF
         return Normal(common, self.cross, self.own)
 
 
@@ -132,10 +146,10 @@ def solve(model: LensModel, data: Data, start: Point) -> Solved:
     for _ in range(MOST_STEPS):
         normal, gradient, own_gradient = here[1:]
         theta = here[0].point.theta
-        outward = ((theta <= low) & (gradient < 0)) | ((theta >= high) & (gradient > 0))
-        step, own_step = normal.holding(outward).damped(damping).solve(np.where(outward, 0.0, gradient), own_gradient)
-        clipped = np.clip(theta + step, low, high)
-        trial = _expanded(model, data, prior, Point(clipped, here[0].point.own + own_step))
+        damped = normal.damped(damping)
+        step, own_step = damped.solve_within(gradient, own_gradient, low - theta, high - theta)
+        within = np.clip(theta + step, low, high)
+        trial = _expanded(model, data, prior, Point(within, here[0].point.own + own_step))
         length = np.sqrt(max(float(step @ gradient + np.sum(own_step * own_gradient)), 0.0))
         if trial[0].chi2 <= here[0].chi2 * (1 + 1e-12) + 1e-9:
             here, damping = trial, damping / 10

@@ -57,7 +57,6 @@ def test_the_gradient_is_a_finite_difference(unknown_light: bool) -> None:
     np.testing.assert_allclose(gradient, found, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.slow
 def test_the_score_scatters_as_the_information_says() -> None:
     rng = np.random.default_rng(7)
     evaluation, frame = case(rng)
@@ -104,7 +103,6 @@ def verdict_on(rng: np.random.Generator, bump: float = 0.0) -> bool:
     return judge(problem, state, [evaluation.mean]).accepted
 
 
-@pytest.mark.slow
 def test_pure_noise_is_hardly_ever_rejected() -> None:
     rejected = sum(not verdict_on(np.random.default_rng(seed)) for seed in range(1500))
     # 1.5 are expected at the significance of 1e-3; more than 7 come by chance once in 2000 times

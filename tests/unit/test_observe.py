@@ -11,8 +11,9 @@ import pytest
 
 import labkit.analysis.observe
 import labkit.calibration.stack
-from labkit.analysis.observe import Observation, observe
+from labkit.analysis.observe import observe
 from labkit.errors import DataError
+from labkit.estimation.observation import Observation
 from labkit.key import Key
 from labkit.plan import Plan, Sensor
 from labkit.raw.decode import read_raw

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.observe import Observation
 from labkit.analysis.panel import as_shown, pixels_per_cell
 from labkit.analysis.seen_pixels import SeenPixels, refuse_other_pixels, seen_pixels
 from labkit.calibration.calibrate import calibrate, channel_data
@@ -16,6 +15,7 @@ from labkit.calibration.lattice import repeating
 from labkit.errors import PlanError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.observation import Observation
 from labkit.imaging.warp import Pose
 from labkit.panel_target import PanelTarget
 from labkit.plan import Plan, TargetPixels

@@ -1,0 +1,137 @@
+"""The laws that a session's observations follow, against the printed ones, whose slopes are complex steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit.estimation.lens_model import FOCUS, LATERAL_COLOUR, WAVELENGTH, Laws, LensModel, Reading
+from labkit.key import Key
+from labkit.types import Floats
+from tests.lens_samples import COLOURS, laws, reading, stated
+
+NOLL = (4, 6, 11)
+TILES = ((0, 0), (0, 1), (1, 1))
+
+
+def sampled() -> LensModel:
+    """Three ranges and colours, homed thrice."""
+    homed = {480.0: (1, 1), 500.0: (1, 2), 530.0: (2, 3)}
+    readings = [replace(reading(r, c), homings=homings) for r, homings in homed.items() for c in COLOURS]
+    return LensModel(tuple(readings), NOLL, (), stated(60.0, 4.0))
+
+
+def tiled() -> LensModel:
+    """Three tiles at three ranges and in three colours."""
+    readings = [reading(r, c, tile) for r in (480.0, 500.0, 530.0) for c in COLOURS for tile in TILES]
+    return LensModel(tuple(readings), NOLL, (), stated(60.0, 4.0))
+
+
+def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
+    """(modes + 2,) that observation k should measure, by the printed laws; theta (columns,) and own real or complex."""
+    here = model.readings[k]
+
+    def at(kind: str, *name: str | float) -> Any:
+        return theta[model.index(kind, *name)]
+
+    channel = here.key.channel
+    homed = [here.homings.count(h) / len(here.homings) * at("homing", h) for h in {*here.homings} - {1}]
+    range_mm = here.range_mm + at("tape") + at("steps", here.station) + sum(homed)
+    colour = 0.0 if channel == "G" else at("axial colour", channel)
+    reference = at("best focus") + at("tape")
+    f, n, mp = at("focal length"), at("f-number"), np.exp(at("pupil magnification"))
+    own_focus, own_size, *own_modes = own if len(own) else (0.0, 0.0)
+    waves, cone, scale = laws(range_mm, reference + colour + own_focus, reference, f, n, mp)
+    scale = scale + at("target size") + own_size + (0.0 if channel == "G" else at("lateral colour", channel))
+    upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
+    wavelength = at("wavelength", channel)
+    modes = [mode * (1 - wavelength) for mode in (waves, *upper)]
+    return np.array([*modes, cone + at("cone") + wavelength, scale])
+
+
+def near_focus(model: LensModel) -> tuple[Floats, Floats]:
+    """A point, (columns,) and (groups, local columns), that is off in everything."""
+    rng, groups = np.random.default_rng(1), int(model.groups.max()) + 1
+    theta = np.array([505.0 if c.kind == FOCUS else c.value for c in model.columns])
+    theta = theta + np.array([c.scale for c in model.columns]) * rng.normal(size=len(theta))
+    own = np.array([c.scale for c in model.local_columns]) * rng.normal(size=(groups, len(model.local_columns)))
+    return theta, own
+
+
+@pytest.mark.parametrize("model", [sampled(), tiled()], ids=["frames", "tiles"])
+def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
+    theta, own = near_focus(model)
+    slopes, own_slopes = model.slopes(theta, own)
+    predicted = model.predicted(theta, own)
+    for k, group in enumerate(model.groups):
+        np.testing.assert_allclose(predicted[k], true_values(model, theta, own[group], k), rtol=1e-12)
+        steps = theta + 1e-30j * np.eye(len(theta))
+        wanted = np.array([true_values(model, step, own[group], k).imag / 1e-30 for step in steps]).T
+        # 600 waves of sagitta, rounded, over a step of 2e-7 in ln mp are wrong by 3e-7 waves
+        np.testing.assert_allclose(slopes[k], wanted, rtol=1e-6, atol=6e-7)
+        steps = own[group] + 1e-30j * np.eye(own.shape[1])
+        wanted = np.array([true_values(model, theta, step, k).imag / 1e-30 for step in steps]).T
+        np.testing.assert_allclose(own_slopes[k], wanted.reshape(own_slopes[k].shape), rtol=1e-6, atol=6e-7)
+
+
+def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
+    model = sampled()
+    theta, own = near_focus(model)
+    theta[[model.index(WAVELENGTH, c) for c in COLOURS]] = 0.0
+    np.testing.assert_array_equal(model.predicted(theta, own), model.true(theta, own))
+    slopes = model.slopes(theta, own)[0]
+    at = [model.index(WAVELENGTH, r.key.channel) for r in model.readings]
+    assert np.all(slopes[np.arange(9), 0, at] != 0)
+    others = slopes.copy()
+    others[np.arange(9), :, at] = 0.0
+    np.testing.assert_array_equal(model.in_stated_light(slopes), others)
+
+
+def test_sums_over_groups_are_those_of_each_channel_and_tile() -> None:
+    shuffled = np.random.default_rng(3).permutation(27)
+    readings = tiled().readings
+    model = replace(tiled(), readings=tuple(readings[k] for k in shuffled))
+    rows = np.random.default_rng(4).normal(size=(27, 2))
+    sums = model.by_group(rows)
+    for k, one in enumerate(model.readings):
+        alike = [(r.key.channel, r.key.tile) == (one.key.channel, one.key.tile) for r in model.readings]
+        np.testing.assert_allclose(sums[model.groups[k]], rows[alike].sum(axis=0))
+
+
+def test_a_key_that_is_there_twice_is_named() -> None:
+    readings = (reading(2000.0, "G"), reading(2100.0, "G"), reading(2000.0, "G"))
+    with pytest.raises(ValueError, match=r"^2000_G: observed twice; give each key once$"):
+        LensModel(readings, NOLL, (), stated(60.0, 4.0))
+
+
+def test_the_first_channel_is_the_reference_where_none_is_green() -> None:
+    readings = tuple(reading(r, c) for r in (2000.0, 2100.0) for c in "BR")
+    model = LensModel(readings, NOLL, (), stated(60.0, 4.0))
+    assert model.reference == "B"
+    model.index(LATERAL_COLOUR, "R")
+    with pytest.raises(KeyError):
+        model.index(LATERAL_COLOUR, "B")
+
+
+def test_photographs_before_and_after_a_homing_share_its_error() -> None:
+    readings = (
+        Reading(Key(2000.0, "G"), 2000.0, 2000.0, (0, 0)),
+        Reading(Key(2100.0, "G"), 2100.0, 2100.0, (0, 1, 1, 1)),
+    )
+    model = LensModel(readings, (4,), (), stated(60.0, 4.0, homing_std_mm=0.1))
+    theta = np.array([2050.0 if c.kind == FOCUS else c.value for c in model.columns])
+    slopes = model.slopes(theta, np.zeros((1, 0)))[0]
+    homing, station = model.index("homing", 1), model.index("steps", 2100.0)
+    assert slopes[0, 0, homing] == 0
+    assert slopes[1, 0, homing] == pytest.approx(0.75 * slopes[1, 0, station])
+
+
+def test_rough_laws_add_their_errors_in_squares() -> None:
+    rough = Laws(mode_scatter=0.004, cone_scatter=0.004).rough()
+    assert rough.mode_scatter == pytest.approx(0.005)
+    assert rough.cone_scatter == pytest.approx(0.005)
+    assert not rough.shared
+    assert rough.paraxial
