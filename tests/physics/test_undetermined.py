@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from labkit.analysis.local_fits import Task, fit_task
-from labkit.analysis.observe import Observation
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.experiments.conditions import FRAME, Trial, carpet, draw_trial, optics
 
 NOLL = (4, 5, 6, 7)
@@ -31,8 +30,8 @@ def parts(trial: Trial) -> dict[str, FrameData]:
 
 @pytest.mark.parametrize("part", ["beside the target", "few pixels", "no target"])
 def test_frames_that_tell_no_wavefront_are_rejected_in_words(trial: Trial, part: str) -> None:
-    seen = Observation(500.0, 500.0, "green", ("a",), (parts(trial)[part],), (trial.pose,), trial.noise, ((0, 0),), 1)
-    fit = fit_task(Task(optics(NOLL), carpet(), seen))
-    assert not fit.verdict.accepted
-    assert any("defocus" in words for words in fit.verdict.undetermined)
-    assert np.all(np.isfinite(fit.std))
+    views = Views((parts(trial)[part],), (trial.pose,), trial.noise)
+    best = find_optima(optics(NOLL), carpet(), views, Guesses(alone=False)).best
+    assert not best.verdict.accepted
+    assert any("defocus" in words for words in best.verdict.undetermined)
+    assert np.all(np.isfinite(best.covariance))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation import small_problem
 from labkit.estimation.climb import State
 from labkit.estimation.likelihood import low_orders, predict
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
 from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
 from labkit.imaging.model import ForwardModel
-from labkit.inference import phase_retrieval
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
 
@@ -36,7 +36,7 @@ def knowing_nothing(trial: Trial) -> State:
 
 def test_components_make_up_the_psfs_of_wavefronts_they_were_not_drawn_from() -> None:
     pupil = Pupil(0.55, 0.55, 8.0, 2.2, 64, (2, 3, *NOLL))
-    components, perfect = phase_retrieval._components(pupil)
+    components, perfect = small_problem._components(pupil)
     np.testing.assert_allclose(components @ components.T, np.eye(len(components)), atol=1e-4)
     rng = np.random.default_rng(1)
     for _ in range(10):
@@ -57,7 +57,7 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
     variance = predict(there, trial.frame, detector)[1]
 
     def squares(waves: np.ndarray) -> tuple[float, float]:
-        components, perfect = phase_retrieval._components(small.pupil)
+        components, perfect = small_problem._components(small.pupil)
         departure = components @ (small.pupil.psf(np.append([0, 0], waves)) - perfect).ravel()
         light = np.append(state.scales, state.ambients)
         mine = np.sum((small.factor @ np.append(state.scales * departure, light) - small.data) ** 2)
@@ -74,13 +74,13 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
 def test_it_is_prepared_without_copies_of_all_its_pictures(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     state = trial.state(trial.waves)
     whole = prepared(trial, state)
-    monkeypatch.setattr(phase_retrieval, "AT_ONCE", 1000)  # of 11 thousand pixels; of a large target a twentieth
+    monkeypatch.setattr(small_problem, "AT_ONCE", 1000)  # of 11 thousand pixels; of a large target a twentieth
     tracemalloc.start()
     small = prepared(trial, state)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     np.testing.assert_allclose(small.factor.T @ small.factor, whole.factor.T @ whole.factor, rtol=1e-5)
-    pictures = 4 * phase_retrieval.COMPONENTS * int(trial.frame.used.sum())  # bytes, in single precision
+    pictures = 4 * small_problem.COMPONENTS * int(trial.frame.used.sum())  # bytes, in single precision
     assert peak < 4 * pictures  # measured: 2.6, the model's own among them
 
 
@@ -107,8 +107,8 @@ def test_starts_that_are_given_come_first_and_the_search_ends(trial: Trial) -> N
     *offers, end = searched(small, 4, given)
     assert offers[0].candidate is not None
     assert np.linalg.norm(trial.error(offers[0].candidate.waves)) < 0.03
-    assert end.starts <= phase_retrieval.MOST
-    assert end.optima[0].met >= phase_retrieval.ENOUGH or end.starts == phase_retrieval.MOST
+    assert end.starts <= small_problem.MOST
+    assert end.optima[0].met >= small_problem.ENOUGH or end.starts == small_problem.MOST
     misfits = [o.misfit for o in end.optima]
     assert misfits == sorted(misfits)
     assert len(offers) == sum(o.offered for o in end.optima)
