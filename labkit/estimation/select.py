@@ -351,17 +351,22 @@ def _modes(choices: _Choices, choice: Indices, places: Indices) -> Floats:
 
 
 def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | None) -> float:
-    """chi2, about, of a group's values (m, values) beside the law of defocus and modes that stay."""
+    """chi2, about, of a group's values (m, values) beside the law of defocus and modes that stay.
+
+    Large misfits count by their logarithm, as in Student's t (K. L. Lange et al., J. Am. Stat. Assoc. 84, 881 (1989)): one
+    wrong optimum must not decide the signs of all others.
+    """
     focus = crossing(ranges, values[:, model.defocus], model)
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
     slack = SETTINGS.rough_waves**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
     modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
-    cost = float(np.sum((values[:, model.defocus] - line) ** 2 / slack))
-    cost += float(np.sum((modes - modes.mean(axis=0)) ** 2)) / SETTINGS.rough_waves**2
+    cost = (values[:, model.defocus] - line) ** 2 / slack
+    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough_waves**2
     if like is not None:
-        cost += float(np.sum((modes - np.delete(like, model.defocus)) ** 2)) / SETTINGS.colour_modes_std**2
-    return cost
+        cost += np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1) / SETTINGS.colour_modes_std**2
+    numbers = model.values
+    return float(numbers * np.sum(np.log1p(cost / numbers)))
 
 
 def _open_channels(choices: _Choices, choice: Indices, members: Bools, value: float) -> tuple[str, ...]:

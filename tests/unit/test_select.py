@@ -1,0 +1,274 @@
+"""Which optimum, with which sign, and whether it belongs: chosen among made-up Gaussians whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit.estimation.candidate import Candidate, Observed
+from labkit.estimation.lens_model import CONE
+from labkit.estimation.select import OUT, Selection, select
+from labkit.key import Key
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+from tests.lens_samples import (
+    COLOURS,
+    best_focus,
+    laws,
+    measured,
+    measured_of,
+    members,
+    moved,
+    reading,
+    stated,
+    turned,
+    with_values,
+)
+
+MODES = {6: 0.02, 7: 0.03, 11: -0.04}
+RANGES = (1900.0, 1980.0, 2060.0, 2140.0, 2220.0)
+PLAN = stated(70.0, 2.8)
+
+
+def session(channels: str = "RGB", ranges: Sequence[float] = RANGES, focus_mm: float = 2050.0) -> list[Observed]:
+    """70 mm f/2.8 with some astigmatism, coma and spherical aberration, each fit with errors as it says."""
+    rng = np.random.default_rng(5)
+    every = [
+        one for one in members(ranges, focus_mm, 70.0, 2.8, 0.985, modes=MODES) if one.reading.key.channel in channels
+    ]
+    drawn = [rng.multivariate_normal(measured_of(one).values, measured_of(one).covariance) for one in every]
+    return [with_values(one, values) for one, values in zip(every, drawn, strict=True)]
+
+
+def chosen(selection: Selection) -> Floats:
+    """(n, values) of the chosen candidates, with their signs."""
+    picked = [selection.candidate(k) for k in range(len(selection.observed))]
+    return np.array([(c.measured if sign > 0 else c.measured.twin()).values for c, sign in picked])
+
+
+def true(every: Sequence[Observed]) -> Floats:
+    return np.array([measured_of(one).values for one in every])
+
+
+def keys(every: Sequence[Observed], *places: int) -> list[Key]:
+    return [every[k].reading.key for k in places]
+
+
+# signs
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_signs_undo_a_random_choice_of_twins(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = np.sort(rng.uniform(1900, 2200, 5)).tolist()
+    every = session("GR", ranges, float(rng.uniform(1950, 2150)))
+    flips = rng.choice([True, False], len(every))
+    selection = select([turned(one) if flip else one for one, flip in zip(every, flips, strict=True)], PLAN)
+    np.testing.assert_allclose(chosen(selection), true(every))
+    assert selection.members.all()
+    assert selection.open_channels == ()
+
+
+def test_a_twin_has_its_even_modes_reversed() -> None:
+    one = measured_of(session("G")[0])
+    np.testing.assert_allclose(one.twin().values / one.values, [-1, -1, 1, -1, 1, 1])
+    # defocus and the cone go together: with the sign of defocus
+    assert one.twin().covariance[0, 4] == -one.covariance[0, 4] != 0
+    np.testing.assert_array_equal(one.twin().twin().covariance, one.covariance)
+
+
+def test_all_ranges_on_one_side_of_focus_still_tell_it() -> None:
+    every = session("G", (2100.0, 2200.0, 2300.0), 2000.0)
+    selection = select([turned(one) for one in every], PLAN)
+    np.testing.assert_allclose(chosen(selection), true(every))
+    assert selection.open_channels == ()
+
+
+def test_ranges_too_close_together_leave_the_sign_open() -> None:
+    every = session("GR", (30_000.0, 30_001.0), 28_000.0)
+    assert select(every, PLAN).open_channels == ("R", "G")
+
+
+def test_at_one_range_colours_are_turned_alike() -> None:
+    every = session("GR", (2100.0,), 2000.0)
+    values = chosen(select([every[0], turned(every[1])], PLAN))
+    assert np.sign(values[0, 0]) == np.sign(values[1, 0])
+
+
+def test_a_colour_of_one_range_is_turned_as_another_is_there() -> None:
+    red, green = session("R", (2140.0,)), session("G")
+    every = [turned(red[0]), *green]
+    np.testing.assert_allclose(chosen(select(every, PLAN)), true([*red, *green]))
+
+
+# candidates
+
+
+def with_likelier(one: Observed, waves: float, gain: float = 6.0) -> Observed:
+    """The observation with a wrong optimum, elsewhere in every mode, that is likelier than the right one."""
+    wrong = measured_of(moved(one, waves, modes=-waves))
+    return replace(one, candidates=(Candidate(wrong, gain), *one.candidates))
+
+
+def test_the_right_candidate_is_chosen_though_wrong_ones_are_likelier() -> None:
+    every = session()
+    wrong = {1: 0.09, 7: -0.06, 12: 0.3}
+    selection = select([with_likelier(one, wrong[k]) if k in wrong else one for k, one in enumerate(every)], PLAN)
+    np.testing.assert_allclose(chosen(selection), true(every))
+    assert selection.members.all()
+    assert [int(selection.choice[k]) // 2 for k in range(15)] == [int(k in wrong) for k in range(15)]
+
+
+def test_the_likelier_of_two_candidates_that_the_session_allows_is_chosen() -> None:
+    every = session()
+    others = [replace(one, candidates=(*one.candidates, Candidate(measured_of(one), 1.0))) for one in every]
+    assert set(select(others, PLAN).choice // 2) == {1}
+
+
+def test_the_penalised_likelihood_never_falls_from_round_to_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    every = [with_likelier(one, 0.1) if k % 4 == 0 else one for k, one in enumerate(session("GR"))]
+    every[7] = moved(every[7], 0.5)
+    heights = []
+    for rounds in (*range(5), 200):
+        monkeypatch.setattr("labkit.estimation.select.MOST_ROUNDS", rounds)
+        heights.append(select(every, PLAN).objective)
+    assert np.all(np.diff(heights) >= 0)
+    assert heights[1] - heights[0] > 1000
+    assert heights[-2] == heights[-1]
+
+
+def test_a_selection_begins_where_an_earlier_one_ended() -> None:
+    every = [with_likelier(one, 0.1) if k % 4 == 0 else one for k, one in enumerate(session())]
+    earlier = select([replace(one, candidates=()) if k > 10 else one for k, one in enumerate(every)], PLAN)
+    later, anew = select(every, PLAN, earlier), select(every, PLAN)
+    assert earlier.choice[11:].tolist() == [OUT] * 4
+    np.testing.assert_array_equal(later.choice, anew.choice)
+    assert later.objective == pytest.approx(anew.objective)
+
+
+# observations that do not belong
+
+
+def test_a_wrong_optimum_is_named_and_no_other() -> None:
+    every = session()
+    assert select(every, PLAN).strangers == []
+    selection = select([moved(one, 0.09) if k == 7 else one for k, one in enumerate(every)], PLAN)  # physics.md §15
+    assert selection.strangers == keys(every, 7)
+    focus = best_focus(selection.lens, every[7].reading.key.channel)
+    assert focus.value == pytest.approx(2050.0, abs=4 * focus.std)
+
+
+def test_a_few_wrong_optima_cost_no_law() -> None:
+    for wrong in ([7], [7, 11]):
+        off = [moved(one, 0.02, modes=-0.05) if k in wrong else one for k, one in enumerate(session())]
+        selection = select(off, PLAN)
+        assert selection.strangers == keys(off, *wrong)
+        assert selection.lens.model.laws.shared
+        assert selection.lens.model.laws.paraxial
+        assert selection.lens.p_value > 0.1
+
+
+def test_of_two_camps_that_contradict_each_other_one_is_named_by_its_keys() -> None:
+    """The lens was focused anew after some of the ranges: defocus follows one focus or another."""
+    first, last = session("G", RANGES[:3]), session("G", RANGES[3:], 2090.0)
+    selection = select([*first, *last], PLAN)
+    strangers = set(selection.strangers)
+    assert strangers in ({one.reading.key for one in first}, {one.reading.key for one in last})
+
+
+def test_where_everyone_belongs_none_is_left_out_whatever_that_costs() -> None:
+    every = [moved(one, 0.09) if k == 7 else one for k, one in enumerate(session())]
+    selection = select(every, PLAN, everyone=True)
+    assert selection.members.all()
+    assert selection.lens.widening > 3
+    assert selection.lens.model.laws.paraxial
+
+
+def test_leaving_out_costs_less_where_residuals_are_not_noise() -> None:
+    """By chi2 of the same departure, on either side of the two costs."""
+    kept = []
+    for explained in (True, False):
+        every = session()
+        first = replace(every[7].candidates[0], explained=explained)
+        every[7] = moved(replace(every[7], candidates=(first,)), cone=0.04)  # left out beyond 0.03 or 0.045
+        kept.append(bool(select(every, PLAN).members[7]))
+    assert kept == [True, False]
+
+
+def test_what_is_not_fitted_is_predicted() -> None:
+    every = session()
+    blind = [replace(one, candidates=()) if k == 7 else one for k, one in enumerate(every)]
+    selection = select(blind, PLAN)
+    assert selection.strangers == []
+    predicted, covariance = selection.lens.predictions
+    noise = covariance[7] + measured_of(every[7]).covariance
+    off = predicted[7] - measured_of(every[7]).values
+    assert off @ np.linalg.solve(noise, off) < 25  # chi-squared of six
+
+
+def test_a_key_that_is_there_twice_is_named() -> None:
+    every = session("G")
+    with pytest.raises(ValueError, match="2060_G: observed twice"):
+        select([*every, every[2]], PLAN)
+
+
+def test_a_session_without_a_candidate_is_refused() -> None:
+    with pytest.raises(ValueError, match="no observation has a candidate"):
+        select([Observed(reading(2000.0, "G"))], PLAN)
+
+
+# laws
+
+
+def test_a_cone_of_another_lens_is_not_believed() -> None:
+    ranges = np.linspace(470.0, 494.0, 5).tolist()
+    exact: dict[str, Any] = {"focal_length": Uncertain(60.0, 1e-9, "mm"), "f_number": Uncertain(4.0, 0.002)}
+    every, plan = members(ranges, 482.0, 60.0, 4.0), stated(60.0, 4.0, **exact, range_zero_std_mm=0.1)
+    assert select(every, plan).lens.model.laws.paraxial
+    selection = select([moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every], plan)
+    assert selection.strangers == []
+    assert not selection.lens.model.laws.paraxial
+    # without sizes the pupils take a part of it upon them: 0.020 is left
+    assert 0.01 < selection.lens.value(CONE) < 0.04
+    assert best_focus(selection.lens, "G").value == pytest.approx(482.0, abs=0.01)
+
+
+def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> None:
+    every = session()
+    assert select(every, PLAN).lens.model.laws.shared
+    drifting = [moved(one, modes=1e-4 * (one.reading.range_mm - 2060.0)) for one in every]
+    selection = select(drifting, PLAN)
+    assert selection.strangers == []
+    assert selection.lens.model.laws.mode_scatter == 0.01  # half decades: the drift is 0.011 RMS
+    assert selection.lens.model.laws.paraxial
+
+
+# scale
+
+
+def tiles(side: int, rng: np.random.Generator) -> list[Observed]:
+    """Three ranges and colours of tiles, each with a focus and with modes of its own."""
+    every = []
+    for tile in np.ndindex(side, side):
+        focus, modes = 2060.0 + rng.normal(0, 20.0), dict(zip(MODES, rng.normal(0, 0.05, 3).tolist(), strict=True))
+        for c in COLOURS:
+            for r in RANGES[::2]:
+                of = measured(np.array(laws(r, focus, 2060.0, 70.0, 2.8, 0.985)), modes)
+                drawn = replace(of, values=rng.multivariate_normal(of.values, of.covariance))
+                every.append(Observed(reading(r, c, tile), (Candidate(drawn),)))
+    return every
+
+
+def test_among_tiles_every_wrong_optimum_is_named() -> None:
+    """200 tiles, and one fit in twenty is wrong: two of a tile's three ranges are right."""
+    rng = np.random.default_rng(7)
+    every = tiles(14, rng)
+    at = rng.choice(len(every) // 3, len(every) // 20, replace=False)
+    wrong = {int(3 * group + rng.integers(3)): rng.normal(0, 0.3, 2) for group in at}
+    off = [moved(one, wrong[k][0], modes=0.05 + abs(wrong[k][1])) if k in wrong else one for k, one in enumerate(every)]
+    selection = select([turned(one) if rng.random() < 0.5 else one for one in off], PLAN)
+    assert sorted(selection.strangers) == sorted(keys(every, *wrong))
