@@ -18,7 +18,7 @@ from labkit.estimation.estimate import LocalFit
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.filter_array import channel_pixels, pattern_of
+from labkit.filter_array import ChannelPixels, channel_pixels, pattern_of
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -44,8 +44,8 @@ def fit_image(
 ) -> Wavefront:
     """Fit the wavefront of one colour to photographs in memory, of a target at one range.
 
-    There are no flats: uneven light is estimated to low order. Of twins the one is taken whose largest even mode is
-    positive.
+    Uneven light is estimated, for there are no flats. Of twins the one is returned whose largest even mode is positive.
+    Raises ValueError for arrays of other shapes, TargetError or DataError where a photograph does not show the target.
 
     Parameters
     ----------
@@ -57,33 +57,29 @@ def fit_image(
     mask : of the shape of `counts`, True where a pixel is good
     corners_px : (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search for the target
     mm_per_pixel : about, on the target
-    gain : counts per electron; estimated from these photographs where not given
-    read_noise : counts; likewise
-
-    Raises
-    ------
-    ValueError
-        An array has another shape.
-    TargetError
-        A photograph does not show the target.
-    DataError
-        No pixel shows the target, or the counts are no photograph.
+    gain, read_noise : counts per electron, and counts; estimated from these photographs where not given
 
     >>> w = labkit.fit_image(counts, labkit.open_target("sierpinski:order=4,size_mm=15.6"), optics)
     """
     images = _frames("counts", counts)
-    good = (
-        np.ones(images.shape, bool)
-        if mask is None
-        else mask_array("mask", np.reshape(mask, images.shape), images.shape)
-    )
-    pattern = pattern_of(cfa_pattern)
-    corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
-    observation = _observation(images, good, target, corners, pattern, channel, _noise(images, gain, read_noise))
+    corners = _corners(images, pattern_of(cfa_pattern), target, corners_px, mm_per_pixel)
+    pixels = channel_pixels(pattern_of(cfa_pattern), channel)
+    noise = _noise(images, gain, read_noise)
+    return _fitted(_observation(images, _good(mask, images), target, corners, channel, pixels, noise), target, optics)
+
+
+def _fitted(observation: Observation, target: Target, optics: Optics) -> Wavefront:
     views = Views(observation.frames, observation.poses, observation.noise)
     with threadpool_limits(1):  # several for matrices of this size take twice the time
         found = find_optima(optics, target, views, Guesses(deep=True, alone=True))
         return as_wavefront(LocalFit(observation, found.best.canonical(), found))
+
+
+def _good(mask: ArrayLike | None, images: Floats) -> Bools:
+    """(frames, rows, columns) True where a pixel is good."""
+    if mask is None:
+        return np.ones(images.shape, bool)
+    return mask_array("mask", np.reshape(mask, images.shape), images.shape)
 
 
 def _observation(
@@ -91,12 +87,11 @@ def _observation(
     good: Bools,
     target: Target,
     corners: Sequence[Floats],
-    pattern: tuple[str, ...],
     channel: str,
+    pixels: ChannelPixels,
     noise: NoisePrior,
 ) -> Observation:
     """The frames, cut to the target."""
-    pixels = channel_pixels(pattern, channel)
     rows, columns = cut_around(corners, images.shape[1:])
     cut = images[:, rows, columns]
     usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])

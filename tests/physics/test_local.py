@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from labkit.analysis.kept_fits import KeptFits
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima, residuals
@@ -205,3 +208,18 @@ def test_residuals_are_the_frames_less_the_fit_in_its_own_noise(views: Views, be
     z = (views.frames[0].counts.ravel() - mean) / noise_std
     assert np.mean(z**2) == pytest.approx(best.chi2_per_pixel, rel=1e-9)
     np.testing.assert_allclose(noise_std, np.sqrt(best.state.gain * mean + best.state.read_noise**2), rtol=1e-12)
+
+
+def test_what_a_search_found_can_be_kept(views: Views, tmp_path: Path) -> None:
+    made = searched(views, starts=(WAVES,), score=True, deep=False)
+
+    def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        yield from ((index, made) for index, _ in enumerate(tasks))
+
+    def never(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        pytest.fail("it was kept, and is made again")
+
+    list(KeptFits(run, tmp_path)(searched, ["a"]))
+    ((_, kept),) = KeptFits(never, tmp_path)(searched, ["a"])
+    np.testing.assert_array_equal(kept.best.waves, made.best.waves)
+    assert kept.best.scores.keys() == made.best.scores.keys()

@@ -115,7 +115,7 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
             fit(session, workers=1, name="again", noll=(4, 5))
     assert kept.items() <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
     monkeypatch.setattr(
-        "labkit.analysis.local_fits.fit_wavefront", lambda *task, **options: pytest.fail("fitted twice")
+        "labkit.estimation.session.find_optima", lambda *task, **options: pytest.fail("fitted twice")
     )
     assert len(fit(session, workers=1, name="again", noll=(4, 5))) == 2
     assert not (folder / ".fits").exists()

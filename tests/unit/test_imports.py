@@ -12,7 +12,7 @@ ROOMS = [
     ["types", "errors", "key", "pace", "uncertain", "version"],
     ["finding"],
     ["findings"],
-    ["files", "arrays", "images", "filter_array"],
+    ["files", "arrays", "images", "filter_array", "sharing"],
     ["plan"],
     ["target"],
     ["target_file", "panel_target"],
@@ -20,7 +20,7 @@ ROOMS = [
     ["optics"],
     ["results"],
     ["imaging"],
-    ["inference", "restoration"],
+    ["estimation", "restoration"],
     ["raw"],
     ["session"],
     ["report"],
@@ -42,7 +42,7 @@ ROOMS = [
 LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
 
 MATHEMATICS = (
-    *("labkit/optics", "labkit/imaging", "labkit/inference", "labkit/edges", "labkit/restoration"),
+    *("labkit/optics", "labkit/imaging", "labkit/estimation", "labkit/edges", "labkit/restoration"),
     "labkit/experiments/methods",
 )
 
@@ -131,7 +131,7 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> Non
 @pytest.mark.parametrize("path", modules("drivers"), ids=name)
 def test_a_driver_knows_nothing_of_the_model_that_it_tests(path: Path) -> None:
     # the simulated bench would agree with any mistake that it shared
-    forbidden = {"optics", "imaging", "inference", "calibration", "analysis", "results", "report"}
+    forbidden = {"optics", "imaging", "estimation", "calibration", "analysis", "results", "report"}
     assert {room(dotted) for dotted in imported(path)} & forbidden == set()
 
 

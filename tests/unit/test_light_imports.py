@@ -18,14 +18,16 @@ ESTIMATE = {
     "labkit.calibration",
     "labkit.estimation",
     "labkit.finder",
-    "labkit.imaging",
-    "labkit.inference",
 }
+FORWARD_MODEL = {"labkit.imaging.model", "labkit.imaging.blur", "labkit.imaging.scene"}
+"""Of imaging a report needs what camera parts are called, and no pictures."""
+
 SEARCH = {
-    "labkit.inference.fit",
-    "labkit.estimation.small_problem",
-    "labkit.inference.search",
+    "labkit.estimation.local",
+    "labkit.estimation.session",
     "labkit.estimation.sketches",
+    "labkit.estimation.small_problem",
+    "labkit.estimation.starts",
 }
 
 PROGRAM = """
@@ -45,7 +47,7 @@ def loaded_by(statements: str) -> set[str]:
 
 def unneeded(modules: set[str]) -> set[str]:
     rooms = {".".join(name.split(".")[:2]) for name in modules}
-    return rooms & (HEAVY | ESTIMATE)
+    return rooms & (HEAVY | ESTIMATE) | modules & FORWARD_MODEL
 
 
 @pytest.fixture
