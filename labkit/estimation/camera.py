@@ -139,7 +139,7 @@ class CameraChoice:
         """Fits with another choice of parts, if that raises the penalised likelihood; else None."""
         telling = self._telling(ends, choice ^ parts)
         fits = dict(self.refit(telling, choice))
-        if not self._better(ends, fits, parts, choice):
+        if self._gain(ends, fits) <= cost(choice) - cost(parts):
             return None
         rest = [k for k in ends if k not in fits]
         fits |= self.refit(rest, choice)

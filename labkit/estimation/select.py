@@ -205,7 +205,7 @@ def select(
     observed : observations of known range with their candidates; those without any are predicted
     stated : the plan's numbers
     before : an earlier selection of the same observations in the same order, whose choices are where this one starts
-    everyone : whether all observations belong, and all laws hold, whatever that costs
+    everyone : whether all observations belong, and all laws hold, whatever that costs; no sign is called open then
 
     Returns
     -------
@@ -235,7 +235,7 @@ def select(
     best = int(np.argmax([end[3] - one.occam(end[0], end[1]) for one, end in zip(choices, ends, strict=False)]))
     choice, members, _, value = ends[best]
     lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
-    is_open = _open_channels(choices[best], choice, members, value)
+    is_open = () if everyone else _open_channels(choices[best], choice, members, value)
     return Selection(observed, choice, members, lens, value, is_open)
 
 

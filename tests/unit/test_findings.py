@@ -10,23 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.estimation.scores import KNOWN, SPECTRUM
-from labkit.finding import Finding, each_once
-from labkit.findings import (
-    NO_ANSWER,
-    PARTS,
-    TEXTS,
+from labkit.estimation.findings import (
     Moves,
     camera_part_found,
     camera_parts_missing,
-    flats_of_another_range,
-    flats_partly_unlit,
-    found,
+    model_incomplete_everywhere,
     residuals_not_noise,
     stated_model_moves,
-    unanswered,
     undetermined,
 )
+from labkit.finding import Finding, each_once
+from labkit.findings import NO_ANSWER, TEXTS, flats_of_another_range, flats_partly_unlit, found, unanswered
+from labkit.imaging.parts import KNOWN
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain
@@ -61,6 +56,7 @@ SAMPLES = [
     undetermined(GREEN, ["defocus"]),
     residuals_not_noise(GREEN, 1e-6, 1.234, [], "session"),
     residuals_not_noise(GREEN, 1e-6, 1.234, [], None),
+    model_incomplete_everywhere({"3200_G": 1.2, "3300_G": 1.9}, 3),
     found("chi2-unusual", GREEN, chi2_per_pixel=0.7, low=0.9, high=1.5),
     found("lens-changed", last_mm=3200.0, next_mm=3300.0),
     found("no-best-focus", why="the frames carry no ranges"),
@@ -126,8 +122,16 @@ def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
         found("no-such-code")
 
 
-def test_the_parts_of_the_camera_have_words() -> None:
-    assert {*KNOWN, SPECTRUM} == set(PARTS)
+@pytest.mark.parametrize("name", KNOWN)
+def test_every_part_of_the_camera_has_words_for_a_sentence(name: str) -> None:
+    finding = camera_part_found(name, {}, None, None)
+    assert finding.text.startswith(f"the photographs show {KNOWN[name].words}, which")
+
+
+def test_a_model_that_is_poor_for_all_says_so_once() -> None:
+    finding = model_incomplete_everywhere({"3200_G": 1.234, "3300_G": 1.9}, 3)
+    assert finding.text.startswith("the residuals of 2 of 3 fits are more than noise (χ² per pixel 1.23 to 1.90)")
+    assert finding.numbers["chi2_per_pixel"] == {"3200_G": 1.234, "3300_G": 1.9}
 
 
 def test_the_same_sentence_is_said_once() -> None:

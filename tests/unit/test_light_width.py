@@ -1,32 +1,30 @@
-"""How broad the light of a channel may be, from what its fits say of a width that their model lacks. Fits are played."""
+"""How broad the light of a channel may be, from what its fits say of a width that their model lacks. Searches are played."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from labkit.analysis.light_width import widest_light_nm
-from labkit.analysis.session_fits import SessionFits
-from labkit.analysis.wavefronts import fit_session
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.light_width import widest_light_nm
+from labkit.estimation.local import Found
 from labkit.estimation.scores import Call
+from labkit.estimation.session import Task
 from labkit.plan import Plan
-from tests.unit.test_wavefronts import PLAN, TARGET, as_found, observations
+from tests.optimum_samples import PLAN, Play, optimum, played, range_of
 
-STD = 1e-3  # of each of four fits, in relative squares
+STD = 1e-3
+"""Of each of four fits, in relative squares."""
 
 
-def session(square: float, std: float = STD, channels: str = "G") -> SessionFits:
+def session(square: float, std: float = STD, channels: str = "G") -> Estimate:
     """Four ranges, each of whose fits calls for a relative square of the width."""
     call = Call(np.array([square / std**2]), np.array([[std**-2]]))
 
-    def run(function: Any, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        yield from enumerate(replace(as_found(task, True), calls={"spectrum": call}) for task in tasks)
+    def ends(task: Task) -> Found:
+        return Found((optimum(task.optics, range_of(task), scores={"spectrum": call}),))
 
-    return fit_session(observations(channels), PLAN, TARGET, run, lambda done, of, what: None)
+    return played(Play(ends), channels)
 
 
 def test_the_bound_is_the_ninety_fifth_percentile_of_all_fits_together() -> None:

@@ -1,4 +1,4 @@
-"""What a missing part would move is a bias of the lens; and the fit with it vouches for the optimum. Fits are played."""
+"""What a missing part would move is a bias of the lens; and the fit with it confirms the optimum. Searches are played."""
 
 from __future__ import annotations
 
@@ -7,96 +7,81 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.analysis.lens_fit import fit_lens
-from labkit.analysis.local_fits import LocalFit
-from labkit.analysis.model_error import confirmed, shift, with_model_error
-from labkit.analysis.session_fits import SessionFits
-from labkit.inference.fit import WavefrontFit
-from tests.unit.test_adopted_parts import names, session
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.local import Found, Optimum
+from labkit.estimation.model_error import confirmed, shift, with_model_error
+from labkit.plan import Plan
+from tests.lens_samples import best_focus
+from tests.optimum_samples import PLAN, RANGES_MM, Play, optimum, played, range_of, true_values
 
-MOVED = 0.004  # waves of defocus
+MOVED = 0.004
+"""Waves of defocus."""
+ENDS = RANGES_MM[::3]
+FILTER = "low_pass_filter"
+TABLES = PLAN.model_dump(mode="json", exclude_none=True)
+FILTERED = Plan.from_tables(TABLES | {"sensor": TABLES["sensor"] | {FILTER: {"spread_px": "fit"}}})
+"""A plan that wants a filter fitted."""
 
 
-def moved(fit: WavefrontFit, waves: float) -> WavefrontFit:
-    """The fit with its defocus moved."""
-    values = fit.measured.values + np.eye(len(fit.measured.values))[0] * waves
-    return replace(
-        fit, state=replace(fit.state, waves=fit.waves + waves), measured=replace(fit.measured, values=values)
-    )
+def moved(here: Optimum, range_mm: float) -> Optimum:
+    """The fit with its defocus moved, explained."""
+    return optimum(here.optics, range_mm, off=(MOVED, 0.0))
 
 
 @pytest.fixture(scope="module")
-def plain() -> SessionFits:
-    """Two ranges whose fits call for a smear that would move defocus at both."""
-    fits = session(lambda task, again: 100.0 * names(task).count("smear"), square=0.5, diagnose=False)
-    fuller = list[LocalFit | None]()
-    for here, there in zip(fits.fits, fits.with_missing, strict=True):
-        assert there is not None
-        near = there.fit if there.fit.waves[0] * here.fit.waves[0] > 0 else there.fit.twin()
-        fuller.append(LocalFit(there.task, moved(near, MOVED)))
-    return replace(fits, with_missing=tuple(fuller))
+def plain() -> Estimate:
+    """Two ranges whose fits call for a part that would move defocus at both."""
+    found = played(Play(), ranges_mm=ENDS)
+    fuller = tuple(moved(fit.optimum, r) for fit, r in zip(found.fits, ENDS, strict=True))
+    return replace(found, missing=("smear",), with_missing=fuller)
 
 
-def test_the_lens_leans_by_what_the_part_would_move(plain: SessionFits) -> None:
-    assert plain.lens is not None
+def test_the_lens_leans_by_what_the_part_would_move(plain: Estimate) -> None:
     leaning = with_model_error(plain).lens
-    assert leaning is not None
-    assert leaning.lean is not None
-    at = leaning.model.index("best focus", "G")
-    # both ranges' defocus grows by as much: the crossing moves by that over the slope, which two ranges give
-    first, last = leaning.model.members
-    rise = last.measured.waves[0] - first.measured.waves[0]
-    slope = rise / (last.stop - first.stop)
-    assert leaning.lean[at] == pytest.approx(-MOVED / slope, rel=0.05)
-    assert leaning.std("best focus", "G") > abs(leaning.lean[at]) > 3 * plain.lens.std("best focus", "G")
-
-
-def test_a_part_that_gave_way_to_the_missing_one_is_none_there(plain: SessionFits) -> None:
-    """Both fits have a filter, 0.2 pixels squared, and none once they have the smear."""
-
-    def filtered(local: LocalFit) -> LocalFit:
-        measured = local.fit.measured
-        covariance = np.diag(np.insert(np.diag(measured.covariance), 1, 1e-4))
-        values = np.insert(measured.values, 1, 0.2)
-        return replace(
-            local,
-            fit=replace(
-                local.fit,
-                measured=replace(
-                    measured,
-                    values=values,
-                    covariance=covariance,
-                    calibration=0 * covariance,
-                    parts=("low_pass_filter.rows_px2",),
-                ),
-            ),
-        )
-
-    fits = tuple(map(filtered, plain.fits))
     assert plain.lens is not None
-    lens = fit_lens([fits[k].member for k in plain.members], plain.lens.model.stated)
-    leaning = with_model_error(replace(plain, fits=fits, lens=lens)).lens
     assert leaning is not None
     assert leaning.lean is not None
-    assert leaning.lean[leaning.model.index("part", "low_pass_filter.rows_px2")] == pytest.approx(-0.2, rel=0.01)
+    moves = float(leaning.model.best_focus("G") @ leaning.lean.theta)
+    # both ranges' defocus grows by as much: the crossing moves by that over the slope at focus, about that of the chord
+    (near, *_), (far, *_) = map(true_values, ENDS)
+    assert moves == pytest.approx(-MOVED / ((far - near) / (ENDS[1] - ENDS[0])), rel=0.05)
+    assert best_focus(leaning, "G").std > abs(moves) > 3 * best_focus(plain.lens, "G").std
 
 
-def test_a_session_that_lacks_nothing_stays_as_it_is(plain: SessionFits) -> None:
+def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
+    """Both fits have a filter, 0.2 pixels squared, and none once they have the part that their model lacked."""
+    play = Play(lambda task: Found((optimum(task.optics, range_of(task), square=0.2),)))
+    found = played(play, ranges_mm=ENDS, plan=FILTERED)
+    without = tuple(optimum(fit.optics.without([FILTER]), r) for fit, r in zip(found.fits, ENDS, strict=True))
+    leaning = with_model_error(replace(found, missing=("smear",), with_missing=without)).lens
+    assert leaning is not None
+    assert leaning.lean is not None
+    rows = leaning.model.index("part", f"{FILTER}.rows_px2")
+    assert leaning.theta[rows] == pytest.approx(0.2)
+    assert leaning.lean.theta[rows] == pytest.approx(-0.2, rel=1e-3)
+
+
+def test_a_session_that_lacks_nothing_stays_as_it_is(plain: Estimate) -> None:
     whole = replace(plain, with_missing=(None, None))
     assert with_model_error(whole) is whole
     assert not confirmed(whole, 0)
 
 
-def test_the_nearer_twin_counts(plain: SessionFits) -> None:
-    fit = plain.fits[0].fit
-    modes, cone = shift(fit, moved(fit, MOVED).twin())
-    assert modes == pytest.approx([MOVED])
+def test_the_nearer_twin_counts(plain: Estimate) -> None:
+    here = plain.fits[0].optimum
+    modes, cone = shift(here, moved(here, ENDS[0]).twin())
+    np.testing.assert_allclose(modes, [MOVED, 0.0], atol=1e-12)
     assert cone == 0.0
 
 
-def test_an_optimum_is_confirmed_by_a_fit_that_explains_its_frames(plain: SessionFits) -> None:
+def test_an_optimum_is_confirmed_by_a_fit_that_explains_its_frames(plain: Estimate) -> None:
     assert confirmed(plain, 0)
-    assert plain.with_missing[0] is not None
-    fit = plain.with_missing[0].fit
-    rejected = replace(plain.with_missing[0], fit=replace(fit, verdict=replace(fit.verdict, accepted=False)))
+    fuller = plain.with_missing[0]
+    assert fuller is not None
+    rejected = replace(fuller, verdict=replace(fuller.verdict, accepted=False))
     assert not confirmed(replace(plain, with_missing=(rejected, None)), 0)
+
+
+def test_an_optimum_is_not_confirmed_by_a_fit_that_ended_elsewhere(plain: Estimate) -> None:
+    elsewhere = optimum(plain.fits[0].optics, ENDS[0], off=(0.0, 0.05))
+    assert not confirmed(replace(plain, with_missing=(elsewhere, None)), 0)

@@ -7,43 +7,47 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.analysis.lens_fit import fit_session_lens
-from labkit.analysis.lens_model import Member
-from labkit.analysis.session_fits import SessionFits
 from labkit.analysis.session_parts import model_parts, part_findings
 from labkit.analysis.session_results import session_findings
-from labkit.estimation.expansion import Measured
-from labkit.findings import Moves, found
-from labkit.imaging.model import SPECTRUM_WIDTH
+from labkit.estimation.candidate import Measured, Observed
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.findings import Moves
+from labkit.estimation.select import select
+from labkit.findings import found
+from labkit.imaging.parts import SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.uncertain import Uncertain
-from tests.lens_samples import members, stated
+from tests.lens_samples import measured_of, members, stated, with_measured
 from tests.plans import PORTRAIT
 
 FILTER = ("low_pass_filter.rows_px2", "low_pass_filter.columns_px2")
+(WIDTH_LABEL,) = (f"{SpectrumWidth.name}.{label}" for label in SpectrumWidth.labels)
 ROWS, COLUMNS, WIDTH = 0.55**2, 0.40**2, 0.03**2
+PATIENCE_S = 60.0
 
 
-def with_parts(member: Member, labels: tuple[str, ...], values: list[float], std: list[float]) -> Member:
-    """A member that measured its camera along; what it errs by in the first number, it errs by in defocus too."""
-    wider = np.insert(member.measured.values, 1, values)
+def with_parts(one: Observed, labels: tuple[str, ...], values: list[float], std: list[float]) -> Observed:
+    """A fit that measured its camera along; what it errs by in the first number, it errs by in defocus too."""
+    plain = measured_of(one)
+    wider = np.insert(plain.values, 1, values)
     covariance, common = np.zeros((len(wider), len(wider))), np.zeros(len(wider))
     at = [0, *range(1 + len(labels), len(wider))]
-    covariance[np.ix_(at, at)] = member.measured.covariance
+    covariance[np.ix_(at, at)] = plain.covariance
     of = np.arange(1, 1 + len(labels))
     covariance[of, of] = np.square(std)
     common[[0, 1]] = 1e-3, std[0]
     covariance += np.outer(common, common)
-    return replace(member, measured=Measured((4,), wider, covariance, 0 * covariance, parts=labels))
+    return with_measured(one, Measured((4,), wider, covariance, 0 * covariance, parts=labels))
 
 
-def session(labels: tuple[str, ...], values: list[float], std: list[float]) -> SessionFits:
-    green = [m for m in members((980.0, 1010.0, 1040.0), 1010.0, 70.0, 2.8) if m.channel == "G"]
-    out, lens = fit_session_lens([with_parts(m, labels, values, std) for m in green], stated(70.0, 2.8))
-    assert out == []
-    return SessionFits((), lens)
+def session(labels: tuple[str, ...], values: list[float], std: list[float]) -> Estimate:
+    every = members((980.0, 1010.0, 1040.0), 1010.0, 70.0, 2.8)
+    green = [one for one in every if one.reading.key.channel == "G"]
+    selection = select([with_parts(one, labels, values, std) for one in green], stated(70.0, 2.8))
+    assert selection.members.all()
+    return Estimate((), selection.lens)
 
 
 def test_a_filter_is_given_by_how_far_apart_its_spots_lie() -> None:
@@ -88,14 +92,14 @@ def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
 
 def test_a_session_reports_what_its_lens_leaves_open() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
-    findings = session_findings(replace(fits, open_channels=("G",)))
+    findings = session_findings(replace(fits, open_channels=("G",)), PATIENCE_S)
     assert findings[0] == found("defocus-sign-open", Key(None, "G"))
-    (without,) = session_findings(replace(fits, lens=None))
+    (without,) = session_findings(replace(fits, lens=None), PATIENCE_S)
     assert (without.code, without.numbers) == ("no-best-focus", {"why": "defocus was not fitted"})
 
 
 def test_a_spectrum_is_each_channels_own() -> None:
-    found = model_parts(session((SPECTRUM_WIDTH,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
+    found = model_parts(session((WIDTH_LABEL,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
     assert set(found) == {"spectrum.G.width_nm"}
     assert found["spectrum.G.width_nm"].value == pytest.approx(0.03 * 550)
 

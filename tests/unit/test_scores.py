@@ -1,4 +1,4 @@
-"""What frames call for, against climbs with the parts; what a session makes of it, on numbers drawn by hand."""
+"""What frames say of parts that their model lacks, against climbs with the parts."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.analysis.diagnosis import called_for, commoner, idle, lacks, numbers, together, worth
 from labkit.estimation.climb import Problem, Start
-from labkit.estimation.expansion import SPARE, Freed, Measured, free_cone
+from labkit.estimation.expansion import SPARE, Freed, free_cone
 from labkit.estimation.scores import Call, calls
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
@@ -87,47 +86,7 @@ def test_a_model_that_has_everything_calls_for_nothing() -> None:
 def test_what_a_plan_gives_is_not_asked_for() -> None:
     assert replace(OPTICS, given=(LowPass(0.3, 0.3),)).lacking == [name for name in EVERY if name != "low_pass_filter"]
     assert replace(OPTICS, spectrum=Spectrum()).lacking == [name for name in EVERY if name != SPECTRUM]
-    assert lacks([OPTICS, OPTICS.with_part("veil")]) == [name for name in EVERY if name != "veil"]
-
-
-def call(gain: float, sign: float = 1.0) -> Call:
-    """For one number that is called for, or for one that no camera has."""
-    return Call(np.array([sign * np.sqrt(2 * gain)]), np.eye(1))
-
-
-def test_fits_add_up_what_they_call_for() -> None:
-    summed = together([{"veil": call(4.0)}, {"veil": call(4.0)}], "GR")
-    assert summed["veil"].gain == pytest.approx(8.0)
-    assert together([{"veil": call(4.0)}, {"veil": call(4.0, -1.0)}], "GG")["veil"].gain == pytest.approx(0.0)
-
-
-def test_each_channel_has_a_spectrum_of_its_own() -> None:
-    calls = [{SPECTRUM: call(4.0)}, {SPECTRUM: call(4.0)}, {SPECTRUM: call(9.0)}]
-    (summed,) = together(calls, "GGR").values()
-    np.testing.assert_allclose(summed.step, np.sqrt([8.0, 18.0]))
-    assert summed.gain == pytest.approx(8.0 + 9.0)
-
-
-def test_of_parts_that_gain_as_much_the_more_common_is_taken() -> None:
-    assert called_for({"low_pass_filter": call(97.0), "smear": call(100.0), "veil": call(20.0)}) == "low_pass_filter"
-    assert called_for({"low_pass_filter": call(90.0), "smear": call(100.0)}) == "smear"
-    assert called_for({"low_pass_filter": call(9.0), "smear": call(5.0)}) is None
-    assert called_for({"veil": call(1000.0, -1.0)}) is None  # a camera that swallows stray light
-
-
-def test_of_parts_that_blur_alike_the_commoner_ones_are_known() -> None:
-    assert commoner("smear", OPTICS) == ["low_pass_filter", "diffusion"]
-    assert commoner("smear", OPTICS.with_part("low_pass_filter")) == ["diffusion"]
-    assert commoner("low_pass_filter", OPTICS) == commoner("veil", OPTICS) == []
-    assert numbers(["low_pass_filter", "diffusion"]) == numbers(["smear"]) == 3
-
-
-def test_a_part_that_has_nothing_left_to_do_is_idle() -> None:
-    labels = ("low_pass_filter.rows_px2", "low_pass_filter.columns_px2", "diffusion.variance_px2")
-    values, covariance = np.array([0.1, 0.01, -0.01, 0.04, 0.0, 0.0]), np.diag([1e-6, 1e-4, 1e-4, 1e-6, 1e-4, 1e-8])
-    fit = Measured((4,), values, covariance, 0 * covariance, parts=labels)
-    assert worth([fit, fit]) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 1600.0})
-    assert idle([fit, fit]) == ["low_pass_filter"]
+    assert OPTICS.with_part("veil").lacking == [name for name in EVERY if name != "veil"]
 
 
 def test_a_part_of_each_name_can_be_added() -> None:

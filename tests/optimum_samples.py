@@ -1,0 +1,143 @@
+"""Optima that nobody searched for: of photographs through a 70 mm f/2.8 lens that is focused at 3 m, as its laws have them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from labkit.errors import LostTasksError
+from labkit.estimation.climb import NoisePrior, State
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.local import Found, Optimum
+from labkit.estimation.observation import Observation
+from labkit.estimation.residual_tests import Verdict
+from labkit.estimation.scores import Call
+from labkit.estimation.session import Task, estimate
+from labkit.imaging.optics import Optics
+from labkit.imaging.warp import Pose
+from labkit.plan import Plan
+from labkit.target import CellTarget
+from labkit.types import Floats
+from tests.lens_samples import laws, measured
+from tests.plans import PORTRAIT
+
+NOISE = NoisePrior(0.5, 0.01, 4.0, 0.02)
+TARGET = CellTarget(np.eye(2), (9.0, 9.0), 0.0)
+POSE = Pose.from_corners(np.array([[0.0, 0], [0, 9], [9, 9], [9, 0]]), (9.0, 9.0))
+LIGHTS = [{"name": name, "wavelength_nm": nm} for name, nm in (("G", 550.0), ("R", 620.0), ("B", 470.0))]
+PLAN = Plan.from_tables(
+    {**PORTRAIT, "channel": LIGHTS, "fit": {"zernike_noll": [4, 5], "reference_wavelength_nm": 450.0}}
+)
+RANGES_MM = (2900.0, 3010.0, 3100.0, 3200.0)
+FOCUS_MM = 3000.0
+ASTIGMATISM = 0.02
+"""Waves RMS, of all wavefronts."""
+PIXELS = 1000
+"""Of each photograph."""
+
+
+def observations(channels: str = "G", ranges_mm: Sequence[float] = RANGES_MM) -> list[Observation]:
+    return [
+        Observation(r, r, c, (), (), (), NOISE, ((0, 0),), 1, order=k)
+        for k, r in enumerate(ranges_mm)
+        for c in channels
+    ]
+
+
+def true_values(range_mm: float) -> Floats:
+    """(4,) defocus, astigmatism, ln cone, ln scale."""
+    waves, cone, scale = laws(range_mm, FOCUS_MM, FOCUS_MM, 70.0, 2.8, 1.0)
+    return np.array([waves, ASTIGMATISM, cone, scale])
+
+
+def optimum(
+    optics: Optics,
+    range_mm: float,
+    *,
+    off: Sequence[float] = (0.0, 0.0),
+    square: float = 0.0,
+    height: float = 0.0,
+    explained: bool = True,
+    unexplained: float = 0.0,
+    scores: Mapping[str, Call] | None = None,
+) -> Optimum:
+    """An optimum with its modes off by some waves.
+
+    Parameters
+    ----------
+    square : number of every camera part that the optics have, known to 0.01
+    height : log-likelihood
+    unexplained : log-likelihood that residuals lack
+    """
+    defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
+    plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
+    labels = optics.shape_labels
+    inserted = [2] * len(labels)
+    values = np.insert(plain.values, inserted, square)
+    covariance = np.diag(np.insert(np.zeros(4), inserted, 1e-4))
+    others = [0, 1, -2, -1]
+    covariance[np.ix_(others, others)] = plain.covariance
+    of = replace(plain, values=values, covariance=covariance, calibration=0 * covariance, parts=labels)
+    return Optimum(
+        State(values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
+        optics.shaped(values[2:-1]),
+        covariance[:2, :2],
+        of,
+        replace(of, covariance=100 * covariance, model=99 * covariance),
+        height,
+        1 + 2 * unexplained / PIXELS,
+        Verdict(0.5 if explained else 0.0, explained, 0.0, 0.0),
+        (np.ones(PIXELS),),
+        np.ones(1),
+        scores or {},
+    )
+
+
+def range_of(task: Task) -> float:
+    """mm, of the frames of a task."""
+    return float(task.label.split()[2])
+
+
+def right(task: Task) -> Found:
+    """The right optimum."""
+    return Found((optimum(task.optics, range_of(task)),))
+
+
+@dataclass
+class Play:
+    """A run whose searches end as a function of their tasks has it.
+
+    Attributes
+    ----------
+    ends : what a search finds; None where its process is killed
+    order : of the results, given how many they are
+    batches : tasks, as they were asked for
+    """
+
+    ends: Callable[[Task], Found | None] = right
+    order: Callable[[int], Sequence[int]] = range
+    batches: list[list[Task]] = field(default_factory=list)
+
+    def __call__(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        self.batches.append([*tasks])
+        results = [self.ends(task) for task in tasks]
+        yield from ((k, results[k]) for k in self.order(len(tasks)) if results[k] is not None)
+        if lost := [(task, "killed") for task, result in zip(tasks, results, strict=True) if result is None]:
+            raise LostTasksError(lost)
+
+    @property
+    def labels(self) -> list[list[str]]:
+        """Of the tasks."""
+        return [[task.label for task in batch] for batch in self.batches]
+
+
+def played(
+    play: Play, channels: str = "G", *, ranges_mm: Sequence[float] = RANGES_MM, plan: Plan = PLAN, plain: bool = False
+) -> Estimate:
+    """The estimate of a session whose searches are played."""
+    shown = dict.fromkeys(channels, TARGET)
+    seen = observations(channels, ranges_mm)
+    return estimate(seen, plan, shown, play, lambda done, of, what: None, plain=plain)

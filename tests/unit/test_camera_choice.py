@@ -1,0 +1,229 @@
+"""Which camera parts a session takes in: those that its fits need, by what they say and by climbs that are played."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from labkit.estimation.camera import PART_COST, RARER_COST, CameraChoice, Parts, cost, summed, worth
+from labkit.estimation.local import Optimum
+from labkit.estimation.scores import Call
+from labkit.estimation.stated_optics import optics_of
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
+from labkit.results.model import PartTried
+from tests.optimum_samples import PLAN, optimum
+
+OPTICS = optics_of(PLAN, "G")
+FITS = 5
+
+
+def call(gain: float, sign: float = 1.0) -> Call:
+    """For one number that is called for, or for one that no camera has."""
+    return Call(np.array([sign * np.sqrt(2 * gain)]), np.eye(1))
+
+
+def with_scores(**gains: float) -> Optimum:
+    return optimum(OPTICS, 3200.0, scores={name: call(gain) for name, gain in gains.items()})
+
+
+@dataclass
+class Fits:
+    """Five fits whose likelihoods are known with every choice of parts.
+
+    Attributes
+    ----------
+    heights : log-likelihood of each, by its parts, in any order; 0 for others
+    called : what each fit's score tests promise for parts that it lacks
+    squares : numbers of its parts, 0.5 for others
+    unexplained : log-likelihood that each fit's residuals lack; 0 where they are noise
+    refits : what was climbed
+    """
+
+    heights: Mapping[tuple[str, ...], float]
+    called: Mapping[str, float]
+    squares: Mapping[str, float] = field(default_factory=dict)
+    unexplained: float = 0.0
+    refits: list[tuple[int, Parts]] = field(default_factory=list)
+
+    def end(self, parts: Parts) -> Optimum:
+        optics = reduce(Optics.with_part, [name for name in KNOWN if name in parts], OPTICS)
+        height = next((of for names, of in self.heights.items() if Parts(names) == parts), 0.0)
+        scores = {name: call(gain) for name, gain in self.called.items() if name not in parts}
+        lacking = max(self.unexplained - height, 0.0)
+        explained = self.unexplained == 0.0
+        made = optimum(
+            optics, 3200.0, square=0.5, height=height, scores=scores, explained=explained, unexplained=lacking
+        )
+        values = made.measured.values.copy()
+        for k, label in enumerate(optics.shape_labels, 2):
+            values[k] = self.squares.get(label.split(".")[0], 0.5)
+        return replace(made, measured=replace(made.measured, values=values))
+
+    def refit(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
+        self.refits.append((len(places), parts))
+        return {k: self.end(parts) for k in places}
+
+    def chosen(self, *wanted: str) -> tuple[set[str], CameraChoice]:
+        choice = CameraChoice(self.refit, Parts(wanted))
+        ends = {k: ("G", self.end(Parts())) for k in range(FITS)}
+        return set(choice.chosen(ends, Parts())), choice
+
+
+# what fits say
+
+
+def test_fits_add_up_what_they_call_for() -> None:
+    both = summed([("G", with_scores(veil=4.0)), ("R", with_scores(veil=4.0))])
+    assert both["veil"].gain == pytest.approx(8.0)
+    against = optimum(OPTICS, 3200.0, scores={"veil": call(4.0, -1.0)})
+    assert summed([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain == 0.0
+
+
+def test_each_channel_has_a_spectrum_of_its_own() -> None:
+    fits = [("G", with_scores(spectrum=4.0)), ("G", with_scores(spectrum=4.0)), ("R", with_scores(spectrum=9.0))]
+    (both,) = summed(fits).values()
+    np.testing.assert_allclose(both.step, np.sqrt([8.0, 18.0]))
+    assert both.gain == pytest.approx(8.0 + 9.0)
+
+
+def test_parts_that_some_fits_were_not_asked_about_are_not_summed() -> None:
+    assert [*summed([("G", with_scores(veil=4.0, smear=1.0)), ("G", with_scores(smear=1.0))])] == ["smear"]
+
+
+def test_what_no_camera_has_gains_nothing() -> None:
+    assert call(1000.0, -1.0).gain == 0.0  # a camera that swallows stray light
+
+
+def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
+    of = optimum(OPTICS.with_part("low_pass_filter").with_part("diffusion"), 3200.0).measured
+    values = of.values.copy()
+    values[2:5] = 0.01, -0.01, 0.04  # known to 0.01 each
+    fits = [replace(of, values=values)] * 2
+    assert worth(fits) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 16.0})
+
+
+def test_a_rarer_part_costs_more_than_a_commoner_one_that_blurs_alike() -> None:
+    assert cost(Parts(["veil"])) == cost(Parts(["low_pass_filter"])) == PART_COST
+    assert cost(Parts(["smear"])) == PART_COST + 2 * RARER_COST
+    assert cost(Parts(["veil", "diffusion"])) == 2 * PART_COST + RARER_COST
+
+
+# choices
+
+
+def test_a_part_that_the_fits_need_is_taken_in() -> None:
+    fits = Fits({("smear",): 100.0}, {"smear": 40.0})
+    names, choice = fits.chosen()
+    assert names == {"smear"}
+    assert choice.missing == ()
+    assert choice.tried == [PartTried("smear", 500.0, adopted=True)]
+
+
+def test_the_fits_that_show_most_of_a_part_decide_before_all_others_are_climbed() -> None:
+    fits = Fits({("smear",): 100.0, ("veil",): -1.0}, {"smear": 40.0, "veil": 50.0})
+    fits.chosen()
+    assert fits.refits[:3] == [(3, Parts(["veil"])), (3, Parts(["smear"])), (2, Parts(["smear"]))]
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(9.0, set()), (11.0, {"diffusion"})])
+def test_a_part_that_gains_less_than_it_costs_is_not_taken_in(gain: float, taken: set[str]) -> None:
+    price = cost(Parts(["diffusion"]))
+    assert price == 14.0
+    # the three fits that show most of it decide first: they alone must gain its price
+    fits = Fits({("diffusion",): gain * price / 30}, {"diffusion": 10.0})
+    assert fits.chosen()[0] == taken
+
+
+def test_a_part_that_the_fits_do_not_call_for_is_not_climbed_with() -> None:
+    fits = Fits({("veil",): 100.0}, {"veil": 1.9})  # five of them promise 9.5
+    names, choice = fits.chosen()
+    assert names == set()
+    assert fits.refits == []
+    (tried,) = choice.tried
+    assert tried.gain == pytest.approx(9.5)
+    assert not tried.adopted
+
+
+def test_a_commoner_part_takes_the_place_of_one_that_explains_no_more() -> None:
+    fits = Fits({("smear",): 100.0, ("low_pass_filter",): 99.0}, {"smear": 40.0, "low_pass_filter": 30.0})
+    assert fits.chosen()[0] == {"low_pass_filter"}
+    fits = Fits({("smear",): 100.0, ("low_pass_filter",): 90.0}, {"smear": 40.0, "low_pass_filter": 30.0})
+    assert fits.chosen()[0] == {"smear"}
+
+
+@pytest.mark.parametrize(("together", "taken"), [(102.5, {"low_pass_filter", "diffusion"}), (101.5, {"smear"})])
+def test_two_commoner_parts_take_the_place_of_one_where_they_explain_more(together: float, taken: set[str]) -> None:
+    """They cost 6 more, which the three fits that show most of them must gain; neither explains as much alone."""
+    heights = {
+        ("low_pass_filter",): 90.0,
+        ("diffusion",): 80.0,
+        ("smear",): 100.0,
+        ("low_pass_filter", "diffusion"): together,
+    }
+    fits = Fits(heights, {"smear": 40.0, "low_pass_filter": 30.0, "diffusion": 30.0})
+    assert fits.chosen()[0] == taken
+
+
+def test_a_part_is_held_against_commoner_ones_again_when_another_was_taken_in() -> None:
+    """Without the veil a smear explains more than a filter with diffusion does."""
+    heights = {
+        ("smear",): 100.0,
+        ("smear", "veil"): 200.0,
+        ("low_pass_filter", "diffusion"): 99.0,
+        ("veil", "low_pass_filter", "diffusion"): 250.0,
+    }
+    called = {"smear": 100.0, "veil": 40.0, "low_pass_filter": 1.0, "diffusion": 1.0}
+    assert Fits(heights, called).chosen()[0] == {"veil", "low_pass_filter", "diffusion"}
+
+
+def test_a_part_that_has_nothing_left_to_do_is_taken_out() -> None:
+    """A smear explains most until the veil is there, with which its numbers are within their errors."""
+    heights = {("smear",): 100.0, ("smear", "veil"): 200.0, ("veil",): 199.0}
+    fits = Fits(heights, {"smear": 100.0, "veil": 40.0}, squares={"smear": 0.005})
+    assert fits.chosen()[0] == {"veil"}
+
+
+def test_a_part_that_explains_too_little_is_named_as_missing() -> None:
+    """Residuals lack 1000 of each fit's log-likelihood: a part that gains less than a quarter stands for another lack."""
+    fits = Fits({("smear",): 200.0}, {"smear": 300.0}, unexplained=1000.0)
+    names, choice = fits.chosen()
+    assert names == set()
+    assert choice.missing == ("smear",)
+    assert [fit.optics.parts[0].name for fit in choice.with_missing.values()] == ["smear"] * FITS
+
+
+def test_a_part_that_explains_a_fair_share_of_what_is_left_is_taken_in() -> None:
+    names, choice = Fits({("smear",): 300.0}, {"smear": 300.0}, unexplained=1000.0).chosen()
+    assert names == {"smear"}
+    assert choice.missing == ()
+
+
+def test_a_part_that_the_plan_wants_is_not_asked_for_again() -> None:
+    fits = Fits({("smear",): 100.0}, {"smear": 40.0})
+    assert fits.chosen("smear")[0] == set()
+    assert fits.refits == []
+
+
+def test_no_choice_is_climbed_with_twice() -> None:
+    fits = Fits({("smear",): -1.0, ("veil",): 100.0}, {"smear": 90.0, "veil": 40.0, "diffusion": 60.0})
+    names, _ = fits.chosen()
+    assert names == {"veil"}
+    tried = [parts for count, parts in fits.refits if count == 3]
+    assert len(tried) == len(set(tried))
+
+
+def test_a_fit_whose_climb_is_lost_stays_as_it_was() -> None:
+    fits = Fits({("smear",): 100.0}, {"smear": 40.0})
+
+    def refit(places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
+        return {k: fit for k, fit in fits.refit(places, parts).items() if k != 4}
+
+    choice = CameraChoice(refit, Parts())
+    ends = {k: ("G", fits.end(Parts())) for k in range(FITS)}
+    assert choice.chosen(ends, Parts()) == {"smear"}
+    assert choice.tried == [PartTried("smear", 400.0, adopted=True)]

@@ -1,0 +1,225 @@
+"""In which order a session's searches are made, and from what each begins; the searches themselves are played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from labkit.errors import FitError
+from labkit.estimation.local import Found
+from labkit.estimation.session import Task, estimate
+from labkit.estimation.settings import SETTINGS
+from tests.lens_samples import best_focus
+from tests.optimum_samples import (
+    PLAN,
+    RANGES_MM,
+    TARGET,
+    Play,
+    observations,
+    optimum,
+    played,
+    range_of,
+    right,
+    true_values,
+)
+
+NEAR = 3010.0
+"""The range next to focus."""
+
+
+def test_both_ends_come_first_and_predict_the_rest() -> None:
+    play = Play()
+    played(play)
+    anchors, rest = play.batches
+    assert [task.label for task in anchors] == ["G at 2900 mm", "G at 3200 mm"]
+    assert [task.label for task in rest] == ["G at 3010 mm", "G at 3100 mm"]
+    assert all(task.guesses.starts == task.guesses.modes == () for task in anchors)
+    for task in rest:
+        (start,) = task.guesses.starts
+        np.testing.assert_allclose(start, true_values(range_of(task))[:2], atol=7e-4)
+
+
+def test_one_range_of_a_colour_predicts_its_others() -> None:
+    play = Play()
+    played(play, "GRB")
+    # the shortest wavelength, which takes the longest, first
+    assert play.labels == [
+        ["G at 2900 mm", "G at 3200 mm"],
+        ["B at 3200 mm", "G at 3010 mm", "G at 3100 mm", "R at 3200 mm"],
+        [f"{c} at {r:g} mm" for c in "BR" for r in RANGES_MM[:-1]],
+    ]
+    leaders, rest = play.batches[1:]
+    assert [(len(task.guesses.modes), len(task.guesses.starts)) for task in leaders] == [(1, 0), (0, 1), (0, 1), (1, 0)]
+    for task in rest:
+        assert task.guesses.starts[0][0] == pytest.approx(true_values(range_of(task))[0], abs=7e-4)
+
+
+def test_a_climb_begins_at_the_cone_that_the_others_measured() -> None:
+    play = Play()
+    played(play)
+    anchors, rest = play.batches
+    assert all(task.guesses.f_number_std > 0.02 for task in anchors)
+    for task in rest:
+        assert np.log(task.optics.f_number) == pytest.approx(true_values(NEAR)[2], abs=1e-6)
+        assert task.guesses.f_number_std == SETTINGS.shared_cone_std
+
+
+def test_colours_of_an_unknown_range_are_fitted_like_the_first() -> None:
+    play = Play(lambda task: Found((optimum(task.optics, 3200.0),)))
+    unknown = [replace(one, range_mm=None, measured_range_mm=None) for one in observations("GRB", (3200.0,))]
+    found = estimate(unknown, PLAN, dict.fromkeys("GRB", TARGET), play, lambda done, of, what: None)
+    assert play.labels == [["G"], ["B", "R"]]
+    assert [len(task.guesses.modes) for task in play.batches[1]] == [1, 1]
+    assert found.lens is None
+    assert len(found.fits) == 3
+
+
+def wrong_at_first(label: str) -> Play:
+    """Searches of which one ends in another optimum, whose residuals do not show it, until it begins from a prediction."""
+
+    def ends(task: Task) -> Found:
+        wrong = task.label == label and not task.guesses.starts
+        off = (0.1, -0.2) if wrong else (0.0, 0.0)
+        return Found((optimum(task.optics, range_of(task), off=off, height=-500.0 * wrong),))
+
+    return Play(ends)
+
+
+@pytest.mark.parametrize(("channels", "label"), [("G", "G at 2900 mm"), ("GB", "B at 3200 mm")])
+def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(channels: str, label: str) -> None:
+    play = wrong_at_first(label)
+    session = played(play, channels)
+    (again,) = play.batches[-1]
+    assert again.label == label
+    truth = true_values(range_of(again))[:2]
+    np.testing.assert_allclose(again.guesses.starts[0], truth, atol=7e-4)
+    (mended,) = session.mended
+    assert session.fits[mended].label == label
+    np.testing.assert_allclose(session.fits[mended].optimum.waves, truth)
+    assert session.strangers == ()
+    assert len(session.members) == len(session.fits)
+
+
+def test_a_fit_that_began_from_the_prediction_and_ended_elsewhere_does_not_belong() -> None:
+    def ends(task: Task) -> Found:
+        off = (0.1, -0.2) if range_of(task) == NEAR else (0.0, 0.0)
+        return Found((optimum(task.optics, range_of(task), off=off),))
+
+    play = Play(ends)
+    session = played(play)
+    assert len(play.batches) == 2
+    assert session.strangers == (1,)
+    assert session.mended == ()
+    assert session.lens is not None
+    assert best_focus(session.lens, "G").value == pytest.approx(3000.0, abs=1e-3)
+
+
+def test_the_less_likely_optimum_of_a_search_is_chosen_where_the_others_predict_it() -> None:
+    def ends(task: Task) -> Found:
+        wrong = optimum(task.optics, range_of(task), off=(0.1, -0.2), height=3.0)
+        return Found((wrong, *right(task).optima)) if range_of(task) == NEAR else right(task)
+
+    session = played(Play(ends))
+    np.testing.assert_allclose(session.fits[1].optimum.waves, true_values(NEAR)[:2])
+
+
+def test_signs_are_turned_until_defocus_grows_with_range() -> None:
+    session = played(Play(lambda task: Found((optimum(task.optics, range_of(task)).canonical(),))))
+    waves = [fit.optimum.waves[0] for fit in session.fits]
+    np.testing.assert_allclose(waves, [true_values(r)[0] for r in RANGES_MM])
+
+
+def test_where_nothing_is_explained_and_one_range_seen_the_search_goes_deep() -> None:
+    """Then no other range tells a wrong optimum."""
+    play = Play(lambda task: Found((optimum(task.optics, range_of(task), explained=False, unexplained=50.0),)))
+    played(play, ranges_mm=(3200.0,))
+    assert [task.guesses.deep for batch in play.batches for task in batch] == [True]
+
+
+def test_where_the_ends_contradict_each_other_both_are_searched_further() -> None:
+    """Residuals of none are noise: the optima may be wrong, or the model poor."""
+
+    def ends(task: Task) -> Found:
+        found = task.guesses.deep or task.guesses.starts
+        off = (0.0, 0.0) if found else (0.3, 3.0 * (range_of(task) > 3000))
+        return Found((optimum(task.optics, range_of(task), off=off, height=100.0 * bool(found), explained=False),))
+
+    play = Play(ends)
+    session = played(play)
+    assert play.labels[:2] == [["G at 2900 mm", "G at 3200 mm"]] * 2
+    assert [[task.guesses.deep for task in batch] for batch in play.batches[:2]] == [[False] * 2, [True] * 2]
+    assert session.members == (0, 1, 2, 3)
+
+
+def test_ends_that_confirm_each_other_are_searched_no_further_though_the_model_is_poor() -> None:
+    play = Play(lambda task: Found((optimum(task.optics, range_of(task), explained=False, unexplained=200.0),)))
+    session = played(play)
+    assert not any(task.guesses.deep for batch in play.batches for task in batch)
+    assert session.members == (0, 1, 2, 3)
+
+
+def test_fits_that_their_model_does_not_explain_have_its_errors_in_the_session() -> None:
+    stds = []
+    for explained in (True, False):
+        lens = played(Play(partial(judged, explained=explained))).lens
+        assert lens is not None
+        stds.append(best_focus(lens, "G").std)
+        shares = lens.contributions(lens.model.best_focus("G"))
+        assert (shares["model"] > shares["photons"]) is not explained
+    assert stds[1] > 3 * stds[0]
+
+
+def judged(task: Task, *, explained: bool) -> Found:
+    """The right optimum, whose residuals are noise or not."""
+    return Found((optimum(task.optics, range_of(task), explained=explained),))
+
+
+def test_a_search_whose_process_is_killed_costs_no_other_one() -> None:
+    session = played(Play(lambda task: None if range_of(task) == NEAR else right(task)))
+    assert [fit.observation.range_mm for fit in session.fits] == [2900.0, 3100.0, 3200.0]
+    assert session.lost == ("G at 3010 mm is left out: killed; close other programs and fit again",)
+    assert session.lens is not None
+    assert session.lens.measured.used.tolist() == [True, False, True, True]
+
+
+def test_where_all_processes_are_killed_it_is_said() -> None:
+    with pytest.raises(
+        FitError,
+        match="no wavefront could be fitted: G at 2900 mm is left out: killed; close other programs and fit again; G at",
+    ):
+        played(Play(lambda task: None))
+
+
+def backwards(count: int) -> Sequence[int]:
+    return range(count)[::-1]
+
+
+def shuffled(count: int) -> Sequence[int]:
+    order: list[int] = np.random.default_rng(count).permutation(count).tolist()
+    return order
+
+
+@pytest.mark.parametrize("order", [backwards, shuffled])
+def test_results_do_not_depend_on_which_search_ends_first(order: Callable[[int], Sequence[int]]) -> None:
+    plays = [wrong_at_first("B at 3200 mm"), replace(wrong_at_first("B at 3200 mm"), order=order)]
+    first, other = (played(play, "GRB") for play in plays)
+    assert plays[0].labels == plays[1].labels
+    assert first.lens is not None
+    assert other.lens is not None
+    np.testing.assert_array_equal(first.lens.theta, other.lens.theta)
+    assert [fit.label for fit in first.fits] == [fit.label for fit in other.fits]
+
+
+def test_progress_counts_what_is_fitted_again_and_says_what_is_done() -> None:
+    said = list[tuple[int, int, str]]()
+    play = wrong_at_first("G at 2900 mm")
+    estimate(observations(), PLAN, {"G": TARGET}, play, lambda done, of, what: said.append((done, of, what)))
+    assert said[0] == (0, 4, "searching from nothing: G at 2900 mm, G at 3200 mm")
+    # nothing is under way where all is done, and what begins says so: one is fitted twice, so that all is more than four
+    assert all(done < of for done, of, what in said if ":" in what)
+    assert [done for done, _, _ in said] == sorted(done for done, _, _ in said)
+    assert said[-1][:2] == (5, 5)
