@@ -44,6 +44,11 @@ class Options:
     cost: Floats
     shortening: Floats
 
+    @property
+    def fitted(self) -> Bools:
+        """(n,) whether the observation has a candidate."""
+        return np.asarray(np.isfinite(self.gain).any(axis=1), bool)
+
     @classmethod
     def of(cls, observed: Sequence[Observed], model: LensModel) -> Options:
         """All candidates, as the model's observations have their values."""
@@ -129,8 +134,8 @@ class _Choices:
         lens = fit_lens(self.model, self.measured(choice, members), start)
         n = np.flatnonzero(members)
         gained = float(self.options.gain[n, choice[n]].sum()) + 0.5 * self.model.values * len(n)
-        fitted = np.isfinite(self.options.gain).any(axis=1)
-        return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[fitted & ~members].sum())
+        left_out = self.options.fitted & ~members
+        return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[left_out].sum())
 
     def occam(self, choice: Indices, members: Bools) -> float:
         """Log-likelihood that members lose by what looser laws than the strictest would let them scatter."""
@@ -179,7 +184,7 @@ class _Choices:
         predicted, covariance = lens.predictions
         rest = self.options.values - predicted[:, None]
         rest[..., -1] += self.options.shortening[..., 0]
-        chi2 = np.empty(self.options.gain.shape)
+        chi2 = np.empty_like(self.options.gain)
         for at in range(chi2.shape[1]):
             noise = self.options.covariance[:, at] + covariance
             chi2[:, at] = np.einsum("nv,nv->n", rest[:, at], np.linalg.solve(noise, rest[:, at, :, None])[..., 0])
@@ -190,7 +195,7 @@ class _Choices:
         inside = worth[n, best] >= -self.options.cost
         wanted = np.where(inside, best, OUT)
         promise = np.maximum(worth[n, best], -self.options.cost) - stays
-        promise[~np.isfinite(self.options.gain).any(axis=1)] = 0.0
+        promise[~self.options.fitted] = 0.0
         same = np.where(members, wanted == choice, wanted == OUT)
         return wanted, np.where(same, 0.0, promise)
 
@@ -229,7 +234,7 @@ def select(
     ]
     start = _started(choices[0], before)
     ends = [choices[0].ascend(*start)]
-    fitted = np.isfinite(options.gain).any(axis=1)
+    fitted = options.fitted
     if np.count_nonzero(fitted & ~ends[0][1]) > SETTINGS.few_outliers * np.count_nonzero(fitted):
         ends.append(choices[1].ascend(*start))
     best = int(np.argmax([end[3] - one.occam(end[0], end[1]) for one, end in zip(choices, ends, strict=False)]))
@@ -270,7 +275,7 @@ def _measurements(
     values, tilts = np.zeros((n, size)), np.zeros((n, 2))
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
     calibration, poor = np.zeros((n, size, size)), np.zeros((n, size, size))
-    for k in np.flatnonzero(choice != OUT):
+    for k in np.flatnonzero(choice != OUT).tolist():
         place, twin = divmod(int(choice[k]), 2)
         measured = observed[k].candidates[place].measured.labelled(model.parts)
         measured = measured.twin() if twin else measured
@@ -302,7 +307,7 @@ def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
 
 def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
     """Choices to start from: earlier ones, or each observation's likeliest candidate with the sign that ranges tell."""
-    fitted = np.isfinite(choices.options.gain).any(axis=1)
+    fitted = choices.options.fitted
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
     members = fitted.copy()
     known = np.zeros(len(fitted), bool)
@@ -333,7 +338,7 @@ def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) ->
     ranges = np.array([choices.observed[k].reading.range_mm for k in places])
     order = np.argsort(ranges, kind="stable")
     both = choices.options.values[places[:, None], choice[places][:, None] + [0, 1]]  # each candidate and its twin
-    positive = (both[:, 0, model.defocus] < 0).astype(int)
+    positive: Indices = (both[:, 0, model.defocus] < 0).astype(np.intp)
     like = np.median(_modes(choices, choice, np.flatnonzero(known)), axis=0) if known.any() else None
     best, least = positive, np.inf
     for negative in range(len(places) + 1):
