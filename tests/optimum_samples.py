@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from labkit.errors import LostTasksError
+from labkit.estimation.candidate import Measured
 from labkit.estimation.climb import NoisePrior, State
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Found, Optimum
@@ -53,6 +54,19 @@ def true_values(range_mm: float) -> Floats:
     return np.array([waves, ASTIGMATISM, cone, scale])
 
 
+def measured_by(optics: Optics, range_mm: float, off: Sequence[float], square: float) -> Measured:
+    """What a fit measures whose modes are off by some waves, and whose camera parts have one number, known to 0.01."""
+    defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
+    plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
+    labels = optics.shape_labels
+    inserted = [2] * len(labels)
+    covariance = np.diag(np.insert(np.zeros(4), inserted, 1e-4))
+    others = [0, 1, -2, -1]
+    covariance[np.ix_(others, others)] = plain.covariance
+    values = np.insert(plain.values, inserted, square)
+    return replace(plain, values=values, covariance=covariance, calibration=0 * covariance, parts=labels)
+
+
 def optimum(
     optics: Optics,
     range_mm: float,
@@ -64,29 +78,14 @@ def optimum(
     unexplained: float = 0.0,
     scores: Mapping[str, Call] | None = None,
 ) -> Optimum:
-    """An optimum with its modes off by some waves.
-
-    Parameters
-    ----------
-    square : number of every camera part that the optics have, known to 0.01
-    height : log-likelihood
-    unexplained : log-likelihood that residuals lack
-    """
-    defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
-    plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
-    labels = optics.shape_labels
-    inserted = [2] * len(labels)
-    values = np.insert(plain.values, inserted, square)
-    covariance = np.diag(np.insert(np.zeros(4), inserted, 1e-4))
-    others = [0, 1, -2, -1]
-    covariance[np.ix_(others, others)] = plain.covariance
-    of = replace(plain, values=values, covariance=covariance, calibration=0 * covariance, parts=labels)
+    """An optimum that measures `measured_by`. height: log-likelihood; unexplained: log-likelihood that residuals lack."""
+    of = measured_by(optics, range_mm, off, square)
     return Optimum(
-        State(values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
-        optics.shaped(values[2:-1]),
-        covariance[:2, :2],
+        State(of.values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
+        optics.shaped(of.values[2:-1]),
+        of.covariance[:2, :2],
         of,
-        replace(of, covariance=100 * covariance, model=99 * covariance),
+        replace(of, covariance=100 * of.covariance, model=99 * of.covariance),
         height,
         1 + 2 * unexplained / PIXELS,
         Verdict(0.5 if explained else 0.0, explained, 0.0, 0.0),
