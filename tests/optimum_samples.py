@@ -41,8 +41,9 @@ PIXELS = 1000
 
 
 def observations(channels: str = "G", ranges_mm: Sequence[float] = RANGES_MM) -> list[Observation]:
+    """One photograph at each range, cut for each channel from the same pixel."""
     return [
-        Observation(r, r, c, (), (), (), NOISE, ((0, 0),), 1, order=k)
+        Observation(r, r, c, (f"{r:g}.dng",), (), (), NOISE, ((0, 0),), 1, order=k)
         for k, r in enumerate(ranges_mm)
         for c in channels
     ]

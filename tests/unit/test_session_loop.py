@@ -16,6 +16,7 @@ from labkit.estimation.settings import SETTINGS
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
     PLAN,
+    POSE,
     RANGES_MM,
     TARGET,
     Play,
@@ -66,6 +67,18 @@ def test_a_climb_begins_at_the_cone_that_the_others_measured() -> None:
     for task in rest:
         assert np.log(task.optics.f_number) == pytest.approx(true_values(NEAR)[2], abs=1e-6)
         assert task.guesses.f_number_std == SETTINGS.shared_cone_std
+
+
+def test_a_climb_from_a_prediction_begins_at_the_poses_that_another_channel_found() -> None:
+    """In the same photographs, whose cuts begin at other pixels."""
+    play = Play()
+    seen = [replace(one, origin_px=(10, 20)) if one.channel == "B" else one for one in observations("GB")]
+    estimate(seen, PLAN, dict.fromkeys("GB", TARGET), play, lambda done, of, what: None)
+    leaders, rest = play.batches[1:]
+    assert all(task.guesses.poses == () for task in leaders)
+    for task in rest:
+        (pose,) = task.guesses.poses
+        np.testing.assert_allclose(pose.corners_px(), POSE.corners_px() - [10, 20])
 
 
 def test_colours_of_an_unknown_range_are_fitted_like_the_first() -> None:
