@@ -114,8 +114,6 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
         with pytest.raises(InputError, match="No space left on device; make room and fit again: that goes on where"):
             fit(session, workers=1, name="again", noll=(4, 5))
     assert kept.items() <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
-    monkeypatch.setattr(
-        "labkit.estimation.session.find_optima", lambda *task, **options: pytest.fail("fitted twice")
-    )
+    monkeypatch.setattr("labkit.estimation.session.find_optima", lambda *task, **options: pytest.fail("fitted twice"))
     assert len(fit(session, workers=1, name="again", noll=(4, 5))) == 2
     assert not (folder / ".fits").exists()
