@@ -72,6 +72,13 @@ def worth(fits: Sequence[Measured]) -> dict[str, float]:
     return worths
 
 
+def _lacking(fits: Sequence[Optimum]) -> float:
+    """Log-likelihood that a part must gain where residuals of all fits are more than noise: else it stands for another lack."""
+    if any(fit.verdict.accepted for fit in fits):
+        return 0.0
+    return UNEXPLAINED_SHARE * sum(fit.unexplained for fit in fits)
+
+
 @dataclass
 class CameraChoice:
     """The search for a session's camera parts.
@@ -123,8 +130,9 @@ class CameraChoice:
         for name in sorted(parts, key=lambda one: worths.get(one, 0.0)):
             if worths.get(name, 0.0) < PART_COST:
                 yield parts - {name}
+        lacking = _lacking([optimum for _, optimum in ends.values()])
         for name in sorted(gains, key=lambda one: -gains[one]):
-            if gains[name] > PART_COST and name not in self.wanted:
+            if gains[name] > max(PART_COST, lacking) and name not in self.wanted:
                 yield parts | {name}
         for name in [one for one in BLURS if one in parts]:
             commoner = [one for one in BLURS[: BLURS.index(name)] if one in calls]
@@ -175,5 +183,4 @@ class CameraChoice:
         if gain <= 0 or not choice - parts:
             return gain > 0
         explained = any(fit.verdict.accepted for fit in fits.values())
-        unexplained = sum(ends[k][1].unexplained for k in fits)
-        return explained or gain > UNEXPLAINED_SHARE * unexplained
+        return explained or gain > _lacking([ends[k][1] for k in fits])

@@ -99,6 +99,26 @@ class Laws:
         """Whether the modes but defocus are the same at all ranges."""
         return self.mode_scatter == 0
 
+    @classmethod
+    def looser(cls) -> Iterator[Laws]:
+        """Laws that do without cones and sizes, without modes that stay, or without both.
+
+        Modes that differ because the lens's do leave defocus to its law; those that differ because the model of the
+        frames lacks something do not.
+        """
+        free = cls(cone_std=SETTINGS.loose_cone, size_scatter=SETTINGS.loose_size)
+        yield free
+        for scatter in SETTINGS.mode_scatter_waves:
+            yield cls(mode_scatter=scatter)
+            yield replace(free, mode_scatter=scatter)
+            yield replace(free, mode_scatter=scatter, defocus_scatter=scatter)
+
+    @classmethod
+    def loosest(cls) -> Laws:
+        """All that any observation of the lens may depart by."""
+        most = SETTINGS.mode_scatter_waves[-1]
+        return cls(most, most, SETTINGS.loose_cone, SETTINGS.loose_cone, SETTINGS.loose_size)
+
     def rough(self) -> Laws:
         """The same with errors that admit whatever is no other optimum."""
         return replace(

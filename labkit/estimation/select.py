@@ -62,15 +62,17 @@ class Options:
             np.zeros(n),
             np.zeros((n, most, 2)),
         )
+        poor = poor_model(observed)
+        growth = SETTINGS.poor_errors**2 if poor else 1.0
         for k, one in enumerate(observed):
             best = max((c.log_likelihood for c in one.candidates), default=0.0)
-            explained = any(c.explained for c in one.candidates)
+            explained = poor or any(c.explained for c in one.candidates)
             options.cost[k] = SETTINGS.outlier_cost if explained else SETTINGS.doubtful_cost
             for at, candidate in enumerate(one.candidates):
                 measured = candidate.measured.labelled(model.parts)
                 here = [2 * at, 2 * at + 1]
                 options.values[k, here] = measured.values, measured.values * measured.signs
-                options.covariance[k, here] = measured.covariance
+                options.covariance[k, here] = measured.covariance * (1.0 if candidate.explained else growth)
                 options.covariance[k, here[1]] *= np.outer(measured.signs, measured.signs)
                 options.gain[k, here] = candidate.log_likelihood - best
                 options.shortening[k, here] = measured.shortening
@@ -200,6 +202,13 @@ class _Choices:
         return wanted, np.where(same, 0.0, promise)
 
 
+def poor_model(observed: Sequence[Observed]) -> bool:
+    """Whether the model leaves more than noise in so many observations that it lacks something for all."""
+    fitted = [one for one in observed if one.candidates]
+    poor = [one for one in fitted if not any(candidate.explained for candidate in one.candidates)]
+    return len(poor) > SETTINGS.poor_share * len(fitted)
+
+
 def select(
     observed: Sequence[Observed], stated: Stated, before: Selection | None = None, *, everyone: bool = False
 ) -> Selection:
@@ -230,7 +239,7 @@ def select(
         options.cost[:] = np.inf
     choices = [
         _Choices(observed, options, replace(model, laws=laws.rough()), model.groups)
-        for laws in (Laws(), Laws(mode_scatter=SETTINGS.mode_scatter_waves[-1]))
+        for laws in (Laws(), Laws.loosest())
     ]
     start = _started(choices[0], before)
     ends = [choices[0].ascend(*start)]
@@ -259,11 +268,7 @@ def exact_lens(
     stations = {one.reading.station for one, member in zip(observed, members, strict=True) if member}
     if laws is not None or lens.p_value >= SETTINGS.contradiction_chance or len(stations) < 2:
         return lens
-    free = {"cone_std": SETTINGS.loose_cone, "size_scatter": SETTINGS.loose_size}
-    looser = [Laws(**free)]
-    for scatter in SETTINGS.mode_scatter_waves:
-        looser += [Laws(mode_scatter=scatter), Laws(mode_scatter=scatter, **free)]
-    fits = [fit_lens(replace(model, laws=one), measured, lens.solved.point) for one in looser]
+    fits = [fit_lens(replace(model, laws=one), measured, lens.solved.point) for one in Laws.looser()]
     return max([lens, *fits], key=lambda fit: fit.log_evidence)
 
 

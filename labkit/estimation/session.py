@@ -15,7 +15,7 @@ from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.lens_model import Laws
 from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.estimation.select import OUT, Selection, exact_lens, select
+from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_parts
@@ -114,6 +114,7 @@ class _Loop:
     made: int = 0
     camera: CameraChoice = field(init=False)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
+    _judged_by: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
@@ -157,8 +158,11 @@ class _Loop:
         return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
 
     def _undecided(self) -> list[int]:
-        """Fits to search further: none is explained, and they do not confirm each other either."""
-        if any(found.best.verdict.accepted for found in self.found.values()):
+        """Fits to search further: none is explained, and they do not confirm each other either.
+
+        Where a search without limit left that so, the model is poor for all, and nothing is searched further.
+        """
+        if self.deep or any(found.best.verdict.accepted for found in self.found.values()):
             return []
         selection = self.selection()
         if selection is not None:
@@ -166,7 +170,7 @@ class _Loop:
             stations = {selection.observed[k].reading.station for k in inside}
             if len(stations) > 1 and selection.members[selection.choice != OUT].all():
                 return []
-        return [k for k in self.found if k not in self.deep]
+        return list(self.found)
 
     def _from_nothing(self, *, deep: bool) -> Guesses:
         cone = self._engraved_cone()
@@ -203,13 +207,15 @@ class _Loop:
         """Fits to make again from what the others predict: strangers, and members whose residuals are not noise alone.
 
         Where modes differ from range to range, every fit is tried with the modes of the others: the likelihood decides.
+        Where the model is poor for all, that is why they differ.
         """
         lens = selection.lens
         if not lens.model.laws.shared:
             lens = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
         predicted, _ = lens.predictions
         doubted = dict[int, Guesses]()
-        anyone = any(found.best.verdict.accepted for found in self.found.values())
+        poor = poor_model(selection.observed)
+        anyone = not poor and any(found.best.verdict.accepted for found in self.found.values())
         for row, k in enumerate(self.ranged):
             if k not in self.found or selection.choice[row] == OUT:
                 continue
@@ -217,8 +223,8 @@ class _Loop:
             measured = candidate.measured if sign > 0 else candidate.measured.twin()
             waves = predicted[row, : len(self.noll)]
             far = np.linalg.norm(measured.waves - waves) > SETTINGS.other_optimum_waves
-            doubtful = not selection.members[row] or not selection.lens.model.laws.shared
-            doubtful = doubtful or (anyone and not candidate.explained)
+            doubtful = not selection.members[row] or (anyone and not candidate.explained)
+            doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
             if far and doubtful and self._new(k, waves):
                 doubted[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
         self.again |= doubted.keys()
@@ -352,7 +358,10 @@ class _Loop:
         if len(self.found) < len(self.observations):
             explained = {k: fit for k, fit in fits.items() if fit[1].verdict.accepted}
             fits = explained or fits
-        self._ends = {k: fit[1] for k, fit in fits.items()}
+        asked = {k: optimum.log_likelihood for k, (_, optimum) in fits.items()}
+        if asked == self._judged_by:
+            return
+        self._judged_by = asked
         parts = self.camera.chosen(fits, self.parts)
         if parts != self.parts:
             refitted = dict(self._refits[parts])

@@ -45,6 +45,11 @@ class Settings:
     """Log-likelihood that leaving out an observation costs whose residuals are noise: chance exceeds it once in 10^8."""
     doubtful_cost: float = 10.0
     """The same where residuals are not noise alone: once in 500."""
+    poor_share: float = 0.5
+    """Share of the observations whose residuals are not noise, above which the model is poor for all."""
+    poor_errors: float = 30.0
+    """Factor by which errors grow, where the model is poor for all, while optima are told apart: what is missing moves every
+    observation its own way. On lenses with modes, blades or an obstruction beyond the model, moves were up to 25 errors."""
     few_outliers: float = 0.25
     """Share of the observations that is left out rather than a law loosened."""
     clear_gain: float = 4.5
