@@ -45,7 +45,7 @@ def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(session: P
 
 
 def test_a_partial_fit_is_not_put_in_the_place_of_a_whole_one(session: Path) -> None:
-    with pytest.raises(DataError, match="holds 2000_G too, which this fit would not replace: give it another name"):
+    with pytest.raises(DataError, match="holds G at 2000 mm too, which this fit would not replace: give it another name"):
         fit(session, ranges_mm=2050.5, name="latest", workers=1)
     assert len(Results.load(session)) == 2
 
