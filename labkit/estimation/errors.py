@@ -7,30 +7,23 @@ beside a large one it holds it 50 times. S. D. Phillips, K. R. Eberhardt, B. Par
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import chndtrix, erf
 
 from labkit.types import Floats
 
-WITHIN = float(ndtr(1) - ndtr(-1))
+WITHIN = float(erf(0.5**0.5))
 """Chance of a normal error within one standard error."""
-
-FAR = 6.0
-"""Standard errors of bias beyond which one end of the width is all that counts."""
-
-ONE_SIDED = float(ndtri(WITHIN))
-"""Standard errors beyond which a normal error lies on one side with a chance of WITHIN."""
 
 
 def error_with_bias(std: Floats, bias: Floats) -> Floats:
-    """Such that a normal error of a standard deviation, beside a bias, is as often within as a normal error within its own."""
-    std, ratio = np.asarray(std, float), np.abs(bias) / np.maximum(std, np.finfo(float).tiny)
-    near = np.minimum(ratio, FAR)
-    low, high = np.ones_like(near), near + 1
-    for _ in range(40):  # halvings
-        middle = (low + high) / 2
-        short = ndtr(middle - near) - ndtr(-middle - near) < WITHIN
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return np.where(ratio > FAR, np.abs(bias) + ONE_SIDED * std, high * std)
+    """Standard error that holds the truth as often as that of a normal error does, of an estimate with a known bias.
+
+    A squared normal error with a bias follows the noncentral chi-squared distribution; beyond a hundred standard errors
+    of bias the width grows as the bias does.
+    """
+    std, bias = np.asarray(std, float), np.abs(bias)
+    ratio = np.minimum(bias / np.maximum(std, np.finfo(float).tiny), 100.0)
+    return np.asarray(std * (np.sqrt(chndtrix(WITHIN, 1, ratio**2)) - ratio) + np.maximum(bias, ratio * std))
 
 
 def covariance_with_bias(covariance: Floats, bias: Floats) -> Floats:
