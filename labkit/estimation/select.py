@@ -237,20 +237,25 @@ def select(
     options = Options.of(observed, model)
     if everyone:
         options.cost[:] = np.inf
-    choices = [
-        _Choices(observed, options, replace(model, laws=laws.rough()), model.groups)
-        for laws in (Laws(), Laws.loosest())
-    ]
-    start = _started(choices[0], before)
-    ends = [choices[0].ascend(*start)]
-    fitted = options.fitted
-    if np.count_nonzero(fitted & ~ends[0][1]) > SETTINGS.few_outliers * np.count_nonzero(fitted):
-        ends.append(choices[1].ascend(*start))
-    best = int(np.argmax([end[3] - one.occam(end[0], end[1]) for one, end in zip(choices, ends, strict=False)]))
-    choice, members, _, value = ends[best]
+    strict = _Choices(observed, options, replace(model, laws=Laws().rough()), model.groups)
+    start = _started(strict, before)
+    ends = [(strict, *strict.ascend(*start))]
+    left_out = options.fitted & ~ends[0][2]
+    if np.count_nonzero(left_out) > SETTINGS.few * np.count_nonzero(options.fitted):
+        for laws in _looser(observed):
+            one = replace(strict, model=replace(model, laws=laws.rough()))
+            ends.append((one, *one.ascend(*start)))
+    choices, choice, members, _, value = max(ends, key=lambda end: end[4] - end[0].occam(end[1], end[2]))
     lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
-    is_open = () if everyone else _open_channels(choices[best], choice, members, value)
+    is_open = () if everyone else _open_channels(choices, choice, members, value)
     return Selection(observed, choice, members, lens, value, is_open)
+
+
+def _looser(observed: Sequence[Observed]) -> list[Laws]:
+    """Laws that observations may follow in place of the strictest: only where the model is poor without defocus's own."""
+    if poor_model(observed):
+        return [*Laws.looser(), Laws.loosest()]
+    return [laws for laws in Laws.looser() if laws.defocus_scatter == Laws().defocus_scatter]
 
 
 def exact_lens(
@@ -306,8 +311,8 @@ def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
     """The tilt of the observation that knows it best, where all agree; None where they do not. tilts: (m, 2)."""
     best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
-    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.tilt_floor**2)))
-    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.same_tilt_chance else None
+    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)))
+    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
 
 
 def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
@@ -369,10 +374,10 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     focus = crossing(ranges, values[:, model.defocus], model)
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
-    slack = SETTINGS.rough_waves**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
+    slack = SETTINGS.rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
     modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
     cost = (values[:, model.defocus] - line) ** 2 / slack
-    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough_waves**2
+    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough**2
     if like is not None:
         cost += np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1) / SETTINGS.colour_modes_std**2
     numbers = model.values

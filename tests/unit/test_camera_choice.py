@@ -41,6 +41,7 @@ class Fits:
     called : what each fit's score tests promise for parts that it lacks
     squares : numbers of its parts, 0.5 for others
     unexplained : log-likelihood that each fit's residuals lack; 0 where they are noise
+    explaining : parts with which residuals are noise
     refits : what was climbed
     """
 
@@ -48,6 +49,7 @@ class Fits:
     called: Mapping[str, float]
     squares: Mapping[str, float] = field(default_factory=dict)
     unexplained: float = 0.0
+    explaining: Parts | None = None
     refits: list[tuple[int, Parts]] = field(default_factory=list)
 
     def end(self, parts: Parts) -> Optimum:
@@ -55,7 +57,7 @@ class Fits:
         height = next((of for names, of in self.heights.items() if Parts(names) == parts), 0.0)
         scores = {name: call(gain) for name, gain in self.called.items() if name not in parts}
         lacking = max(self.unexplained - height, 0.0)
-        explained = self.unexplained == 0.0
+        explained = self.unexplained == 0.0 or parts == self.explaining
         made = optimum(
             optics, 3200.0, square=0.5, height=height, scores=scores, explained=explained, unexplained=lacking
         )
@@ -209,12 +211,18 @@ def test_a_part_that_the_plan_wants_is_not_asked_for_again() -> None:
     assert fits.refits == []
 
 
-def test_no_choice_is_climbed_with_twice() -> None:
-    fits = Fits({("smear",): -1.0, ("veil",): 100.0}, {"smear": 90.0, "veil": 40.0, "diffusion": 60.0})
-    names, _ = fits.chosen()
-    assert names == {"veil"}
-    tried = [parts for count, parts in fits.refits if count == 3]
-    assert len(tried) == len(set(tried))
+def test_a_choice_that_was_refused_is_not_climbed_with_again() -> None:
+    """A veil alone gains nothing; once the smear is there it does, and leaves the smear nothing to do."""
+    heights = {("veil",): -1.0, ("smear",): 100.0, ("smear", "veil"): 200.0}
+    fits = Fits(heights, {"veil": 100.0, "smear": 40.0}, squares={"smear": 0.005})
+    assert fits.chosen()[0] == {"smear", "veil"}
+    assert [parts for _, parts in fits.refits].count(Parts(["veil"])) == 1
+
+
+def test_a_part_that_explains_fits_is_taken_in_whatever_its_share() -> None:
+    """Residuals with it are noise alone."""
+    fits = Fits({("smear",): 200.0}, {"smear": 300.0}, unexplained=1000.0, explaining=Parts(["smear"]))
+    assert fits.chosen()[0] == {"smear"}
 
 
 def test_a_fit_whose_climb_is_lost_stays_as_it_was() -> None:

@@ -48,6 +48,23 @@ def test_the_lens_leans_by_what_the_part_would_move(plain: Estimate) -> None:
     assert best_focus(leaning, "G").std > abs(moves) > 3 * best_focus(plain.lens, "G").std
 
 
+def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
+    """Modes, cone and size, each by hand."""
+    moves = np.array([MOVED, -0.001, 0.002, 1e-4])
+    fuller = []
+    for fit in plain.fits:
+        there = replace(fit.optimum.measured, values=fit.optimum.measured.values + moves)
+        state = replace(fit.optimum.state, waves=there.waves)
+        fuller.append(replace(fit.optimum, measured=there, state=state))
+    assert plain.lens is not None
+    leaning = with_model_error(replace(plain, with_missing=tuple(fuller))).lens
+    wanted = plain.lens.leaning(np.array([moves, moves]))
+    assert leaning is not None
+    assert leaning.lean is not None
+    assert wanted.lean is not None
+    np.testing.assert_allclose(leaning.lean.theta, wanted.lean.theta, rtol=1e-9, atol=1e-12)
+
+
 def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
     """Both fits have a filter, 0.2 pixels squared, and none once they have the part that their model lacked."""
     play = Play(lambda task: Found((optimum(task.optics, range_of(task), square=0.2),)))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
-from labkit.estimation.lens_model import CONE
-from labkit.estimation.select import OUT, Selection, select
+from labkit.estimation.lens_model import CONE, LensModel
+from labkit.estimation.select import OUT, Options, Selection, select
 from labkit.key import Key
-from labkit.types import Floats
+from labkit.types import Bools, Floats, Indices
 from labkit.uncertain import Uncertain
 from tests.lens_samples import (
     COLOURS,
@@ -81,6 +81,16 @@ def test_a_twin_has_its_even_modes_reversed() -> None:
     np.testing.assert_array_equal(one.twin().twin().covariance, one.covariance)
 
 
+def test_among_the_options_a_twin_has_the_covariance_of_its_signs() -> None:
+    every = session("G")
+    model = LensModel(tuple(one.reading for one in every), measured_of(every[0]).noll, (), PLAN)
+    options = Options.of(every, model)
+    for k, one in enumerate(every):
+        for place, of in enumerate((measured_of(one), measured_of(one).twin())):
+            np.testing.assert_array_equal(options.values[k, place], of.values)
+            np.testing.assert_array_equal(options.covariance[k, place], of.covariance)
+
+
 def test_all_ranges_on_one_side_of_focus_still_tell_it() -> None:
     every = session("G", (2100.0, 2200.0, 2300.0), 2000.0)
     selection = select([turned(one) for one in every], PLAN)
@@ -139,6 +149,18 @@ def test_the_penalised_likelihood_never_falls_from_round_to_round(monkeypatch: p
     assert np.all(np.diff(heights) >= 0)
     assert heights[1] - heights[0] > 1000
     assert heights[-2] == heights[-1]
+
+
+def test_a_change_that_would_lower_the_likelihood_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def twins(self: object, lens: object, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
+        return choice ^ 1, np.ones(len(choice))
+
+    every = session()
+    right = select(every, PLAN)
+    monkeypatch.setattr("labkit.estimation.select._Choices._proposals", twins)
+    again = select(every, PLAN, right)
+    assert again.objective == right.objective
+    np.testing.assert_array_equal(again.choice, right.choice)
 
 
 def test_a_selection_begins_where_an_earlier_one_ended() -> None:

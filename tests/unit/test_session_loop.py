@@ -158,7 +158,7 @@ def test_where_the_ends_contradict_each_other_both_are_searched_further() -> Non
 
     def ends(task: Task) -> Found:
         found = task.guesses.deep or task.guesses.starts
-        off = (0.0, 0.0) if found else (0.3, 3.0 * (range_of(task) > 3000))
+        off = (0.0, 0.0) if found else (0.0, 6.0 * (range_of(task) > 3000))
         return Found((optimum(task.optics, range_of(task), off=off, height=100.0 * bool(found), explained=False),))
 
     play = Play(ends)
