@@ -311,8 +311,8 @@ def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
     """The tilt of the observation that knows it best, where all agree; None where they do not. tilts: (m, 2)."""
     best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
-    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)))
-    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
+    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.tilt_floor**2)))
+    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.same_tilt_chance else None
 
 
 def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
@@ -374,10 +374,10 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     focus = crossing(ranges, values[:, model.defocus], model)
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
-    slack = SETTINGS.rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
+    slack = SETTINGS.rough_waves**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
     modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
     cost = (values[:, model.defocus] - line) ** 2 / slack
-    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough**2
+    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough_waves**2
     if like is not None:
         cost += np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1) / SETTINGS.colour_modes_std**2
     numbers = model.values
