@@ -8,16 +8,18 @@ counts above black and a frame has two numbers, its gain c1 in counts per electr
 as logarithms.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
-from labkit.estimation.climb import NoisePrior
+from labkit.estimation.climb import NoisePrior, Position, Step, climb, damped_step
+from labkit.estimation.counts import Slopes
 from labkit.estimation.identifiability import Bound, bound_of, inverse
-from labkit.estimation.likelihood import Slopes
 from labkit.imaging.optics import Optics
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats
@@ -45,7 +47,7 @@ class LensPrior:
         object.__setattr__(self, "precision", np.linalg.inv(self.covariance))
 
     @classmethod
-    def unknown(cls, modes: int, std: float = USUAL_MODE_STD) -> "LensPrior":
+    def unknown(cls, modes: int, std: float = USUAL_MODE_STD) -> LensPrior:
         """Of a lens that nothing is known of but that it is one."""
         return cls(np.zeros(modes), std**2 * np.eye(modes))
 
@@ -65,13 +67,13 @@ class EdgeState:
         """All parameters in the thesis's order."""
         return np.concatenate([self.modes, self.log_noise.ravel(), self.defoci, self.edges.ravel()])
 
-    def at(self, vector: Floats) -> "EdgeState":
+    def at(self, vector: Floats) -> EdgeState:
         """The state of another vector."""
         ends = np.cumsum([self.modes.size, self.log_noise.size, self.defoci.size])
         modes, noise, defoci, edges = np.split(vector, ends)
         return EdgeState(modes, noise.reshape(self.log_noise.shape), defoci, edges.reshape(self.edges.shape))
 
-    def moved(self, step: Floats) -> "EdgeState":
+    def moved(self, step: Floats) -> EdgeState:
         """After a step in all parameters, that of the noise held within a factor of e, those of waves within half a wave."""
         noise = slice(self.modes.size, self.modes.size + self.log_noise.size)
         step = step.copy()
@@ -137,14 +139,11 @@ class EdgeProblem:
         region = self.regions[k]
         mean, by_edge, by_waves = mean_and_slopes(region, state.edge(k), self.optics_of(k), self.waves(state, k))
         gain, read_variance = np.exp(state.log_noise[region.frame])
-        bright = mean > 0
-        variance = gain * np.where(bright, mean, 0.0) + read_variance
-        of_variance = np.stack([gain * np.where(bright, mean, 0.0), np.full_like(mean, read_variance)])
         modes, noise = state.modes.size, state.modes.size + state.log_noise.size
         places = [noise + region.depth, *range(modes)]
         places += [noise + state.defoci.size + EDGE_SIZE * k + i for i in range(EDGE_SIZE)]
         places += [modes + NOISE * region.frame, modes + NOISE * region.frame + 1]
-        return Slopes(mean, variance, np.concatenate([by_waves, by_edge]), of_variance, gain * bright), places
+        return Slopes(mean, gain, read_variance, of_mean=np.concatenate([by_waves, by_edge])), places
 
     def objective(self, state: EdgeState) -> float:
         """Log-likelihood of everything measured, the priors included, but for its constant. Thesis (5.49)."""
@@ -156,11 +155,10 @@ class EdgeProblem:
         total, gradient, information = 0.0, np.zeros(size), np.zeros((size, size))
         for k, region in enumerate(self.regions):
             of, places = self.slopes(state, k)
-            total -= 0.5 * float(np.sum((region.counts - of.mean) ** 2 / of.variance + np.log(of.variance)))
+            total += of.log_likelihood(region.counts)
             if slopes:
-                by_mean, by_variance = of.pulls(region.counts)
-                gradient[places] += np.concatenate([of.of_mean @ by_mean, of.of_variance @ by_variance])
-                information[np.ix_(places, places)] += _information(of)
+                gradient[places] += of.gradient(region.counts)
+                information[np.ix_(places, places)] += of.information()
         modes = state.modes.size
         away = state.modes - self.lens.mean
         total -= 0.5 * float(away @ self.lens.precision @ away)
@@ -188,17 +186,10 @@ class EdgeProblem:
         """The Cramér-Rao bound of all parameters, the priors' information included."""
         return bound_of(self.score(state)[2], self.names(state))
 
-    def alone(self, k: int) -> "EdgeProblem":
+    def alone(self, k: int) -> EdgeProblem:
         """One region by itself."""
         region = replace(self.regions[k], frame=0, depth=0, light=0)
         return replace(self, optics=(self.optics_of(k),), regions=(region,), noise=(self.noise[self.regions[k].frame],))
-
-
-def _information(of: Slopes) -> Floats:
-    both, cross, square = of.weights()
-    across = of.of_mean @ (of.of_variance * cross).T
-    weighted = of.of_mean * np.sqrt(both)
-    return np.block([[weighted @ weighted.T, across], [across.T, (of.of_variance * square) @ of.of_variance.T]])
 
 
 @dataclass(frozen=True)
@@ -238,39 +229,55 @@ class EdgeFit:
         return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
 
 
-def climb(
+def fit_edges(
     problem: EdgeProblem,
     start: EdgeState,
     max_steps: int = 30,
     tolerance: float = EXACTLY,
     held: Sequence[int] = (),
 ) -> EdgeFit:
-    """The maximum of the likelihood near a start, by damped Fisher scoring.
+    """Climb to the maximum of the likelihood near a start.
 
-    tolerance: stop when a step is shorter than this many standard errors; held: places in the thesis's order of what is not
-    to change. At no defocus and no other even mode the
-    likelihood is flat in defocus by symmetry: start elsewhere (`labkit.edges.search`). Raises ValueError for such a start.
+    Parameters
+    ----------
+    problem : regions and their camera
+    start : where to begin
+    max_steps, tolerance : as in `labkit.estimation.climb.climb`
+    held : places, in the thesis's order, of parameters that stay
+
+    Raises
+    ------
+    ValueError : at no defocus and no other mode the likelihood is flat in defocus by symmetry: start elsewhere
+        (`labkit.edges.search`)
     """
     if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
         raise ValueError("no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere")
-    state, (value, gradient, information) = start, problem.score(start)
-    damping, steps, converged = 1e-3, 1, False
-    free = np.setdiff1d(np.arange(gradient.size), held)
-    while steps < max_steps and not converged and damping < 1e8:
-        scale = 1 / np.sqrt(np.diag(information)[free])
-        scaled = information[np.ix_(free, free)] * np.outer(scale, scale) + damping * np.eye(scale.size)
-        step = np.zeros(gradient.size)
-        step[free] = scale * scipy.linalg.solve(scaled, gradient[free] * scale, assume_a="pos")
-        length = float(np.sqrt(step @ information @ step))
-        trial = state.moved(step)
-        scored = problem.score(trial)
-        if scored[0] >= value - 1e-9 * abs(value) * (length < tolerance):
-            converged = length < tolerance
-            # what the step gained over what it promised: where that is little, the next one is to be shorter
-            share = (scored[0] - value) / max(float(step @ gradient - 0.5 * length**2), 1e-12)
-            state, (value, gradient, information) = trial, scored
-            damping, steps = damping * max(1 / 8, 1 - (2 * share - 1) ** 3), steps + 1
-        else:
-            converged = length < tolerance
-            damping = max(damping, 1e-4) * 8
-    return EdgeFit(problem, state, value, inverse(information), steps, converged)
+    end, steps, converged = climb(_Scored(problem, start, tuple(held)), max_steps=max_steps, tolerance=tolerance)
+    information = end.scored[2]
+    return EdgeFit(problem, end.state, end.objective, inverse(information), steps, converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored(Position):
+    """Where a climb over edges stands."""
+
+    problem: EdgeProblem
+    state: EdgeState
+    held: tuple[int, ...]
+
+    @cached_property
+    def scored(self) -> tuple[float, Floats, Floats]:
+        return self.problem.score(self.state)
+
+    @property
+    def objective(self) -> float:
+        return self.scored[0]
+
+    def step(self, damping: float) -> Step:
+        _, gradient, information = self.scored
+        free = np.ones(gradient.size)
+        free[list(self.held)] = 0
+        return damped_step(gradient * free, information * np.outer(free, free), damping)
+
+    def moved(self, change: Floats) -> _Scored:
+        return replace(self, state=self.state.moved(change))

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labkit.edges.joint import ROUGHLY, EdgeFit, EdgeState, climb
+from labkit.edges.joint import ROUGHLY, EdgeFit, EdgeState, fit_edges
 from labkit.edges.ranges import Side, symmetric_error
 from labkit.types import Floats
 
@@ -99,7 +99,7 @@ def _held(fit: EdgeFit, start: EdgeState, depth: int, value: float) -> tuple[Edg
     defoci = start.defoci.copy()
     defoci[depth] = value
     place = start.modes.size + start.log_noise.size + depth
-    end = climb(fit.problem, replace(start, defoci=defoci), tolerance=ROUGHLY, held=(place,))
+    end = fit_edges(fit.problem, replace(start, defoci=defoci), tolerance=ROUGHLY, held=(place,))
     return end.state, end.objective
 
 

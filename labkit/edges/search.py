@@ -11,9 +11,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState, LensPrior, climb
+from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, EdgeState, LensPrior, fit_edges
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
+from labkit.estimation.counts import NormalCounts
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.zernike import twin_signs
@@ -136,7 +137,7 @@ def likely_defocus(optics: Optics, width_px: float) -> float:
 def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float = EXACTLY) -> tuple[EdgeFit, ...]:
     """The likeliest ends of a problem with one defocus, best first: one, or one on either side of best focus.
 
-    rough: of its regions; tolerance: as `climb` has it. Raises ValueError for a problem with several depths.
+    rough: of its regions; tolerance: as `fit_edges` has it. Raises ValueError for a problem with several depths.
     """
     if problem.depths != 1:
         raise ValueError(f"{problem.depths} depths: one is searched at a time")
@@ -150,7 +151,7 @@ def fit_depth(problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float
         misfit = {sign * value: _misfit(problem, rough, sign * value) for value in row}
         at = min(misfit, key=misfit.__getitem__)
         noise = _noise_left(problem, misfit[at])
-        ends.append(climb(problem, problem.start([at], [r.edge for r in rough], noise), tolerance=tolerance))
+        ends.append(fit_edges(problem, problem.start([at], [r.edge for r in rough], noise), tolerance=tolerance))
     if symmetric:
         ends.append(twin(ends[0]))
     ends.sort(key=lambda end: -end.objective)
@@ -164,7 +165,7 @@ def _misfit(problem: EdgeProblem, rough: Sequence[RoughEdge], defocus: float) ->
     for k, (region, start) in enumerate(zip(problem.regions, rough, strict=True)):
         mean, by_edge, _ = mean_and_slopes(region, start.edge, problem.optics_of(k), waves)
         noise = problem.noise[region.frame]
-        weight = 1 / np.sqrt(noise.gain * np.maximum(mean, 0) + noise.read_variance)
+        weight = 1 / np.sqrt(NormalCounts(mean, noise.gain, noise.read_variance).variance)
         left = (region.counts - mean) * weight
         slopes = (by_edge * weight).T
         total += float(np.sum((left - slopes @ np.linalg.lstsq(slopes, left, rcond=None)[0]) ** 2))
@@ -211,11 +212,11 @@ def fit_jointly(
             for sign in signs
         ]
         part = replace(part, lens=lens)
-        best = max((climb(part, at, tolerance=ROUGHLY) for at in beginnings), key=lambda end: end.objective)
+        best = max((fit_edges(part, at, tolerance=ROUGHLY) for at in beginnings), key=lambda end: end.objective)
         modes = best.state.modes.size
         lens = LensPrior(best.state.modes, best.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes))
         start[depths] = best.state.defoci
-    return climb(problem, EdgeState(lens.mean.copy(), log_noise, start, edges))
+    return fit_edges(problem, EdgeState(lens.mean.copy(), log_noise, start, edges))
 
 
 def _of_depths(problem: EdgeProblem, depths: Sequence[int]) -> tuple[EdgeProblem, list[int]]:
@@ -240,5 +241,5 @@ def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
             return None
         problem = replace(fit.problem.alone(k), regions=(part,), lens=held)
         start = problem.start([float(waves[0])], [edge], fit.state.log_noise[region.frame : region.frame + 1])
-        ends.append(climb(problem, start, max_steps=15, tolerance=ROUGHLY))
+        ends.append(fit_edges(problem, start, max_steps=15, tolerance=ROUGHLY))
     return ends[0], ends[1]

@@ -6,11 +6,12 @@ cost n p^2. Levenberg (1944), Marquardt (1963); the elimination: physics of a se
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from labkit.estimation.climb import Position, Step, climb
 from labkit.estimation.lens_model import LensModel
 from labkit.types import Bools, Floats
 
@@ -139,25 +140,9 @@ class Solved:
 
 def solve(model: LensModel, data: Data, start: Point) -> Solved:
     """Minimise the squared misfits of data and priors, from a start, within the model's bounds."""
-    prior = _Prior.of(model)
-    low, high = model.bounds()
-    here = _expanded(model, data, prior, start)
-    damping = 1e-6
-    for _ in range(MOST_STEPS):
-        normal, gradient, own_gradient = here[1:]
-        theta = here[0].point.theta
-        damped = normal.damped(damping)
-        step, own_step = damped.solve_within(gradient, own_gradient, low - theta, high - theta)
-        within = np.clip(theta + step, low, high)
-        trial = _expanded(model, data, prior, Point(within, here[0].point.own + own_step))
-        length = np.sqrt(max(float(step @ gradient + np.sum(own_step * own_gradient)), 0.0))
-        if trial[0].chi2 <= here[0].chi2 * (1 + 1e-12) + 1e-9:
-            here, damping = trial, damping / 10
-        else:
-            damping = max(damping, 1e-6) * 30
-        if length < SETTLED or damping > 1e10:
-            break
-    return here[0]
+    begin = _Misfit(model, data, _Prior.of(model), start)
+    end, _, _ = climb(begin, max_steps=MOST_STEPS, tolerance=SETTLED, damping=1e-9)
+    return Solved(end.point, end.predicted, *end.slopes, end.normal, -2 * end.objective)
 
 
 @dataclass(frozen=True)
@@ -177,23 +162,71 @@ class _Prior:
         )
 
 
-def _expanded(model: LensModel, data: Data, prior: _Prior, point: Point) -> tuple[Solved, Normal, Floats, Floats]:
-    """The misfit about a point: with its normal equations and the two parts of minus half its gradient."""
-    predicted = model.predicted(point.theta, point.own)
-    slopes, own_slopes = model.slopes(point.theta, point.own)
-    weighted = data.precision @ slopes
-    own_turned = own_slopes.transpose(0, 2, 1)
-    own_normal = model.by_group(own_turned @ (data.precision @ own_slopes)) + np.diag(prior.own_precision)
-    cross = model.by_group(own_turned @ weighted).transpose(0, 2, 1)
-    common = np.tensordot(slopes, weighted, ([0, 1], [0, 1])) + np.diag(prior.precision)
-    rest = data.values - predicted
-    pulled = (data.precision @ rest[..., None])[..., 0]
-    away = prior.centre - point.theta
-    own_gradient = model.by_group((own_turned @ pulled[..., None])[..., 0]) - prior.own_precision * point.own
-    gradient = np.tensordot(slopes, pulled, ([0, 1], [0, 1])) + prior.precision * away
-    chi2 = np.sum(rest * pulled) + np.sum(prior.precision * away**2) + np.sum(prior.own_precision * point.own**2)
-    normal = Normal(common, cross, own_normal)
-    return Solved(point, predicted, slopes, own_slopes, normal, float(chi2)), normal, gradient, own_gradient
+@dataclass(frozen=True, eq=False)
+class _Misfit(Position):
+    """The misfit of data and priors about a point."""
+
+    model: LensModel
+    data: Data
+    prior: _Prior
+    point: Point
+
+    @cached_property
+    def predicted(self) -> Floats:
+        return self.model.predicted(self.point.theta, self.point.own)
+
+    @cached_property
+    def slopes(self) -> tuple[Floats, Floats]:
+        return self.model.slopes(self.point.theta, self.point.own)
+
+    @cached_property
+    def pulled(self) -> Floats:
+        """(n, values) misfits times their inverse covariances."""
+        rest = self.data.values - self.predicted
+        return np.asarray((self.data.precision @ rest[..., None])[..., 0])
+
+    @cached_property
+    def objective(self) -> float:
+        """Minus half the squares."""
+        prior, point = self.prior, self.point
+        chi2 = np.sum((self.data.values - self.predicted) * self.pulled)
+        chi2 += np.sum(prior.precision * (prior.centre - point.theta) ** 2)
+        chi2 += np.sum(prior.own_precision * point.own**2)
+        return -0.5 * float(chi2)
+
+    @cached_property
+    def normal(self) -> Normal:
+        """The normal equations, the priors' information included."""
+        slopes, own_slopes = self.slopes
+        weighted = self.data.precision @ slopes
+        turned = own_slopes.transpose(0, 2, 1)
+        own = self.model.by_group(turned @ (self.data.precision @ own_slopes)) + np.diag(self.prior.own_precision)
+        cross = self.model.by_group(turned @ weighted).transpose(0, 2, 1)
+        common = np.tensordot(slopes, weighted, ([0, 1], [0, 1])) + np.diag(self.prior.precision)
+        return Normal(common, cross, own)
+
+    @cached_property
+    def gradient(self) -> tuple[Floats, Floats]:
+        """(columns,) and (groups, local columns) of the objective."""
+        slopes, own_slopes = self.slopes
+        away = self.prior.centre - self.point.theta
+        common = np.tensordot(slopes, self.pulled, ([0, 1], [0, 1])) + self.prior.precision * away
+        own = self.model.by_group((own_slopes.transpose(0, 2, 1) @ self.pulled[..., None])[..., 0])
+        return common, own - self.prior.own_precision * self.point.own
+
+    def step(self, damping: float) -> Step:
+        low, high = self.model.bounds()
+        gradient, own_gradient = self.gradient
+        damped = self.normal.damped(damping)
+        theta = self.point.theta
+        common, own = damped.solve_within(gradient, own_gradient, low - theta, high - theta)
+        square = max(float(common @ gradient + np.sum(own * own_gradient)), 0.0)
+        return Step(np.append(common, own), square**0.5, square / 2)
+
+    def moved(self, change: Floats) -> _Misfit:
+        theta, own = np.split(change, [self.point.theta.size])
+        moved = np.clip(self.point.theta + theta, *self.model.bounds())
+        return replace(self, point=Point(moved, self.point.own + own.reshape(self.point.own.shape)))
 
 
 def _grown(matrix: Floats, damping: float) -> Floats:

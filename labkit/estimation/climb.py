@@ -1,8 +1,11 @@
-"""Damped Fisher scoring: from a start to the nearest maximum of the likelihood (Levenberg-Marquardt on thesis 3.15)."""
+"""Damped Fisher scoring: from a start to the nearest maximum of a likelihood (Levenberg-Marquardt on thesis 3.15)."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +21,101 @@ from labkit.types import Floats
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
 ON_SLOPES = 1.0  # standard errors: a last step shorter than that is not drawn, its picture lies on the slopes
+TRUSTED_DAMPING = 1e-2  # beyond it a step is short because it is damped
+REJECTED_DAMPING, MOST_DAMPING = 1e-4, 1e8  # least one after a step that led down, and the one that ends a climb
+ROUNDING, TINY = 1e-9, 1e-12  # of a log-likelihood, relative; of a promise
 STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
+
+
+class Step(NamedTuple):
+    """A step from one position to another.
+
+    Attributes
+    ----------
+    change : of all parameters
+    length : in standard errors
+    gain : by which the objective rises if it is a parabola
+    """
+
+    change: Floats
+    length: float
+    gain: float
+
+
+class Position(Protocol):
+    """A point of a parameter space. A climb asks for steps only from where it stays, so that slopes may wait until then."""
+
+    @property
+    def objective(self) -> float:
+        """What is maximised, a log-likelihood; -inf where no climb should go."""
+        ...
+
+    def step(self, damping: float) -> Step:
+        """Marquardt's step: by the information with its diagonal grown by a share."""
+        ...
+
+    def moved(self, change: Floats) -> Self:
+        """The position after a change."""
+        ...
+
+    def foreseen(self, change: Floats) -> Self | None:
+        """The position after a change of a standard error at most, made of the slopes; None where it has to be computed."""
+        return None
+
+
+P = TypeVar("P", bound=Position)
+
+
+def climb(start: P, *, max_steps: int, tolerance: float, damping: float = 1e-3) -> tuple[P, int, bool]:
+    """Climb to the maximum near a start.
+
+    Parameters
+    ----------
+    start : where to begin
+    max_steps : positions whose slopes are computed, at most
+    tolerance : standard errors, all parameters together, by which the end may be off
+    damping : of the first step
+
+    Returns
+    -------
+    the end; the number of positions whose slopes were computed; whether the climb settled
+
+    Notes
+    -----
+    Levenberg (1944), Marquardt (1963). The damping follows the share of its promise that a step gained: H. B. Nielsen,
+    report IMM-REP-1999-05, Technical University of Denmark (1999). A climb ends with a step shorter than the tolerance, or
+    with one after which less is left, if the end can be foreseen: steps shrink at least as fast as they did from the last
+    one to this.
+    """
+    here, steps, before, converged = start, 1, 0.0, False
+    while steps < max_steps and not converged and damping < MOST_DAMPING:
+        step = here.step(damping)
+        short, trusted = step.length < tolerance, damping <= TRUSTED_DAMPING
+        left = step.length * min(1.0, step.length / before) if before else step.length
+        near = trusted and left < tolerance and step.length < ON_SLOPES
+        foreseen = here.foreseen(step.change) if near else None
+        there = foreseen or here.moved(step.change)
+        gained = there.objective - here.objective
+        if gained > (-ROUNDING * abs(here.objective) if short else 0.0):
+            converged = foreseen is not None or (short and trusted)
+            share = max(gained, 0.0) / max(step.gain, TINY)
+            damping *= max(1 / 8, 1 - (2 * share - 1) ** 3)
+            here, steps, before = there, steps + (foreseen is None), step.length
+        else:
+            damping, before, converged = 8 * max(damping, REJECTED_DAMPING), 0.0, short
+        del there  # a position may hold much memory: one at a time
+    return here, steps, converged
+
+
+def damped_step(gradient: Floats, information: Floats, damping: float) -> Step:
+    """Marquardt's step by a gradient (p,) and an information (p, p); parameters without information stay."""
+    free = np.diag(information) > 0
+    scale = np.zeros_like(gradient)
+    scale[free] = 1 / np.sqrt(np.diag(information)[free])
+    scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
+    change = np.asarray(scipy.linalg.solve(scaled, gradient * scale, assume_a="pos") * scale)
+    square = float(change @ information @ change)
+    return Step(change, square**0.5, float(change @ gradient) - square / 2)
 
 
 @dataclass(frozen=True)
@@ -83,7 +180,7 @@ class State:
             for s, a in zip(self.scales, self.ambients, strict=True)
         ]
 
-    def moved(self, step: Floats) -> "State":
+    def moved(self, step: Floats) -> State:
         """The state after a step in all parameters: modes; frame by frame pose, scale, ambient; unevenness; noise."""
         modes, common = self.waves.size, self.unevenness.size + NOISE
         frames = step[modes:-common].reshape(len(self.poses), PER_FRAME)
@@ -96,7 +193,7 @@ class State:
             self.unevenness + step[-common:-NOISE],
         )
 
-    def first(self) -> "State":
+    def first(self) -> State:
         """The same for the first frame only."""
         return replace(self, poses=self.poses[:1], scales=self.scales[:1], ambients=self.ambients[:1])
 
@@ -108,7 +205,7 @@ class Start(NamedTuple):
     drawing: Drawing | None = None
     relative: Sequence[Floats] = ()
 
-    def undrawn(self) -> "Start":
+    def undrawn(self) -> Start:
         """Without its drawing, which of a large target is hundreds of megabytes."""
         return self._replace(drawing=None)
 
@@ -216,52 +313,77 @@ def maximize(
     max_steps: int = 40,
     tolerance: float = 0.05,
 ) -> Solution:
-    """The maximum of the likelihood near a start.
+    """Climb to the maximum of the likelihood near a start.
 
-    exact: whether slopes are of the whole band; if not it ends, and its information is, a part of a standard error off.
-    tolerance: stop when what is left to go is shorter than this many standard errors, all parameters together. Steps shrink
-    at least as fast as they did from the last one to this; the information is that of where the last step began.
+    Parameters
+    ----------
+    problem : frames and their model
+    start : where to begin
+    free_waves : whether the modes change
+    exact : whether slopes are of the whole band; if not, the end and its information are a part of a standard error off
+    max_steps, tolerance : as in `climb`; the information is that of where the last step began
     """
-    here = problem.drawn(start)
-    gradient, information, _, evaluations = problem.scores(*here, by_waves=free_waves, exact=exact)
-    here = begun = here.undrawn()
-    best = problem.objective(here.state, here.relative)
-    damping, steps, before, converged = 1e-3, 1, 0.0, False
-    while steps < max_steps and not converged and damping < 1e8:
-        step = _damped_step(gradient, information, damping)
-        length, trial = _length(step, information), Start(here.state.moved(step))  # the last one's drawing goes
-        left = length * min(1.0, length / before) if before else length
-        last = left < tolerance and length < ON_SLOPES and damping <= 1e-2
-        if last:
-            trial = trial._replace(relative=problem.foreseen(here.state, step, evaluations))
-        elif sane(trial.state, start):
-            trial = problem.drawn(trial.state)
-        value = problem.objective(trial.state, trial.relative) if trial.relative else -np.inf
-        if not value > best:
-            converged = length < tolerance
-            damping, before = max(damping, 1e-4) * 8, 0.0
-            continue
-        here, best, damping, before, converged = trial.undrawn(), value, damping / 8, length, last
-        if not last:
-            gradient, information, _, evaluations = problem.scores(*trial, by_waves=free_waves, exact=exact)
-            begun, steps = here, steps + 1
-    misfit = problem.chi2_per_pixel(here.state, here.relative)
-    return Solution(here.state, best, information, here.relative, misfit, steps, converged, begun)
+    position = _Drawn(problem, start, free_waves, exact, problem.drawn(start))
+    end, steps, converged = climb(position, max_steps=max_steps, tolerance=tolerance)
+    begun = end.begun or end
+    state, relative = end.at.state, end.at.relative
+    return Solution(
+        state,
+        end.objective,
+        begun.slopes[1],
+        relative,
+        problem.chi2_per_pixel(state, relative),
+        steps,
+        converged,
+        begun.at,
+    )
 
 
-def _damped_step(gradient: Floats, information: Floats, damping: float) -> Floats:
-    """Marquardt's step; parameters without information stay."""
-    free = np.diag(information) > 0
-    scale = np.zeros_like(gradient)
-    scale[free] = 1 / np.sqrt(np.diag(information)[free])
-    scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
-    solved = scipy.linalg.solve(scaled, gradient * scale, assume_a="pos")
-    return np.asarray(solved * scale)
+@dataclass(eq=False)
+class _Drawn(Position):
+    """Where a climb over frames stands.
 
+    Attributes
+    ----------
+    first : where it began
+    at : the state; its drawing is kept until the slopes are known
+    begun : where the last step began, if `at` was reached by that
+    """
 
-def _length(step: Floats, information: Floats) -> float:
-    """Of a step, in standard errors."""
-    return float(np.sqrt(step @ information @ step))
+    problem: Problem
+    first: State
+    free_waves: bool
+    exact: bool
+    at: Start
+    begun: _Drawn | None = None
+
+    @cached_property
+    def objective(self) -> float:
+        """Log-likelihood, see `Problem.objective`."""
+        return self.problem.objective(self.at.state, self.at.relative) if self.at.relative else -np.inf
+
+    @cached_property
+    def slopes(self) -> tuple[Floats, Floats, list[Evaluation]]:
+        """Gradient, information, and what they were made of."""
+        gradient, information, _, evaluations = self.problem.scores(
+            *self.at, by_waves=self.free_waves, exact=self.exact
+        )
+        self.at = self.at.undrawn()
+        return gradient, information, evaluations
+
+    def step(self, damping: float) -> Step:
+        gradient, information, _ = self.slopes
+        return damped_step(gradient, information, damping)
+
+    def moved(self, change: Floats) -> _Drawn:
+        state = self.at.state.moved(change)
+        start = self.problem.drawn(state) if sane(state, self.first) else Start(state)
+        return replace(self, at=start)
+
+    def foreseen(self, change: Floats) -> _Drawn:
+        state = self.at.state.moved(change)
+        relative = self.problem.foreseen(self.at.state, change, self.slopes[2])
+        return replace(self, at=Start(state, None, relative), begun=self)
 
 
 def sane(state: State, start: State) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import kstest
 
-from labkit.edges.joint import EdgeProblem, EdgeState, LensPrior, climb
+from labkit.edges.joint import EdgeProblem, EdgeState, LensPrior, fit_edges
 from labkit.edges.profile import near_focus, side_of
 from labkit.edges.ranges import FocusLaw, edge_range
 from labkit.edges.region import Region
@@ -123,7 +123,7 @@ def _ranged(means: list[Floats], true: list[float], known: LensPrior, rng: np.ra
     problem = EdgeProblem((optics(),), regions, (noise,), known)
     ends = [fit_depth(problem.alone(k), [rough_edge(region)]) for k, region in enumerate(regions)]
     start = problem.start([of[0].defocus()[0] for of in ends], [of[0].state.edge(0) for of in ends])
-    joint = climb(problem, EdgeState(start.modes, ends[0][0].state.log_noise, start.defoci, start.edges))
+    joint = fit_edges(problem, EdgeState(start.modes, ends[0][0].state.log_noise, start.defoci, start.edges))
     found = []
     for depth, (range_mm, of) in enumerate(zip(RANGES_MM, ends, strict=True)):
         sides = near_focus(joint, depth) or (

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.edges.joint import EdgeFit, EdgeProblem, climb
+from labkit.edges.joint import EdgeFit, EdgeProblem, fit_edges
 from labkit.fiducials.box_fit import BoxFit
 
 CONTRADICTS = 5.0  # standard errors from what the others have in common
@@ -64,4 +64,4 @@ def fit_together(fits: Sequence[BoxFit]) -> EdgeFit:
     value = np.array([end.defocus() for end in ends])
     start = float(np.average(value[:, 0], weights=1 / value[:, 1] ** 2))
     edges = [end.state.edge(k) for end in ends for k in range(len(end.problem.regions))]
-    return climb(problem, problem.start([start], edges))
+    return fit_edges(problem, problem.start([start], edges))

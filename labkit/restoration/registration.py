@@ -107,7 +107,7 @@ def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> 
         places = [rows[:, None] + 0 * columns, columns[None, :] + 0 * rows[:, None], np.ones(view.counts.shape)]
         design = np.array([slope * place for slope in slopes for place in places])
         apart, near = view.counts - mean, view.used
-        weight = np.where(near, 1 / (view.variance(mean) + float(np.mean(apart[near] ** 2))), 0.0)
+        weight = np.where(near, 1 / (view.expected(mean).variance + float(np.mean(apart[near] ** 2))), 0.0)
         normal += np.einsum("irc,jrc,rc->ij", design, design, weight)
         right += np.einsum("irc,rc,rc->i", design, apart, weight)
     change = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), right).reshape(2, 3)

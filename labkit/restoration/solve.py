@@ -177,7 +177,7 @@ def guessed_norm(views: Views, penalty: Roughness) -> tuple[Floats, Norm]:
     planes = np.bincount([view.component for view in views], minlength=views.components)
     for view in views:
         counts, mean = view.counts[view.used], (view.light * levels[view.component])[view.used]
-        noise = float(np.mean(view.variance(mean)))
+        noise = float(np.mean(view.expected(mean).variance))
         apart = max(float(np.mean((counts - mean) ** 2)) - noise, 0.01 * noise)
         squares[view.component] += apart / planes[view.component]
     if penalty.held is not None:

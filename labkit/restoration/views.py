@@ -1,4 +1,4 @@
-"""From a scene to the counts of a mosaic's planes, the likelihood of those, and its derivatives (thesis 3.2, 3.5, 4.41)."""
+"""From a scene to the counts of a mosaic's planes, and their likelihood (thesis 4.41)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labkit.estimation.counts import NormalCounts
 from labkit.restoration.grid import SceneGrid
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats
 
@@ -37,31 +38,25 @@ class View:
         if not self.used.any():
             raise ValueError("a plane without a usable pixel")
 
-    def variance(self, mean: Floats) -> Floats:
-        """Of counts about a mean, (rows, columns). Thesis (3.2): what is below 0, as a PSF's rings may be, makes no noise."""
-        return np.asarray(self.gain * np.maximum(mean, 0) + self.read_variance)
+    def expected(self, mean: Floats) -> NormalCounts:
+        """Distribution of counts about a mean, of all pixels (rows, columns) or some."""
+        return NormalCounts(mean, self.gain, self.read_variance)
 
     def misfit(self, mean: Floats) -> float:
-        """Minus the log-likelihood of the counts, but for a constant. Thesis (3.5)."""
-        variance = self.variance(mean)[self.used]
-        return float(0.5 * np.sum((self.counts - mean)[self.used] ** 2 / variance + np.log(variance)))
+        """Minus the log-likelihood of the used counts, but for a constant."""
+        return -self.expected(mean[self.used]).log_likelihood(self.counts[self.used])
 
     def slope(self, mean: Floats) -> Floats:
-        """Its derivative by the mean, (rows, columns), 0 where not used. Thesis (3.9)."""
-        variance, error = self.variance(mean), self.counts - mean
-        by_variance = np.where(mean > 0, self.gain, 0.0)
-        slope = -error / variance + 0.5 * by_variance * (1 / variance - (error / variance) ** 2)
-        return np.where(self.used, slope, 0.0)
+        """Its derivative by the mean, (rows, columns), 0 where not used."""
+        return np.where(self.used, -self.expected(mean).pulls(self.counts)[0], 0.0)
 
     def weight(self, mean: Floats) -> Floats:
-        """What its second derivative is on average, (rows, columns), 0 where not used. Thesis (3.15)."""
-        variance = self.variance(mean)
-        by_variance = np.where(mean > 0, self.gain, 0.0)
-        return np.where(self.used, 1 / variance + 0.5 * (by_variance / variance) ** 2, 0.0)
+        """What its second derivative is on average, (rows, columns), 0 where not used."""
+        return np.where(self.used, self.expected(mean).weights()[0], 0.0)
 
     def chi2(self, mean: Floats) -> float:
         """Squared deviations of the used counts, each over its variance, summed."""
-        return float(np.sum(((self.counts - mean) ** 2 / self.variance(mean))[self.used]))
+        return self.expected(mean[self.used]).chi2(self.counts[self.used])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior, climb
+from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior, fit_edges
 from labkit.edges.region import Edge, Region
 from labkit.edges.response import fitted_response
 from labkit.edges.search import fit_depth, fit_jointly, halves, rough_edge, twin
@@ -86,7 +86,7 @@ def test_errors_of_defocus_angle_and_radiances_are_as_reported() -> None:
     rng = np.random.default_rng(3)
     pulls = []
     for _ in range(16):
-        fit = climb(of := problem(region(0.4, 0.2, rng)), of.start([0.38], [Edge(0.2, 0.6, 1000.0, 6000.0)]))
+        fit = fit_edges(of := problem(region(0.4, 0.2, rng)), of.start([0.38], [Edge(0.2, 0.6, 1000.0, 6000.0)]))
         value, std = fit.defocus()
         error = (fit.state.edges[0] - [0.2, 0.6, 1000.0, 6000.0]) / fit.edge_std(0)
         pulls.append([(value - 0.4) / std, *error])
@@ -113,7 +113,7 @@ def test_no_defocus_is_a_saddle_that_no_climb_starts_at() -> None:
     of = problem(region(0.4, 0.2, np.random.default_rng(5)), lens=UNKNOWN)
     edge = Edge(0.2, 0.6, 1000.0, 6000.0)
     with pytest.raises(ValueError, match="flat there by symmetry"):
-        climb(of, of.start([0.0], [edge]))
+        fit_edges(of, of.start([0.0], [edge]))
     near, far = (of.score(of.start([at], [edge]))[1][len(MODES) + 2] for at in (1e-9, 0.1))
     assert abs(near) < 1e-6 * abs(far)
 

