@@ -241,7 +241,7 @@ def select(
     start = _started(strict, before)
     ends = [(strict, *strict.ascend(*start))]
     left_out = options.fitted & ~ends[0][2]
-    if np.count_nonzero(left_out) > SETTINGS.few * np.count_nonzero(options.fitted):
+    if np.count_nonzero(left_out) > SETTINGS.few_outliers * np.count_nonzero(options.fitted):
         for laws in _looser(observed):
             one = replace(strict, model=replace(model, laws=laws.rough()))
             ends.append((one, *one.ascend(*start)))
