@@ -17,22 +17,9 @@ from scipy.linalg import block_diag
 from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import Call
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.parts import KNOWN
 from labkit.results.model import PartTried
-
-PART_COST = 10.0
-"""Log-likelihood that a part must gain: chance gains as much once in 20 000 sessions."""
-
-RARER_COST = 4.0
-"""Log-likelihood by which a rarer part must gain more than a commoner one that blurs alike: by one number more chance gains
-as much once in 200 times."""
-
-UNEXPLAINED_SHARE = 0.25
-"""Share of what residuals leave unexplained that a part must explain, where it explains no fit: else it stands for another
-lack."""
-
-TELLING = 3
-"""Fits, those that show most of it, by which a choice of parts is tried."""
 
 BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
 """Parts that blur alike to first order, the commonest first."""
@@ -43,7 +30,7 @@ Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
 def cost(parts: Parts) -> float:
     """Penalty of a choice of parts, in log-likelihood."""
-    return sum(PART_COST + RARER_COST * (BLURS.index(name) if name in BLURS else 0) for name in parts)
+    return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (BLURS.index(name) if name in BLURS else 0) for name in parts)
 
 
 def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, Call]:
@@ -76,7 +63,7 @@ def _lacking(fits: Sequence[Optimum]) -> float:
     """Log-likelihood that a part must gain where residuals of all fits are more than noise: else it stands for another lack."""
     if any(fit.verdict.accepted for fit in fits):
         return 0.0
-    return UNEXPLAINED_SHARE * sum(fit.unexplained for fit in fits)
+    return SETTINGS.few * sum(fit.unexplained for fit in fits)
 
 
 @dataclass
@@ -123,16 +110,16 @@ class CameraChoice:
     def _proposals(self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Iterator[Parts]:
         """Other choices, the most promising first."""
         calls = summed(list(ends.values()))
-        gains = {name: call.gain - cost(Parts([name])) + PART_COST for name, call in calls.items()}
+        gains = {name: call.gain - cost(Parts([name])) + SETTINGS.part_cost for name, call in calls.items()}
         self.tried = [one for one in self.tried if one.name not in gains]
         self.tried += [PartTried(name, call.gain, False) for name, call in calls.items()]
         worths = worth([optimum.measured for _, optimum in ends.values()])
         for name in sorted(parts, key=lambda one: worths.get(one, 0.0)):
-            if worths.get(name, 0.0) < PART_COST:
+            if worths.get(name, 0.0) < SETTINGS.part_cost:
                 yield parts - {name}
         lacking = _lacking([optimum for _, optimum in ends.values()])
         for name in sorted(gains, key=lambda one: -gains[one]):
-            if gains[name] > max(PART_COST, lacking) and name not in self.wanted:
+            if gains[name] > max(SETTINGS.part_cost, lacking) and name not in self.wanted:
                 yield parts | {name}
         for name in [one for one in BLURS if one in parts]:
             commoner = [one for one in BLURS[: BLURS.index(name)] if one in calls]
@@ -157,7 +144,7 @@ class CameraChoice:
             self.tried += [PartTried(name, self._gain(ends, fits), True) for name in sorted(choice)]
             self.missing = tuple(name for name in self.missing if name not in choice)
             return {k: (ends[k][0], fits.get(k, ends[k][1])) for k in ends}
-        if added and self._gain(ends, fits) > PART_COST:
+        if added and self._gain(ends, fits) > SETTINGS.part_cost:
             self.missing, self.with_missing = tuple(sorted(added)), fits
         return None
 
@@ -169,7 +156,7 @@ class CameraChoice:
             worths = worth([optimum.measured])
             return sum(optimum.scores[n].gain if n in optimum.scores else worths.get(n, 0.0) for n in names)
 
-        return sorted(ends, key=lambda k: -shown(k))[:TELLING]
+        return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]
 
     @staticmethod
     def _gain(ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum]) -> float:

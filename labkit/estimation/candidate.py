@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.estimation.lens_model import Reading
+from labkit.estimation.settings import SETTINGS
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
-
-UNMEASURED = 1e4
-"""Standard error of a number that was not measured, in the number's unit."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Measured:
         at = [*range(modes), *(modes + parts.index(label) for label in self.parts), size - 2, size - 1]
         values = np.zeros(size)
         values[at] = self.values
-        covariance = np.eye(size) * UNMEASURED**2
+        covariance = np.eye(size) * SETTINGS.unknown**2
         covariance[np.ix_(at, at)] = self.covariance
         calibration = np.zeros((size, size))
         calibration[np.ix_(at, at)] = self.calibration

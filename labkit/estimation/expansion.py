@@ -19,24 +19,11 @@ from labkit.estimation.candidate import Measured
 from labkit.estimation.climb import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.likelihood import slopes
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.types import Bools, Floats
-
-# Two or three do where the cone is a few per cent off; at f/1.9 and 12 % off, where cone and defocus go along a bent ridge, six
-ROUNDS = 12
-# of ln N: a step so small, or so small a part of its error, moves the optimum by less than 1e-5 waves beyond second order
-SETTLED, SETTLED_STDS = 2e-3, 0.3
-SETTLED_LENGTH = 1.0  # standard errors, all parameters together: what is left, the expansion covers
-FALLEN = 1.0  # by how much a log-likelihood may fall in a step that is not wrong
-HALVINGS = 2  # of a step that is
-WILD = 0.3  # of ln N: no cone is as far from its engraving, and a model of a very wide one asks for all memory
-SPARE = 0.06  # relative, by which a cone may widen before its model is built anew
-NARROW = 0.8  # share of the window that a wavefront should have, below which a model is built anew: twice as much light strays
-EXACT = 1e-6  # a relative error that moves nothing
-BLOCKS = 10  # along each side of a cut: wider than what one wrong kernel makes alike
-POSES = 200  # drawn to see how well a tilt is known
 
 
 @dataclass(frozen=True)
@@ -136,7 +123,7 @@ class Expansion:
         covariance: (p, p) at the optimum.
         """
         beyond = self.optics_after(step).shape - (self.optics.shape + step[self.shape])
-        at = self.shape.start + np.flatnonzero(np.abs(beyond) > EXACT * self.optics.usual_shape)
+        at = self.shape.start + np.flatnonzero(np.abs(beyond) > SETTINGS.exact * self.optics.usual_shape)
         held = np.linalg.solve(covariance[np.ix_(at, at)], beyond[at - self.shape.start])
         return step + covariance[:, at] @ held
 
@@ -196,21 +183,21 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     problem, start = _wide_enough(problem, start)
     given, precision = _known_shape(problem.model.optics, f_number_std)
     best, taken, halvings = None, np.empty(0), 0
-    for rounds in range(1, ROUNDS + 1):
+    for rounds in range(1, SETTINGS.newton_rounds + 1):
         expansion = expand(problem, start, exact=rounds > 1)
-        fallen = best is not None and expansion.objective < best.objective - FALLEN
-        if fallen and best is not None and halvings < HALVINGS and rounds < ROUNDS:
+        fallen = best is not None and expansion.objective < best.objective - SETTINGS.same_optimum
+        if fallen and best is not None and halvings < 2 and rounds < SETTINGS.newton_rounds:
             taken, halvings = 0.5 * taken, halvings + 1
             problem, start = _stepped(problem, best, taken)
             continue
         step, covariance = expansion.newton(precision, (given - expansion.optics.shape) * precision)
         step = expansion.within(step, covariance)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
-        near, cone = length < SETTLED_LENGTH, expansion.shape.stop - 1
-        close = abs(step[cone]) < max(SETTLED, SETTLED_STDS * np.sqrt(covariance[cone, cone]))
+        near, cone = length < SETTINGS.slopes_stds, expansion.shape.stop - 1
+        close = abs(step[cone]) < SETTINGS.settled_stds * np.sqrt(covariance[cone, cone])
         settled = rounds > 1 and near and close and not fallen
-        wild = abs(step[cone]) > WILD or not sane(expansion.moved(step), start.state)
-        if settled or fallen or wild or rounds == ROUNDS:
+        wild = abs(step[cone]) > 3 * SETTINGS.loose or not sane(expansion.moved(step), start.state)
+        if settled or fallen or wild or rounds == SETTINGS.newton_rounds:
             break
         best, taken, halvings = expansion, step, 0
         problem, start = _stepped(problem, expansion, step)
@@ -249,7 +236,7 @@ def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Prob
 def _known_shape(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
     """What is known of a shape beforehand, and how precisely, 1/variance: (shape,) each."""
     given, stds = np.zeros_like(optics.shape), optics.usual_shape
-    given[-1], stds[-1] = optics.shape[-1], max(f_number_std, EXACT)
+    given[-1], stds[-1] = optics.shape[-1], max(f_number_std, SETTINGS.exact)
     return given, stds**-2
 
 
@@ -258,15 +245,15 @@ def reshaped(model: ForwardModel, optics: Optics, state: State) -> ForwardModel:
     try:
         return model.shaped(optics)
     except ValueError:
-        return model.again(optics, state.poses[0], waves=state.waves, spare=SPARE)
+        return model.again(optics, state.poses[0], waves=state.waves, spare=SETTINGS.spare_cone)
 
 
 def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
     """With a window that holds what the start's wavefront throws far."""
     model, state = problem.model, start.state
-    if model.window_airy >= NARROW * model.optics.window_airy(state.waves):
+    if model.window_airy >= SETTINGS.narrow_window * model.optics.window_airy(state.waves):
         return problem, start
-    wider = model.again(model.optics, state.poses[0], waves=state.waves, spare=SPARE)
+    wider = model.again(model.optics, state.poses[0], waves=state.waves, spare=SETTINGS.spare_cone)
     return replace(problem, model=wider), Start(state)
 
 
@@ -307,7 +294,7 @@ def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]
     what blocks of pixels show, of which a pixel's residuals may be alike but blocks' are not."""
     modes, even, frames = len(evaluations[0].by_waves), state.unevenness.size, len(state.poses)
     size = modes + PER_FRAME * frames + even + NOISE
-    flats, blocks = np.zeros((size, size)), np.zeros((size, BLOCKS**2))
+    flats, blocks = np.zeros((size, size)), np.zeros((size, SETTINGS.blocks**2))
     for k, (evaluation, frame, detector) in enumerate(zip(evaluations, problem.frames, state.detectors(), strict=True)):
         of = slopes(evaluation, frame, detector)
         at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
@@ -322,10 +309,12 @@ def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]
 
 
 def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
-    """(pixels, BLOCKS^2) 1 for the block that a used pixel lies in."""
-    rows, columns = (at * BLOCKS // n for at, n in zip(np.nonzero(used), used.shape, strict=True))
+    """(pixels, blocks^2) 1 for the block that a used pixel lies in."""
+    rows, columns = (at * SETTINGS.blocks // n for at, n in zip(np.nonzero(used), used.shape, strict=True))
     pixels = rows.size
-    return scipy.sparse.csr_array((np.ones(pixels), (np.arange(pixels), rows * BLOCKS + columns)), (pixels, BLOCKS**2))
+    return scipy.sparse.csr_array(
+        (np.ones(pixels), (np.arange(pixels), rows * SETTINGS.blocks + columns)), (pixels, SETTINGS.blocks**2)
+    )
 
 
 def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
@@ -334,7 +323,7 @@ def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
     Where the picture hardly determines which way the target leans, that is far from linear in the pose.
     """
     root = scipy.linalg.sqrtm(covariance).real
-    steps = np.random.default_rng(0).normal(size=(POSES, POSE_SIZE)) @ root
+    steps = np.random.default_rng(0).normal(size=(SETTINGS.tilt_draws, POSE_SIZE)) @ root
     values = [pose.moved(step).log_shortening() for step in steps]
     return float(np.mean(values)), float(np.std(values))
 

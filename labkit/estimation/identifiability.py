@@ -9,8 +9,8 @@ import scipy.linalg
 from labkit.arrays import symmetric
 from labkit.types import Floats
 
-SINGULAR = 1e-12  # smallest eigenvalue of the information, scaled to a unit diagonal, that rounding does not explain
-NAMED_SHARE = 0.1  # of a combination's largest part: smaller ones are not named
+SINGULAR = 2.0**-40
+"""Smallest eigenvalue of an information, scaled to a unit diagonal, that rounding does not explain."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _plainest(directions: Floats) -> Floats:
 
 def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
     """A direction that changes nothing in the data: scaled, to name its parameters; then in their units."""
-    named = [int(i) for i in np.flatnonzero(np.abs(direction) > NAMED_SHARE * np.abs(direction).max())]
+    named = [int(i) for i in np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())]
     if len(named) == 1:
         return names[named[0]]
     parts = direction * scale

@@ -15,6 +15,7 @@ from labkit.estimation.expansion import expand
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
 from labkit.estimation.select import exact_lens
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
@@ -23,10 +24,6 @@ from labkit.imaging.window import WINDOW_AIRY
 from labkit.sharing import Shared, share
 from labkit.target import Target
 from labkit.types import Floats, Progress
-
-ROUNDS = 6
-SETTLED_STDS = 0.02
-"""Standard errors: the climb ends with a step shorter than this in every number."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +88,14 @@ def climb(session: Estimate, targets: Mapping[str, Target], stated: Stated, run:
     first = lens = session.lens
     places = [(session.fits[k].optimum.state, session.fits[k].optics) for k in session.members]
     likelihoods = list[float]()
-    for done in range(ROUNDS):
-        progress(done, ROUNDS, "climbing jointly")
+    for done in range(SETTINGS.newton_rounds):
+        progress(done, SETTINGS.newton_rounds, "climbing jointly")
         before = lens
         reached = _all_reached(session, targets, lens, places, run)
         places = [(one.state, one.optics) for one in reached]
         likelihoods.append(sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens))
         lens = _lens_of(session, reached, first, stated)
-        if max(_differences(lens, before).values()) < SETTLED_STDS:
+        if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
             break
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 

@@ -21,8 +21,8 @@ from labkit.estimation.lens_model import (
 from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 
-UNKNOWN = 1e9
-"""Share of a variance left by an observation's own information, above which the others say nothing."""
+LEAST_SHARE = float(np.sqrt(np.finfo(float).eps))
+"""Share of a variance that rounding leaves to the other observations, at least: below it they say nothing."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class LensFit:
         share = back @ spread @ back.transpose(0, 2, 1) * self.measured.used[:, None, None]
         shares, vectors = np.linalg.eigh(share)
         shares = np.clip(shares, 0.0, 1.0)
-        grown = shares / np.maximum(1 - shares, 1 / UNKNOWN)
+        grown = shares / np.maximum(1 - shares, LEAST_SHARE)
         turned = root @ vectors
         rest = np.einsum(
             "nji,nj->ni", vectors, np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted)

@@ -41,12 +41,6 @@ GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE, HOMING, STEPS, SIZE)
 OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
 """Columns of which nothing is known beforehand: their prior is no measurement."""
 
-EXACT = 1e-6
-"""Standard error of what is held exact, in steps of its column."""
-
-STEP = 1e-6
-"""Relative step of the differences that give the laws' slopes."""
-
 DEFOCUS = 4
 
 Name = tuple[str | float, ...]
@@ -106,7 +100,7 @@ class Laws:
         Modes that differ because the lens's do leave defocus to its law; those that differ because the model of the
         frames lacks something do not.
         """
-        free = cls(cone_std=SETTINGS.loose_cone, size_scatter=SETTINGS.loose_size)
+        free = cls(cone_std=SETTINGS.loose, size_scatter=SETTINGS.loose)
         yield free
         for scatter in SETTINGS.mode_scatter_waves:
             yield cls(mode_scatter=scatter)
@@ -117,16 +111,16 @@ class Laws:
     def loosest(cls) -> Laws:
         """All that any observation of the lens may depart by."""
         most = SETTINGS.mode_scatter_waves[-1]
-        return cls(most, most, SETTINGS.loose_cone, SETTINGS.loose_cone, SETTINGS.loose_size)
+        return cls(most, most, SETTINGS.loose, SETTINGS.loose, SETTINGS.loose)
 
     def rough(self) -> Laws:
         """The same with errors that admit whatever is no other optimum."""
         return replace(
             self,
-            mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough_waves)),
-            defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough_waves)),
-            cone_scatter=float(np.hypot(self.cone_scatter, SETTINGS.rough_cone)),
-            size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough_size)),
+            mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough)),
+            defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough)),
+            cone_scatter=float(np.hypot(self.cone_scatter, SETTINGS.rough)),
+            size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough)),
         )
 
 
@@ -151,7 +145,7 @@ class Column:
     @property
     def prior_std(self) -> float:
         """Standard error before the session, above 0."""
-        return max(self.std, EXACT * self.scale)
+        return max(self.std, SETTINGS.exact * self.scale)
 
 
 @dataclass(frozen=True)
@@ -258,9 +252,9 @@ class LensModel:
             return ()
         far = max(reading.range_mm for reading in self.readings)
         return (
-            Column(FOCUS, (), 0.0, SETTINGS.axial_colour_std * far, 1e-3 * far),
-            Column(LATERAL_COLOUR, (), 0.0, SETTINGS.loose_size, 1e-4),
-            *(Column(MODE, (j,), 0.0, SETTINGS.mode_std, 1e-2) for j in self._upper_modes),
+            Column(FOCUS, (), 0.0, SETTINGS.colour_std * far, 1e-3 * far),
+            Column(LATERAL_COLOUR, (), 0.0, SETTINGS.loose, 1e-4),
+            *(Column(MODE, (j,), 0.0, SETTINGS.unknown, 1e-2) for j in self._upper_modes),
         )
 
     @cached_property
@@ -391,17 +385,17 @@ class LensModel:
             error = stated.wavelength_std.get(channel, 0.0)
             yield Column(WAVELENGTH, (channel,), 0.0, error, 1e-3)
             if channel != self.reference:
-                axial = SETTINGS.axial_colour_std * far
+                axial = SETTINGS.colour_std * far
                 yield Column(AXIAL_COLOUR, (channel,), 0.0, axial, 1e-3 * far)
-                yield Column(LATERAL_COLOUR, (channel,), 0.0, SETTINGS.lateral_colour_std, 1e-4)
+                yield Column(LATERAL_COLOUR, (channel,), 0.0, SETTINGS.colour_std, 1e-4)
         names = (self.of_channel(label, c) for c in self.channels for label in self.parts)
         for name in dict.fromkeys(names):
-            yield Column(PART, name, 0.0, SETTINGS.part_std, 1e-3)
+            yield Column(PART, name, 0.0, SETTINGS.unknown, 1e-3)
         yield from () if self.tiled else self._mode_columns()
 
     def _mode_columns(self) -> Iterator[Column]:
         for j in self._upper_modes:
-            yield Column(COMMON_MODE, (j,), 0.0, SETTINGS.mode_std, 1e-2)
+            yield Column(COMMON_MODE, (j,), 0.0, SETTINGS.unknown, 1e-2)
             for channel in self.channels:
                 yield Column(MODE, (channel, j), 0.0, SETTINGS.colour_modes_std, 1e-2)
 
@@ -480,7 +474,7 @@ class LensModel:
 
     def _law_slopes(self, arguments: Floats) -> Floats:
         """(3, 6, n) derivatives of the laws by their arguments, by central differences."""
-        steps = STEP * np.maximum(np.abs(arguments), 0.1)
+        steps = SETTINGS.exact * np.maximum(np.abs(arguments), 0.1)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
         ahead = self._laws(arguments[:, None] + moves)
         behind = self._laws(arguments[:, None] - moves)

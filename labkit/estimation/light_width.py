@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import reduce
 
 import numpy as np
+from scipy.special import ndtri
 
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.scores import Call
@@ -12,7 +13,8 @@ from labkit.imaging.parts import SpectrumWidth
 from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
 
-ONE_SIDED = 1.645  # standard errors, above which a Gaussian lies 5 times in 100
+ONE_SIDED = float(ndtri(0.95))
+"""Standard errors, above which a normal error is 5 times in 100."""
 
 
 def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:

@@ -11,23 +11,20 @@ import numpy as np
 from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.expansion import SPARE, Freed, free_cone
+from labkit.estimation.expansion import Freed, free_cone
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residual_spectrum import residual_spectrum
 from labkit.estimation.residual_tests import Verdict, judge
 from labkit.estimation.scores import Call, calls
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches
-from labkit.estimation.starts import SAME_OPTIMUM, Log
+from labkit.estimation.starts import Log
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.optics.zernike import twin_signs
 from labkit.target import Target
 from labkit.types import Floats
-
-MOST_STARTS = 40
-PREDICTED_WAVES = 0.04
-"""RMS over the modes above defocus between an end and its prediction: wrong optima are farther."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +181,7 @@ class Guesses:
     alone: bool = True
     score: bool = False
     patience_s: float = np.inf
-    most_starts: int = MOST_STARTS
+    most_starts: int = SETTINGS.most_starts
 
 
 def find_optima(
@@ -257,7 +254,7 @@ class _Search:
     @classmethod
     def of(cls, optics: Optics, target: Target, views: Views, guesses: Guesses, seed: int | Sequence[int]) -> _Search:
         frame, pose = views.frames[0], views.poses[0]
-        spare = SPARE if guesses.f_number_std else 0.0
+        spare = SETTINGS.spare_cone if guesses.f_number_std else 0.0
         model = ForwardModel.build(optics, target, frame.counts.shape, pose, spare=spare, shine=frame.shine)
         sketched = Sketches(optics.in_one_wavelength(), target, frame, pose, views.noise, seed)
         first = first_state(frame, pose, views.noise, len(optics.noll))
@@ -355,12 +352,14 @@ def _alike(one: Optimum, other: Optimum) -> bool:
     """Whether two ends are one optimum: as likely, and nearer than a standard error, or twins."""
     near = min(float(np.linalg.norm(one.waves - w)) for w in (other.waves, other.waves * twin_signs(other.noll)))
     error = float(np.sqrt(np.trace(one.covariance)))
-    return abs(one.log_likelihood - other.log_likelihood) < SAME_OPTIMUM or near < 0.3 * error
+    return (
+        abs(one.log_likelihood - other.log_likelihood) < SETTINGS.same_optimum or near < SETTINGS.settled_stds * error
+    )
 
 
 def _as_predicted(optimum: Optimum, waves: Floats) -> bool:
     """Whether an end has the modes that were predicted, defocus apart: then its residuals judge the model."""
-    return float(np.linalg.norm((optimum.waves - waves)[1:])) < PREDICTED_WAVES
+    return float(np.linalg.norm((optimum.waves - waves)[1:])) < SETTINGS.sure_waves
 
 
 def _below(others: Sequence[tuple[Floats, float]]) -> tuple[tuple[Floats, float], ...]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.local import PREDICTED_WAVES, Optimum
+from labkit.estimation.local import Optimum
+from labkit.estimation.settings import SETTINGS
 from labkit.optics.wavefront import DEFOCUS
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
@@ -32,7 +33,7 @@ def confirmed(session: Estimate, index: int) -> bool:
         return False
     modes, _ = shift(optimum, fullest)
     above_defocus = [k for k, j in enumerate(optimum.noll) if j != DEFOCUS]
-    return float(np.linalg.norm(modes[above_defocus])) < PREDICTED_WAVES
+    return float(np.linalg.norm(modes[above_defocus])) < SETTINGS.sure_waves
 
 
 def with_model_error(session: Estimate) -> Estimate:

@@ -13,13 +13,11 @@ from scipy.special import chdtrc, ndtr
 from labkit.estimation.climb import Problem, State
 from labkit.estimation.identifiability import worse_than
 from labkit.estimation.likelihood import predict
+from labkit.estimation.settings import SETTINGS
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats
 
-SIGNIFICANCE = 1e-3
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # rows and columns, in pixels
-LEAST_KNOWN = 0.25  # waves RMS: a combination of modes with a larger standard error was not measured
-UNCALIBRATED = 0.3  # relative standard error of the noise's variance beyond which it cannot serve as a measure
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +35,13 @@ class Verdict:
 
     def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
         """The same, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
-        open_ = worse_than(LEAST_KNOWN, covariance, [mode_name(j) for j in noll])
+        open_ = worse_than(SETTINGS.unmeasured, covariance, [mode_name(j) for j in noll])
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
 
-def judge(problem: Problem, state: State, relative: Sequence[Floats], model_error: float = 0.01) -> Verdict:
+def judge(
+    problem: Problem, state: State, relative: Sequence[Floats], model_error: float = SETTINGS.model_error
+) -> Verdict:
     """Judge an optimum by its residuals.
 
     excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a
@@ -56,7 +56,7 @@ def judge(problem: Problem, state: State, relative: Sequence[Floats], model_erro
     gain, read_variance = np.exp(problem.noise.centre)
     total, pixels, photons = 0.0, 0, 0.0
     across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))
-    calibrated = bool(np.all(problem.noise.precision > UNCALIBRATED**-2))
+    calibrated = bool(np.all(problem.noise.precision > SETTINGS.unmeasured**-2))
     for frame, detector, u in zip(problem.frames, state.detectors(), relative, strict=True):
         mean, variance = predict(u, frame, replace(detector, gain=float(gain), read_variance=float(read_variance)))
         residual = frame.counts[frame.used] - mean
@@ -78,7 +78,7 @@ def judge(problem: Problem, state: State, relative: Sequence[Floats], model_erro
     lags = scatter > 0  # a Bayer plane has no neighbours at odd distances
     likeness = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
     p_value = min(1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), likeness))))
-    return Verdict(p_value, p_value >= SIGNIFICANCE, excess, likeness)
+    return Verdict(p_value, p_value >= SETTINGS.contradiction_chance, excess, likeness)
 
 
 def _product(image: Floats, lag: tuple[int, int]) -> Floats:

@@ -21,7 +21,6 @@ from labkit.estimation.stated import Stated
 from labkit.key import Key
 from labkit.types import Bools, Floats, Indices
 
-MOST_ROUNDS = 200
 OUT = -1
 
 
@@ -59,15 +58,12 @@ class Options:
             np.zeros((n, most, size)),
             np.broadcast_to(np.eye(size), (n, most, size, size)).copy(),
             np.full((n, most), -np.inf),
-            np.zeros(n),
+            np.full(n, SETTINGS.outlier_cost),
             np.zeros((n, most, 2)),
         )
-        poor = poor_model(observed)
-        growth = SETTINGS.poor_errors**2 if poor else 1.0
+        growth = SETTINGS.poor_errors**2 if poor_model(observed) else 1.0
         for k, one in enumerate(observed):
             best = max((c.log_likelihood for c in one.candidates), default=0.0)
-            explained = poor or any(c.explained for c in one.candidates)
-            options.cost[k] = SETTINGS.outlier_cost if explained else SETTINGS.doubtful_cost
             for at, candidate in enumerate(one.candidates):
                 measured = candidate.measured.labelled(model.parts)
                 here = [2 * at, 2 * at + 1]
@@ -155,7 +151,7 @@ class _Choices:
         raise the objective, the most promising one alone is tried.
         """
         lens, value = self.fit(choice, members, start)
-        for _ in range(MOST_ROUNDS):
+        while True:
             wanted, promise = self._proposals(lens, choice, members)
             for places in self._batches(promise):
                 changed, inside = choice.copy(), members.copy()
@@ -206,7 +202,7 @@ def poor_model(observed: Sequence[Observed]) -> bool:
     """Whether the model leaves more than noise in so many observations that it lacks something for all."""
     fitted = [one for one in observed if one.candidates]
     poor = [one for one in fitted if not any(candidate.explained for candidate in one.candidates)]
-    return len(poor) > SETTINGS.poor_share * len(fitted)
+    return 2 * len(poor) > len(fitted)
 
 
 def select(
@@ -241,7 +237,7 @@ def select(
     start = _started(strict, before)
     ends = [(strict, *strict.ascend(*start))]
     left_out = options.fitted & ~ends[0][2]
-    if np.count_nonzero(left_out) > SETTINGS.few_outliers * np.count_nonzero(options.fitted):
+    if np.count_nonzero(left_out) > SETTINGS.few * np.count_nonzero(options.fitted):
         for laws in _looser(observed):
             one = replace(strict, model=replace(model, laws=laws.rough()))
             ends.append((one, *one.ascend(*start)))
@@ -311,8 +307,8 @@ def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
     """The tilt of the observation that knows it best, where all agree; None where they do not. tilts: (m, 2)."""
     best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
-    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.tilt_floor**2)))
-    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.same_tilt_chance else None
+    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)))
+    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
 
 
 def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
@@ -374,10 +370,10 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     focus = crossing(ranges, values[:, model.defocus], model)
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
-    slack = SETTINGS.rough_waves**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
+    slack = SETTINGS.rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
     modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
     cost = (values[:, model.defocus] - line) ** 2 / slack
-    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough_waves**2
+    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough**2
     if like is not None:
         cost += np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1) / SETTINGS.colour_modes_std**2
     numbers = model.values

@@ -234,7 +234,7 @@ class _Loop:
         """Whether no climb of an observation began near a wavefront."""
         before = self.starts.get(k, [])
         far = all(np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before)
-        return far and len(before) < SETTINGS.most_predictions
+        return far and len(before) < SETTINGS.tried
 
     def _known_poses(self, k: int) -> tuple[Pose, ...]:
         """Poses of the target in the photographs of observation k, as a fit of another channel has them; else none."""

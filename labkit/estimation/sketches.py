@@ -7,22 +7,13 @@ import numpy as np
 
 from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.target import Target
-
-# share of the pass band in the sweep: fits from it end 0.001 to 0.002 waves from those of the whole band
-SKETCH_BAND = 0.2
-# RMS at the light's own wavelength; the twin covers the rest. Each is less than twice the one before: the sweep's three
-# best names the right one on every session tried (docs/decisions.md)
-DEFOCUS_WAVES = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-OUTWARDS = 1.4  # from one value to the next where the last of the row is still the best
-# RMS at the light's own wavelength. There a fit needs a window of 91 lambda N, a search one of 48: geometric blur is
-# 16 sqrt(3) 0.5 = 14 lambda N wide
-NEAR_WAVES, NEEDED_NEAR, NEAR_WINDOW = 0.5, 92.0, 48.0
 
 
 @dataclass
@@ -43,16 +34,16 @@ class Sketches:
     @property
     def band(self) -> float:
         """Share of the pass band for sketches: never less than half as much again as the pixels' own Nyquist frequency."""
-        return min(1.0, max(SKETCH_BAND, 0.75 / self.optics.pitch_um * self.optics.airy_um))
+        return min(1.0, max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um))
 
     def near(self, state: State) -> bool:
         """Whether defocus is so small that other modes decide what a picture looks like."""
         defocus = state.waves[0] if self.optics.noll[0] == 4 else 0.0
-        return bool(abs(defocus) * self.optics.reference_um <= NEAR_WAVES * self.optics.wavelength_um)
+        return bool(abs(defocus) * self.optics.reference_um <= SETTINGS.near_waves * self.optics.wavelength_um)
 
     def problem(self, state: State, band: float) -> Problem:
         """For wavefronts of about a state's."""
-        key = band, NEAR_WINDOW if self.optics.window_airy(state.waves) < NEEDED_NEAR else WINDOW_AIRY
+        key = band, SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
             model = ForwardModel.build(self.optics, self.target, shape, self.pose, band=band, window_airy=key[1])
@@ -69,7 +60,7 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
     scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
     light, counts = frame.illumination[frame.used], frame.counts[frame.used]
     signs = (1, -1) if start.waves[1:].any() else (1,)
-    values = [sign * value for value in DEFOCUS_WAVES for sign in signs]
+    values = [sign * value for value in SETTINGS.swept_waves for sign in signs]
     swept, best, outermost = list[tuple[float, State]](), np.inf, 0.0
     problem = sketches.problem(start, sketches.band)
     drawing = problem.draw(start)
@@ -86,6 +77,6 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
         swept.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
         if misfit < best:
             best, outermost = misfit, value
-        if not values and abs(outermost) * OUTWARDS**0.5 > abs(value) and abs(value) < FARTHEST_WAVES:
-            values += [sign * OUTWARDS * abs(value) for sign in signs]
+        if not values and abs(outermost) == abs(value) < FARTHEST_WAVES:
+            values += [sign * np.sqrt(2) * abs(value) for sign in signs]
     return [state for _, state in sorted(swept, key=lambda entry: entry[0])]

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 
 from labkit.estimation.climb import NoisePrior, State
 from labkit.estimation.likelihood import FrameData, predict
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.optics.psf import Pupil
@@ -21,21 +22,7 @@ from labkit.target import Target
 from labkit.types import Floats, Floats32
 
 TILTS = (2, 3)
-WINDOW_AIRY = 32.0  # of the PSF, in lambda N: what reaches farther hardly depends on the wavefront
-LOBES = 2.0  # of the pixel's transfer function: beyond them little passes it
-# PSFs drawn, and components kept: they leave 1 % of a PSF's departure from the perfect one
-DRAWS, COMPONENTS = 900, 300
-DRAWN_WAVES, DRAWN_TILT = (0.05, 0.4), 0.15  # RMS of what is drawn for them, at the light's own wavelength
-START_WAVES = (0.1, 0.3)  # of random starts
-SAME = 0.01  # ends whose misfits differ relatively by less are one optimum, or its twin: not all are carried to their bottom
-WORTH = 1.1  # times the least misfit: an optimum that is worth a maximisation of the likelihood
-LEAST, PATIENCE = 4, 16  # starts before the best optimum is offered: where it is clear, and where it is not
-CLEAR = 2.0  # the next misfit is larger by this factor; at SNR 50 it is four times the right one's (docs/decisions.md)
-# times the best optimum is met, or starts made, before the search ends: a better one to which as many starts lead has escaped
-# eight with a chance of 1 in 2^8, and one to which 1 % of the starts lead is met within a hundred more often than not
-ENOUGH, MOST = 8, 100
-EVALUATIONS = 30  # of one start, at most
-AT_ONCE = 8192  # pixels whose rows are rotated together: in double precision those of a large target are 500 MB
+"""Noll's numbers of the tilts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +53,13 @@ class Retrieved:
     @property
     def ended(self) -> bool:
         """Whether the search keeps coming back to its best optimum, or has made starts enough."""
-        return bool(self.optima) and (self.starts >= MOST or self.optima[0].met >= ENOUGH)
+        return bool(self.optima) and (
+            self.starts >= 2 * SETTINGS.most_starts or self.optima[0].met >= SETTINGS.enough_returns
+        )
 
     def joined(self, end: Optimum) -> "Retrieved":
         """The record with the end of another start."""
-        known = [abs(o.misfit - end.misfit) < SAME * end.misfit for o in self.optima]
+        known = [abs(o.misfit - end.misfit) < SETTINGS.model_error * end.misfit for o in self.optima]
         if any(known):
             met = known.index(True)
             optima = tuple(replace(o, met=o.met + 1) if k == met else o for k, o in enumerate(self.optima))
@@ -81,10 +70,10 @@ class Retrieved:
     def offering(self) -> "Retrieved":
         """The record with the best optimum that was not offered yet as the candidate, where it is time for one."""
         best, least = self.optima[0], self.optima[0].misfit
-        fresh = next((o for o in self.optima if not o.offered and o.misfit < WORTH * least), None)
-        stands_out = len(self.optima) > 1 and self.optima[1].misfit > CLEAR * least
-        clear = fresh is best and stands_out and self.starts >= max(LEAST, len(self.given))
-        if fresh is None or not (clear or self.ended or self.waited >= PATIENCE):
+        fresh = next((o for o in self.optima if not o.offered and o.misfit < SETTINGS.worth_misfit * least), None)
+        stands_out = len(self.optima) > 1 and self.optima[1].misfit > 2 * least
+        clear = fresh is best and stands_out and self.starts >= max(SETTINGS.enough_returns // 2, len(self.given))
+        if fresh is None or not (clear or self.ended or self.waited >= 2 * SETTINGS.enough_returns):
             return self
         optima = tuple(replace(o, offered=True) if o is fresh else o for o in self.optima)
         return replace(self, optima=optima, waited=0, candidate=fresh.state)
@@ -109,9 +98,11 @@ class PhaseRetrieval:
     ) -> "PhaseRetrieval":
         """From a state whose pose and light are about right."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
-        band = min(1.0, LOBES * optics.airy_um / optics.pitch_um)
+        band = min(1.0, 2 * optics.airy_um / optics.pitch_um)
         pose, used = state.poses[0], [frame.used]
-        model = ForwardModel.build(tilted, target, frame.counts.shape, pose, band=band, window_airy=WINDOW_AIRY)
+        model = ForwardModel.build(
+            tilted, target, frame.counts.shape, pose, band=band, window_airy=SETTINGS.small_window_airy
+        )
         drawing = model.draw([pose])
         waves = np.append(np.zeros(len(TILTS)), state.waves)
         (perfect,), (relative,) = model.means(0 * waves, drawing, used), model.means(waves, drawing, used)
@@ -127,7 +118,9 @@ class PhaseRetrieval:
             orders = orders * (mean / (1 + detector.unevenness @ orders))
         counts, sigma = frame.counts[frame.used], np.sqrt(variance)
         triangle = np.empty((0, free + len(pictures) + 3))
-        for p in (slice(first, first + AT_ONCE) for first in range(0, counts.size, AT_ONCE)):
+        for p in (
+            slice(first, first + SETTINGS.pixels_at_once) for first in range(0, counts.size, SETTINGS.pixels_at_once)
+        ):
             unknown = light[p] * np.array([picture[p] for picture in pictures])
             # with the data as the last column, what the rotation makes of them comes without the rotation
             rows = np.concatenate([*([orders[:, p]] if free else []), unknown, known[:, p], [counts[p]]]) / sigma[p]
@@ -156,7 +149,7 @@ class PhaseRetrieval:
         """A start, (modes,)."""
         direction = rng.normal(size=self.state.waves.size)
         scale = self.optics.wavelength_um / self.optics.reference_um
-        return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(*START_WAVES) * scale)
+        return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves) * scale)
 
     def descend(self, waves: Floats) -> Optimum:
         """Where one start, a wavefront (modes,), ends."""
@@ -179,7 +172,15 @@ class PhaseRetrieval:
             return np.asarray(self.factor @ columns)
 
         end = least_squares(
-            residual, start, slopes, method="lm", x_scale="jac", ftol=1e-4, xtol=1e-4, gtol=1e-6, max_nfev=EVALUATIONS
+            residual,
+            start,
+            slopes,
+            method="lm",
+            x_scale="jac",
+            ftol=1e-4,
+            xtol=1e-4,
+            gtol=1e-6,
+            max_nfev=SETTINGS.search_steps,
         )
         return Optimum(self._state(end.x), 2 * float(end.cost))
 
@@ -197,12 +198,13 @@ def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
     """(components, size^2) orthonormal, of the departures of random wavefronts' PSFs from the perfect one; and that one."""
     rng, perfect = np.random.default_rng(0), pupil.psf(np.zeros(len(pupil.noll)))
     scale = pupil.wavelength_um / pupil.reference_um
-    drawn = np.empty((DRAWS, perfect.size))
+    draws = 3 * SETTINGS.psf_components
+    drawn = np.empty((draws, perfect.size))
     for row in drawn:
         direction = rng.normal(size=len(pupil.noll) - len(TILTS))
-        waves = direction / np.linalg.norm(direction) * rng.uniform(*DRAWN_WAVES)
-        tilts = rng.normal(scale=DRAWN_TILT, size=len(TILTS))
+        waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
+        tilts = rng.normal(scale=np.mean(SETTINGS.start_waves), size=len(TILTS))
         row[:] = (pupil.psf(scale * np.concatenate([tilts, waves])) - perfect).ravel()
-    weights, vectors = scipy.linalg.eigh(drawn @ drawn.T, subset_by_index=(DRAWS - COMPONENTS, DRAWS - 1))
+    weights, vectors = scipy.linalg.eigh(drawn @ drawn.T, subset_by_index=(draws - SETTINGS.psf_components, draws - 1))
     kept = weights > 1e-12 * weights[-1]  # few modes span few dimensions
     return ((vectors[:, kept] / np.sqrt(weights[kept])).T @ drawn).astype(np.float32), perfect

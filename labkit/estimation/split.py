@@ -8,12 +8,8 @@ from dataclasses import dataclass, replace
 from labkit.estimation.candidate import Observed
 from labkit.estimation.estimate import Estimate, LocalFit, reading_of
 from labkit.estimation.select import Selection, select
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
-
-LEAST_STATIONS = 3
-
-FEWER = 5.0
-"""Factor by which chi2 must fall where the session is parted: a touched lens leaves hundreds of times its errors."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
 
 def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Stated) -> int | None:
     """How many stations, in the order of their photographs, come before a change of the lens; None where none is seen."""
-    if len(stations) < LEAST_STATIONS:
+    if len(stations) < 3:
         return None
     whole = _whole(observed, stated).lens
     parted = [
@@ -65,7 +61,7 @@ def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Sta
         for k in range(1, len(stations))
     ]
     least = min(parted)
-    changed = whole.chi2 > FEWER * max(least, whole.freedom)
+    changed = whole.chi2 > SETTINGS.parted_chi2 * max(least, whole.freedom)
     return 1 + parted.index(least) if changed else None
 
 

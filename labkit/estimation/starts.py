@@ -14,29 +14,11 @@ import numpy as np
 
 from labkit.estimation.climb import Problem, Solution, State, maximize
 from labkit.estimation.residual_tests import judge
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches, sweep
-from labkit.estimation.small_problem import START_WAVES, PhaseRetrieval, Retrieved
+from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
 from labkit.imaging.optics import Optics
 from labkit.types import Floats
-
-SEARCH_STEPS = 25
-"""Steps of a climb while searching: those that end in the best optimum take 10 to 20."""
-
-SEARCH_TOLERANCE = 0.3
-"""Standard errors: an optimum of part of the band is 0.001 to 0.002 waves, about one, from the whole band's."""
-
-SWEPT = 3
-"""Best values of a sweep that are started from."""
-
-PLAUSIBLE = 0.005
-"""Share of a sweep's excess variance that right optima of part of the band leave, at most."""
-
-ENOUGH = 8
-"""Starts that come back to the best optimum. A better one to which as many starts lead has escaped that many with a chance
-of 1 in 2^8."""
-
-SAME_OPTIMUM = 0.5
-"""Log-likelihoods that differ by less, which is one standard error, belong to one optimum."""
 
 
 @dataclass
@@ -73,11 +55,11 @@ class Log:
     @property
     def settled(self) -> bool:
         """Whether starts came back to the best optimum often enough."""
-        return self.returns >= ENOUGH
+        return self.returns >= SETTINGS.enough_returns
 
     def met(self, end: Solution) -> None:
         """Note where a start ended, unless that is known."""
-        if all(abs(end.objective + misfit) > SAME_OPTIMUM for _, misfit in self.others):
+        if all(abs(end.objective + misfit) > SETTINGS.same_optimum for _, misfit in self.others):
             self.others.append((end.state.waves, -end.objective))
 
 
@@ -99,11 +81,11 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
     doubt_near_focus: near focus wrong optima are so close that the residuals of one range hardly tell them apart.
     """
     log.progress("defocus sweep")
-    given = sweep(sketches, first)[:SWEPT]
+    given = sweep(sketches, first)[: SETTINGS.tried]
     near = sketches.near(given[0])
     end = searched_from(sketches.problem(given[0], sketches.band), given[0])
     log.starts += 1
-    plausible = _excess(sketches, end.state) < PLAUSIBLE * _excess(sketches, given[0])
+    plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(sketches, given[0])
     if plausible and not (doubt_near_focus and sketches.near(end.state)):
         yield end.state
     if near and not log.over:
@@ -143,7 +125,7 @@ def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Lo
 def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     """From reversed defocus and at random, until the best end of one frame comes back time and again."""
     problem = sketches.problem(state, 1.0)
-    best = maximize(problem, state, max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
+    best = maximize(problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
     log.met(best)
     origin, made = best.state, 0
     rng = np.random.default_rng(sketches.seed)
@@ -153,10 +135,10 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
         log.starts += 1
         log.met(end)
         log.progress(f"start {log.starts} of {log.most} at most")
-        if end.objective > best.objective + SAME_OPTIMUM:
+        if end.objective > best.objective + SETTINGS.same_optimum:
             best, log.returns = end, 0
             yield end.state
-        elif end.objective > best.objective - SAME_OPTIMUM:
+        elif end.objective > best.objective - SETTINGS.same_optimum:
             log.returns += 1
 
 
@@ -170,7 +152,7 @@ def searched_from(problem: Problem, start: State) -> Solution:
 
     All freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame.
     """
-    return maximize(problem, settle(problem, start), max_steps=SEARCH_STEPS, tolerance=SEARCH_TOLERANCE)
+    return maximize(problem, settle(problem, start), max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
 
 
 def further_start(origin: State, made: int, optics: Optics, rng: np.random.Generator) -> State:
@@ -179,7 +161,7 @@ def further_start(origin: State, made: int, optics: Optics, rng: np.random.Gener
     if defocus and made == 0:
         return replace(origin, waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0))
     direction = rng.normal(size=origin.waves.size)
-    waves = direction / np.linalg.norm(direction) * rng.uniform(*START_WAVES)
+    waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
     waves *= optics.wavelength_um / optics.reference_um
     if defocus and rng.random() < 0.5:
         waves[0] = origin.waves[0]
