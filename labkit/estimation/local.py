@@ -213,32 +213,25 @@ def find_optima(
     optima = list[Optimum]()
     for guess, state in search.states(log):
         progress("at full resolution")
-        optimum = search.climbed(state)
+        freed = search.climbed(state)
+        optimum = _judged(freed)
         optima = _with(optima, optimum)
+        if optima[0] is optimum:
+            expansion = freed.expansion
         if optimum.verdict.accepted or (guess is not None and _as_predicted(optimum, guess)):
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
     if guesses.score:
-        optima[0] = search.scored(optima[0])
+        lacking = calls(expansion, expansion.optics.lacking, guesses.f_number_std)
+        optima[0] = replace(optima[0], scores=lacking)
     return Found(
-        tuple(optimum.without_expansion() for optimum in optima),
+        tuple(optima),
         log.starts,
         _below(log.others),
         log.settled,
         log.late and not (explained or log.settled),
         perf_counter() - began,
     )
-
-
-@dataclass(frozen=True)
-class _Climbed(Optimum):
-    """An optimum with the expansion that it was found by."""
-
-    freed: Freed | None = None
-
-    def without_expansion(self) -> Optimum:
-        """As it leaves the search."""
-        return Optimum(**{name: getattr(self, name) for name in Optimum.__dataclass_fields__})
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,20 +271,14 @@ class _Search:
             for state in swept:
                 yield None, state
 
-    def climbed(self, state: State) -> _Climbed:
-        """The optimum over all frames near a state of the first one, or of all, judged."""
+    def climbed(self, state: State) -> Freed:
+        """Climb over all frames to the optimum near a state of the first one, or of all."""
         begin = state if len(state.poses) == len(self.views.poses) > 1 else self._all_frames(state)
         freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
         if not freed.solution.converged:
             near = maximize(self.whole, begin, exact=False)
             freed = free_cone(self.whole, near.begun or Start(near.state), self.guesses.f_number_std)
-        return _judged(freed)
-
-    def scored(self, optimum: _Climbed) -> _Climbed:
-        """With score tests of what its model lacks."""
-        assert optimum.freed is not None
-        expansion = optimum.freed.expansion
-        return replace(optimum, scores=calls(expansion, expansion.optics.lacking, self.guesses.f_number_std))
+        return freed
 
     def _lit(self, waves: Floats) -> State:
         """The state of a wavefront at known poses, its light fitted frame by frame."""
@@ -320,12 +307,13 @@ class _Search:
         return starts.settle(replace(rough, frames=self.whole.frames), whole)
 
 
-def _judged(freed: Freed) -> _Climbed:
+def _judged(freed: Freed) -> Optimum:
+    """Judge the end of a climb by its residuals."""
     problem, solution = freed.expansion.problem, freed.solution
     modes = len(freed.measured.noll)
     verdict = judge(problem, solution.state, solution.relative)
     explained = verdict.accepted
-    return _Climbed(
+    return Optimum(
         state=solution.state,
         optics=freed.optics,
         covariance=freed.covariance if explained else freed.covariance + freed.poor.model[:modes, :modes],
@@ -336,7 +324,6 @@ def _judged(freed: Freed) -> _Climbed:
         verdict=verdict.knowing(solution.covariance()[:modes, :modes], freed.measured.noll),
         relative=tuple(solution.relative),
         residual_power=residual_spectrum(problem.frames, solution.relative, solution.state.detectors()),
-        freed=freed,
     )
 
 

@@ -115,6 +115,7 @@ class _Loop:
     camera: CameraChoice = field(init=False)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
     _judged_by: dict[int, float] = field(default_factory=dict)
+    _refits: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
@@ -393,10 +394,6 @@ class _Loop:
         fitted = [(names, made[k]) for names, made in self._refits.items() if k in made]
         fitted.append((self.parts, self.chosen(k)))
         return min(fitted, key=lambda one: len(one[0] ^ parts))[1]
-
-    @property
-    def _refits(self) -> dict[Parts, dict[int, Optimum]]:
-        return self.__dict__.setdefault("_refits_made", {})
 
     # the end
 
