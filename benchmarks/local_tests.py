@@ -11,7 +11,8 @@ from time import perf_counter
 import numpy as np
 
 from labkit.estimation.climb import Problem, State, maximize
-from labkit.estimation.residual_tests import SIGNIFICANCE, judge
+from labkit.estimation.residual_tests import judge
+from labkit.estimation.settings import SETTINGS
 from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.methods.optimum_tests import bootstrap, embedding, one_sided, recalibrated, two_sided
@@ -92,7 +93,7 @@ def table(answers: list[Answer]) -> str:
     ]
     for k, name in enumerate(TESTS):
         alarms = [np.mean(p[:, k] <= level) for p in (right, ranked) for level in (0.01, 0.05)]
-        caught = [np.mean(wrong[:, k] <= level) for level in (0.01, SIGNIFICANCE)]
+        caught = [np.mean(wrong[:, k] <= level) for level in (0.01, SETTINGS.contradiction_chance)]
         cells = [f"{share:.1%}" for share in (*alarms, *caught)]
         cells += [f"{area(-right[:, k], -wrong[:, k]):.4f}", f"{1e3 * seconds[k]:.0f}"]
         lines.append(f"| {name} | {' | '.join(cells)} |")

@@ -10,7 +10,7 @@ import numpy as np
 
 from labkit.estimation.climb import Problem, maximize
 from labkit.estimation.likelihood import predict
-from labkit.estimation.sketches import NEAR_WINDOW
+from labkit.estimation.settings import SETTINGS
 from labkit.experiments import methods
 from labkit.experiments.conditions import FRAME, NOLL, carpet, draw_trial, optics, random_waves, upright
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free
@@ -22,7 +22,7 @@ WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 
 def main() -> None:
     """Maximise from random starts in noise-free pictures of random wavefronts; keep what ends elsewhere."""
-    model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), upright(), window_airy=NEAR_WINDOW)
+    model = ForwardModel.build(optics(NOLL), carpet(), (FRAME, FRAME), upright(), window_airy=SETTINGS.near_window_airy)
     cases = []
     for seed in range(WAVEFRONTS):
         rng = np.random.default_rng([SEED, seed])

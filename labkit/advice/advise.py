@@ -10,12 +10,12 @@ from typing import Any
 from labkit.advice.expected_fit import ExpectedFit, Setup
 from labkit.advice.notes import notes_of
 from labkit.advice.outlook import STEP_WAVES, Errors, Outlook, Proposal, outlook, propose_ranges
-from labkit.analysis.panel import panel_pixels
 from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.estimation.stated import Stated
 from labkit.key import Key
 from labkit.optics.wavefront import DEFOCUS
+from labkit.panel.target_pixels import panel_pixels
 from labkit.plan import Channel, Plan
 
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)

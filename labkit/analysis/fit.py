@@ -11,10 +11,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe
-from labkit.analysis.panel import as_shown, pixels_per_cell
-from labkit.analysis.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
 from labkit.analysis.session_parts import camera_findings, model_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
 from labkit.analysis.steps import Steps
@@ -32,7 +29,10 @@ from labkit.estimation.stated_optics import wanted_parts
 from labkit.execute import Run, Workers, default_workers
 from labkit.finding import Finding, each_once
 from labkit.findings import found, unanswered
+from labkit.kept_fits import FOLDER, KeptFits
 from labkit.key import Key, same_range
+from labkit.panel.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
+from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.storage import kept_keys

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from labkit.analysis.observe import cut_around, sees_target_only
 from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
 from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
@@ -19,6 +18,7 @@ from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
 from labkit.filter_array import ChannelPixels, channel_pixels, pattern_of
+from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose

@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from labkit.analysis.panel import as_shown
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
@@ -15,24 +13,22 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
+from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finding import Finding, each_once
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.key import same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
+from labkit.panel.target_pixels import as_shown
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Cut, Mosaic
+from labkit.raw.mosaic import Mosaic
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target
-from labkit.types import Bools, Floats, Progress, no_progress
+from labkit.types import Floats, Progress, no_progress
 
-MARGIN = 0.06  # of the target's size: surround that is kept around it, for the ambient light and the halo
-MARGIN_PX = 10
-INSET = 0.04  # of the target's size: what is left out along its edge where the surround is unknown
-INSET_PX = 4
 LEAST_PIXELS = 100  # usable ones on the target
 
 
@@ -190,28 +186,6 @@ def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pos
 def _measured(group: Sequence[Frame]) -> float | None:
     readings = [float(frame.meta["measured_range_mm"]) for frame in group if "measured_range_mm" in frame.meta]
     return float(np.mean(readings)) if readings else group[0].range_mm
-
-
-def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
-    """Rows and columns around the target in all frames, beginning at even ones."""
-    every = np.concatenate(list(corners))
-    size = np.ptp(every, axis=0).max()
-    margin = max(MARGIN_PX, MARGIN * size)
-    low = np.maximum(np.floor(every.min(axis=0) - margin), 0).astype(int) // 2 * 2
-    high = np.minimum(np.ceil(every.max(axis=0) + margin).astype(int) + 1, shape)
-    high -= (high - low) % 2
-    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
-
-
-def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
-    """Pixels that see nothing but the target."""
-    corners = pose.corners_px()
-    polygon = np.zeros(shape, np.uint8)
-    cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
-    inset = int(np.ceil(max(INSET_PX, INSET * np.ptp(corners, axis=0).max())))
-    framed = cv2.copyMakeBorder(polygon, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    eroded = cv2.erode(framed, np.ones((2 * inset + 1, 2 * inset + 1), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(eroded[1:-1, 1:-1] > 0)
 
 
 def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:

@@ -216,7 +216,6 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
     optics: Optics = local.optics
     observation, optimum = local.observation, local.optimum
     poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in optimum.state.poses]
-    verdict = optimum.verdict
     return Wavefront(
         range_mm=observation.range_mm,
         measured_range_mm=observation.measured_range_mm,
@@ -233,15 +232,7 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
         gain=float(optimum.state.gain),
         read_noise=float(optimum.state.read_noise),
         chi2_per_pixel=float(optimum.chi2_per_pixel),
-        test=OptimumTest(
-            verdict.name,
-            bool(verdict.accepted),
-            float(verdict.p_value),
-            local.found.starts,
-            tuple(verdict.undetermined),
-            tuple(OtherOptimum(waves, below) for waves, below in local.found.others),
-            bool(verdict.accepted),
-        ),
+        test=_test_of(local),
         residual_spectrum=ResidualSpectrum(
             residual_frequencies(observation.frames),
             optimum.residual_power,
@@ -251,6 +242,20 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
         frames=observation.names,
         placement=Placement(observation.origin_px, observation.shape, np.array([pose.corners_px() for pose in poses])),
         residuals=_residuals(local),
+    )
+
+
+def _test_of(local: LocalFit) -> OptimumTest:
+    """The test of an optimum by its own residuals."""
+    verdict = local.optimum.verdict
+    return OptimumTest(
+        verdict.name,
+        bool(verdict.accepted),
+        float(verdict.p_value),
+        local.found.starts,
+        tuple(verdict.undetermined),
+        tuple(OtherOptimum(waves, below) for waves, below in local.found.others),
+        bool(verdict.accepted),
     )
 
 

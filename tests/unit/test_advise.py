@@ -9,7 +9,6 @@ import pytest
 
 from labkit.advice.advise import Advice, advise, best_order
 from labkit.advice.tables import session_rows
-from labkit.analysis.stripe_contrast import stripe_contrast
 from labkit.cli import run
 from labkit.demo import PLAN
 from labkit.errors import DataError, PlanError
@@ -17,6 +16,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.optics.lens import TELLING_STD
+from labkit.panel.stripe_contrast import stripe_contrast
 from labkit.plan import Plan
 from labkit.target import open_target
 from labkit.types import Floats

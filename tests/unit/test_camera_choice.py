@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from labkit.estimation.camera import PART_COST, RARER_COST, CameraChoice, Parts, cost, summed, worth
+from labkit.estimation.camera import CameraChoice, Parts, cost, summed, worth
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import Call
 from labkit.estimation.stated_optics import optics_of
@@ -110,9 +110,10 @@ def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
 
 
 def test_a_rarer_part_costs_more_than_a_commoner_one_that_blurs_alike() -> None:
-    assert cost(Parts(["veil"])) == cost(Parts(["low_pass_filter"])) == PART_COST
-    assert cost(Parts(["smear"])) == PART_COST + 2 * RARER_COST
-    assert cost(Parts(["veil", "diffusion"])) == 2 * PART_COST + RARER_COST
+    plain, diffusion, smear = (cost(Parts([name])) for name in ("low_pass_filter", "diffusion", "smear"))
+    assert cost(Parts(["veil"])) == plain == 10.0
+    assert smear - diffusion == diffusion - plain == 4.5  # of one number more chance gains as much once in 400 sessions
+    assert cost(Parts(["veil", "diffusion"])) == plain + diffusion
 
 
 # choices
@@ -135,7 +136,6 @@ def test_the_fits_that_show_most_of_a_part_decide_before_all_others_are_climbed(
 @pytest.mark.parametrize(("gain", "taken"), [(9.0, set()), (11.0, {"diffusion"})])
 def test_a_part_that_gains_less_than_it_costs_is_not_taken_in(gain: float, taken: set[str]) -> None:
     price = cost(Parts(["diffusion"]))
-    assert price == 14.0
     # the three fits that show most of it decide first: they alone must gain its price
     fits = Fits({("diffusion",): gain * price / 30}, {"diffusion": 10.0})
     assert fits.chosen()[0] == taken
@@ -160,7 +160,7 @@ def test_a_commoner_part_takes_the_place_of_one_that_explains_no_more() -> None:
 
 @pytest.mark.parametrize(("together", "taken"), [(102.5, {"low_pass_filter", "diffusion"}), (101.5, {"smear"})])
 def test_two_commoner_parts_take_the_place_of_one_where_they_explain_more(together: float, taken: set[str]) -> None:
-    """They cost 6 more, which the three fits that show most of them must gain; neither explains as much alone."""
+    """They cost 5.5 more, which the three fits that show most of them must gain; neither explains as much alone."""
     heights = {
         ("low_pass_filter",): 90.0,
         ("diffusion",): 80.0,

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from labkit.estimation.climb import Start
-from labkit.estimation.expansion import SPARE, free_cone
+from labkit.estimation.expansion import free_cone
 from labkit.estimation.scores import calls
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated_optics import optics_of, wanted_parts
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import root
@@ -170,7 +171,7 @@ def streak(monkeypatch: pytest.MonkeyPatch) -> Streak:
 
 def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) -> None:
     optics = replace(OPTICS, parts=(Diffusion(0.02), streak))
-    model = ForwardModel.build(optics, CARPET, FRAME, POSE, spare=SPARE)
+    model = ForwardModel.build(optics, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
     used, drawing = [np.ones(FRAME, bool)], model.draw([POSE])
     slope = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) + 1]
     step = np.array([0.0, 1e-3, 0.0])
@@ -183,8 +184,8 @@ def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) 
 
 
 def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
-    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, spare=SPARE)
-    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
+    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
     frames = replace(photographed(taken), model=plain)
     freed = free_cone(frames, Start(TRUTH), 0.03)
     assert "streak" in freed.optics.lacking

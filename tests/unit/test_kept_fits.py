@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.analysis.kept_fits import KeptFits
 from labkit.estimation.residual_tests import Verdict
+from labkit.kept_fits import KeptFits
 
 HALF = np.arange(8.0)[::2]
 

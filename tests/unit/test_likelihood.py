@@ -9,7 +9,8 @@ import pytest
 
 from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.likelihood import Detector, FrameData, log_likelihood, low_orders, predict, score
-from labkit.estimation.residual_tests import SIGNIFICANCE, judge
+from labkit.estimation.residual_tests import judge
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation
 from labkit.types import Floats
 
@@ -107,7 +108,7 @@ def test_pure_noise_is_hardly_ever_rejected() -> None:
     rejected = sum(not verdict_on(np.random.default_rng(seed)) for seed in range(1500))
     # 1.5 are expected at the significance of 1e-3; more than 7 come by chance once in 2000 times
     assert rejected <= 7
-    assert SIGNIFICANCE == 1e-3
+    assert SETTINGS.contradiction_chance == 1e-3
 
 
 def test_structure_is_rejected() -> None:

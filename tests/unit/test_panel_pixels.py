@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.panel import as_shown, pixels_per_cell
-from labkit.analysis.seen_pixels import SeenPixels, refuse_other_pixels, seen_pixels
 from labkit.calibration.calibrate import calibrate, channel_data
 from labkit.calibration.lattice import repeating
 from labkit.errors import PlanError
@@ -17,6 +15,8 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.observation import Observation
 from labkit.imaging.warp import Pose
+from labkit.panel.seen_pixels import SeenPixels, refuse_other_pixels, seen_pixels
+from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.panel_target import PanelTarget
 from labkit.plan import Plan, TargetPixels
 from labkit.raw.decode import read_raw

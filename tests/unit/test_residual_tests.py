@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.likelihood import FrameData
-from labkit.estimation.residual_tests import SIGNIFICANCE, Verdict, judge
+from labkit.estimation.residual_tests import Verdict, judge
+from labkit.estimation.settings import SETTINGS
 from labkit.types import Floats
 
 SHAPE = (24, 26)
@@ -44,7 +45,7 @@ def test_noise_alone_is_accepted_on_every_kind_of_plane(used: NDArray[np.bool_],
     rejected = sum(not verdict(seed, used, prior).accepted for seed in range(300))
     # 0.3 are expected at a significance of 1e-3; more than 3 come by chance less than once in 3000 times
     assert rejected <= 3
-    assert SIGNIFICANCE == 1e-3
+    assert SETTINGS.contradiction_chance == 1e-3
 
 
 @pytest.mark.parametrize(("used", "lags"), [(np.ones(SHAPE, bool), 8), (GREEN, 6), (RED, 4)])

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from labkit.estimation.climb import Problem, Start
-from labkit.estimation.expansion import SPARE, Freed, free_cone
+from labkit.estimation.expansion import Freed, free_cone
 from labkit.estimation.scores import Call, calls
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
@@ -23,8 +24,8 @@ SPECTRUM = SpectrumWidth.name
 
 def problem(*parts: Part) -> Problem:
     """Frames taken with parts of a camera, and a model without."""
-    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, spare=SPARE)
-    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SPARE)
+    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
     return replace(photographed(with_them), model=without)
 
 

@@ -13,11 +13,11 @@ from itertools import groupby
 import cv2
 import numpy as np
 
-from labkit.analysis.stripe_contrast import LEAST_CONTRAST
 from labkit.errors import PlanError
 from labkit.estimation.observation import Observation
 from labkit.finding import Finding
 from labkit.findings import found
+from labkit.panel.stripe_contrast import LEAST_CONTRAST
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS
 from labkit.target import CellTarget, Target

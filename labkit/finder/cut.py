@@ -1,0 +1,46 @@
+"""The part of a photograph that shows the target, and the pixels in it that see nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from labkit.imaging.warp import Pose
+from labkit.raw.mosaic import Cut
+from labkit.types import Bools, Floats
+
+MARGIN = 0.06
+"""Surround that is kept around the target for the ambient light and the halo, in sizes of the target."""
+
+MARGIN_PX = 10
+"""The same, at least."""
+
+INSET = 0.04
+"""What is left out along the target's edge where the surround is unknown, in sizes of the target."""
+
+INSET_PX = 4
+"""The same, at least."""
+
+
+def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
+    """Rows and columns around the target in all frames, beginning at even ones."""
+    every = np.concatenate(list(corners))
+    size = np.ptp(every, axis=0).max()
+    margin = max(MARGIN_PX, MARGIN * size)
+    low = np.maximum(np.floor(every.min(axis=0) - margin), 0).astype(int) // 2 * 2
+    high = np.minimum(np.ceil(every.max(axis=0) + margin).astype(int) + 1, shape)
+    high -= (high - low) % 2
+    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
+
+
+def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
+    """Pixels that see nothing but the target."""
+    corners = pose.corners_px()
+    polygon = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
+    inset = int(np.ceil(max(INSET_PX, INSET * np.ptp(corners, axis=0).max())))
+    framed = cv2.copyMakeBorder(polygon, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    eroded = cv2.erode(framed, np.ones((2 * inset + 1, 2 * inset + 1), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(eroded[1:-1, 1:-1] > 0)
