@@ -23,7 +23,7 @@ from scipy import stats
 import labkit
 from benchmarks.random_sessions import KINDS, Drawn, make
 from labkit.drivers.simulated.world import Truth
-from labkit.estimation.camera import PART_COST
+from labkit.estimation.settings import SETTINGS
 from labkit.execute import run_all
 
 Line = dict[str, Any]
@@ -161,7 +161,9 @@ def parts_table(lines: Iterable[Line]) -> Iterator[str]:
     for name in (*PARTS.values(), TURNED) if done else ():
         with_it = [line for true, line in done if name in true]
         found = sum(name in line["found"] for line in with_it)
-        missed = sum(name not in line["found"] and line["gains"].get(name, 0.0) > PART_COST for line in with_it)
+        missed = sum(
+            name not in line["found"] and line["gains"].get(name, 0.0) > SETTINGS.part_cost for line in with_it
+        )
         more = [(true, line) for true, line in done if name in line["found"] and name not in true]
         stands_in = sum(
             name in BLURS and any(b in true and b not in line["found"] for b in BLURS) for true, line in more

@@ -5,17 +5,21 @@ the truth ends, how many random starts end there too, and by how much the best o
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labkit.estimation import small_problem
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.small_problem import PhaseRetrieval
 from labkit.experiments.conditions import NOLL, carpet, draw_trial, optics, random_waves
 from labkit.experiments.search import NOLL_22, SAME_END, STARTS
 
 SNR = 75.0
 CASES = ((NOLL, 0.25, 4), (NOLL, 0.5, 6), (NOLL_22, 0.35, 6), (NOLL_22, 0.5, 10))
-SETTINGS = ((300, 0.4), (600, 0.6))
+DRAWN = ((300, 0.4), (600, 0.6))
+"""Components, and the largest RMS of the wavefronts that they are drawn from."""
+
 PSFS = 40
 
 
@@ -55,9 +59,9 @@ def case(noll: Sequence[int], waves_rms: float, pictures: int) -> str:
 
 
 if __name__ == "__main__":
-    for components, strongest in SETTINGS:
-        small_problem.COMPONENTS, small_problem.DRAWS = components, 3 * components
-        small_problem.DRAWN_WAVES = (small_problem.DRAWN_WAVES[0], strongest)
+    for components, strongest in DRAWN:
+        waves = (SETTINGS.start_waves[0], strongest)
+        small_problem.SETTINGS = replace(SETTINGS, psf_components=components, start_waves=waves)
         small_problem._components.cache_clear()
         print(f"{components} components, drawn up to {strongest:g} waves")
         for noll, waves_rms, pictures in CASES:

@@ -10,6 +10,7 @@ import pytest
 from labkit.estimation import small_problem
 from labkit.estimation.climb import State
 from labkit.estimation.likelihood import low_orders, predict
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
 from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
 from labkit.imaging.model import ForwardModel
@@ -74,13 +75,14 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
 def test_it_is_prepared_without_copies_of_all_its_pictures(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     state = trial.state(trial.waves)
     whole = prepared(trial, state)
-    monkeypatch.setattr(small_problem, "AT_ONCE", 1000)  # of 11 thousand pixels; of a large target a twentieth
+    # of 11 thousand pixels; of a large target a twentieth
+    monkeypatch.setattr(small_problem, "SETTINGS", replace(SETTINGS, pixels_at_once=1000))
     tracemalloc.start()
     small = prepared(trial, state)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     np.testing.assert_allclose(small.factor.T @ small.factor, whole.factor.T @ whole.factor, rtol=1e-5)
-    pictures = 4 * small_problem.COMPONENTS * int(trial.frame.used.sum())  # bytes, in single precision
+    pictures = 4 * SETTINGS.psf_components * int(trial.frame.used.sum())  # bytes, in single precision
     assert peak < 4 * pictures  # measured: 2.6, the model's own among them
 
 
@@ -107,8 +109,8 @@ def test_starts_that_are_given_come_first_and_the_search_ends(trial: Trial) -> N
     *offers, end = searched(small, 4, given)
     assert offers[0].candidate is not None
     assert np.linalg.norm(trial.error(offers[0].candidate.waves)) < 0.03
-    assert end.starts <= small_problem.MOST
-    assert end.optima[0].met >= small_problem.ENOUGH or end.starts == small_problem.MOST
+    assert end.ended
+    assert end.starts <= 2 * SETTINGS.most_starts
     misfits = [o.misfit for o in end.optima]
     assert misfits == sorted(misfits)
     assert len(offers) == sum(o.offered for o in end.optima)

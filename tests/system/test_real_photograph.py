@@ -29,5 +29,5 @@ def test_a_real_photograph_is_settled_and_agrees_with_another_method(tmp_path: P
     assert outcome.settled
     assert outcome.starts < 2 * 33
     assert not outcome.explained
-    assert max(outcome.gained.values()) < 10  # of none of the parts that we know, PART_COST
+    assert max(outcome.gained.values()) < 10  # of none of the parts that we know: SETTINGS.part_cost
     assert (tmp_path / "work" / "real_photograph.png").stat().st_size > 10_000
