@@ -16,7 +16,8 @@ from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.residual_tests import Verdict
 from labkit.estimation.scores import Call
-from labkit.estimation.session import Task, estimate
+from labkit.estimation.searches import Task
+from labkit.estimation.session import estimate
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan

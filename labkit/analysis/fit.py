@@ -22,7 +22,8 @@ from labkit.estimation.joint import Joint, climb, refined
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
-from labkit.estimation.session import estimate, fit_task
+from labkit.estimation.searches import fit_task
+from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
 from labkit.estimation.stated import Stated
 from labkit.estimation.stated_optics import wanted_parts

@@ -8,51 +8,25 @@ from functools import reduce
 
 import numpy as np
 
-from labkit.errors import FitError, LostTasksError
+from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.lens_model import Laws
-from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima
+from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
+from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_parts
-from labkit.execute import Run, say
+from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
-from labkit.sharing import Shared, share
 from labkit.target import Target
 from labkit.types import Floats, Progress
-from labkit.uncertain import Uncertain
-
-NAMED = 3
-"""Fits under way that progress names."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """One search, as it travels to a worker."""
-
-    label: str
-    optics: Optics
-    target: Shared[Target]
-    views: Shared[Views]
-    guesses: Guesses
-
-
-def fit_task(task: Task) -> Found:
-    """Do one search."""
-    return find_optima(
-        task.optics,
-        task.target.value,
-        task.views.value,
-        task.guesses,
-        progress=lambda step: say(f"{task.label}: {step}"),
-    )
 
 
 def estimate(
@@ -80,7 +54,8 @@ def estimate(
     ------
     FitError : no observation could be fitted
     """
-    loop = _Loop(tuple(observations), plan, targets, run, progress, patience_s)
+    searches = Searches(tuple(observations), targets, run, progress)
+    loop = _Loop(searches, plan, patience_s)
     loop.explore()
     return loop.ended(plain)
 
@@ -91,40 +66,39 @@ class _Loop:
 
     Attributes
     ----------
+    search : runs searches
+    plan : what the session was taken with
+    patience_s : processor time of one search
     found : by place of the observation, optima with the present parts in the model
     parts : camera parts in the model beside the plan's
     starts : by place, predictions that were climbed from
     deep : places that were searched without limit
     again : places that were fitted again from a prediction because they were doubted
-    lost : by label, why a fit was lost
+    refitted : by choice of parts, fits that were climbed again with it
     """
 
-    observations: tuple[Observation, ...]
+    search: Searches
     plan: Plan
-    targets: Mapping[str, Target]
-    run: Run
-    progress: Progress
     patience_s: float
     found: dict[int, Found] = field(default_factory=dict)
     parts: Parts = field(default_factory=Parts)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
     deep: set[int] = field(default_factory=set)
     again: set[int] = field(default_factory=set)
-    lost: dict[str, str] = field(default_factory=dict)
-    made: int = 0
-    camera: CameraChoice = field(init=False)
+    refitted: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
-    _judged_by: dict[int, float] = field(default_factory=dict)
-    _refits: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
+    _parts_chosen_by: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
-        self.views = [share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations]
+        self.observations = self.search.observations
         self.stated = Stated.of(self.plan)
         first, last = self.plan.fit.zernike_noll
         self.noll = tuple(range(first, last + 1))
         places = range(len(self.observations))
         self.ranged = [k for k in places if is_ranged(self.observations[k], self.noll)]
+        ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
+        self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
+        self.engraved_cone = engraved_cone(self.plan, ranges)
         self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
 
     # the loop
@@ -137,7 +111,7 @@ class _Loop:
 
     def _next(self) -> dict[int, Guesses]:
         """What to fit next, by place: nothing once nothing is left to gain."""
-        places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.lost]
+        places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.search.lost]
         left = [k for k in places if k not in self.found]
         if not self.found:
             return dict.fromkeys(self._anchors(left), self._from_nothing(deep=False)) if left else {}
@@ -174,9 +148,14 @@ class _Loop:
         return list(self.found)
 
     def _from_nothing(self, *, deep: bool) -> Guesses:
-        cone = self._engraved_cone()
-        alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
-        return Guesses(cone.std / cone.value, deep=deep or alone, alone=alone, score=True, patience_s=self.patience_s)
+        cone = self.engraved_cone
+        return Guesses(
+            cone.std / cone.value,
+            deep=deep or self.alone,
+            alone=self.alone,
+            score=True,
+            patience_s=self.patience_s,
+        )
 
     def _predicted(self, left: Sequence[int], selection: Selection | None) -> dict[int, Guesses]:
         """First fits of observations: where defocus is predicted from there; else of each channel the clearest one.
@@ -254,63 +233,30 @@ class _Loop:
         modes: tuple[Floats, ...] = (),
         poses: tuple[Pose, ...] = (),
     ) -> Guesses:
+        unknown = self._from_nothing(deep=False)
         known = self._clearest().verdict.accepted
-        alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
-        return Guesses(
-            SETTINGS.shared_cone_std if known else self._from_nothing(deep=False).f_number_std,
-            starts=starts,
-            poses=poses,
-            modes=modes,
-            deep=alone,
-            alone=alone,
-            score=True,
-            patience_s=self.patience_s,
-        )
+        cone_std = SETTINGS.shared_cone_std if known else unknown.f_number_std
+        return replace(unknown, f_number_std=cone_std, starts=starts, poses=poses, modes=modes)
 
     # fits
 
     def _fit(self, guesses: Mapping[int, Guesses]) -> None:
         """Search, and add what is found."""
         selection = self.selection() if self.found else None
-        tasks = {k: self._task(k, guess, self._optics(k, selection)) for k, guess in guesses.items()}
+        wanted = {k: (self._optics(k, selection), guess) for k, guess in guesses.items()}
         doing = "fitting" if self.found else "searching from nothing"
-        for k, found in self._done(tasks, doing).items():
+        for k, found in self.search(wanted, doing).items():
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
             self.deep |= {k} if guess.deep else set()
-
-    def _done(self, tasks: Mapping[int, Task], doing: str) -> dict[int, Found]:
-        """Results in the order of the observations, whichever ended first.
-
-        The finest pictures, of the shortest wavelength, are begun first.
-        """
-        results = dict[int, Found]()
-        order = sorted(tasks, key=lambda k: tasks[k].optics.wavelength_um)
-        under_way = {k: tasks[k].label for k in order}
-        left = sum(k not in self.found for k in range(len(self.observations)))
-        total = self.made + max(left, len(tasks))
-        try:
-            self.progress(self.made, total, f"{doing}: {_some(list(under_way.values()))}")
-            for index, found in self.run(fit_task, [tasks[k] for k in order]):
-                self.made += 1
-                del under_way[order[index]]
-                self.progress(self.made, total, f"{doing}: {_some(list(under_way.values()))}" if under_way else doing)
-                results[order[index]] = found
-        except LostTasksError as error:
-            self.lost |= {task.label: why for task, why in error.lost}
-        return dict(sorted(results.items()))
-
-    def _task(self, k: int, guesses: Guesses, optics: Optics) -> Task:
-        observation = self.observations[k]
-        return Task(observation.key.label, optics, self.shown[observation.channel], self.views[k], guesses)
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
         observation = self.observations[k]
         optics = _with(optics_of(self.plan, observation.channel), self.parts)
         if not self.found:
-            return replace(optics, f_number=self._engraved_cone().value)
+            return replace(optics, f_number=self.engraved_cone.value)
         if selection is not None and k in self.ranged:
             predicted, _ = selection.lens.predictions
             return optics.shaped(predicted[self.ranged.index(k), len(self.noll) : -1])
@@ -320,10 +266,6 @@ class _Loop:
         """The fit to begin others from where no lens predicts them: explained, and farthest from focus."""
         best = [found.best for found in self.found.values()]
         return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
-
-    def _engraved_cone(self) -> Uncertain:
-        ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
-        return engraved_cone(self.plan, ranges)
 
     # choices
 
@@ -360,12 +302,12 @@ class _Loop:
             explained = {k: fit for k, fit in fits.items() if fit[1].verdict.accepted}
             fits = explained or fits
         asked = {k: optimum.log_likelihood for k, (_, optimum) in fits.items()}
-        if asked == self._judged_by:
+        if asked == self._parts_chosen_by:
             return
-        self._judged_by = asked
+        self._parts_chosen_by = asked
         parts = self.camera.chosen(fits, self.parts)
         if parts != self.parts:
-            refitted = dict(self._refits[parts])
+            refitted = dict(self.refitted[parts])
             self.parts = parts
             rest = [k for k in self.found if k not in refitted]
             refitted |= self._with_parts(rest, parts)
@@ -376,22 +318,20 @@ class _Loop:
         return self._climbed(places, parts, score=True)
 
     def _climbed(self, places: Sequence[int], parts: Parts, *, score: bool) -> dict[int, Optimum]:
-        tasks = {}
+        wanted = {}
         for k in places:
             end = self._end(k, parts)
             optics = with_parts_of(optics_of(self.plan, self.observations[k].channel), parts, end.optics)
-            guess = Guesses(
-                SETTINGS.shared_cone_std, state=end.state, deep=False, score=score, patience_s=self.patience_s
-            )
-            tasks[k] = self._task(k, guess, optics)
-        doing = "fitting with other parts of the camera"
-        made = {k: found.best for k, found in self._done(tasks, doing).items()} if tasks else {}
-        self._refits.setdefault(parts, {}).update(made)
+            guess = Guesses(SETTINGS.shared_cone_std, state=end.state, deep=False, score=score)
+            wanted[k] = optics, guess
+        found = self.search(wanted, "fitting with other parts of the camera") if wanted else {}
+        made = {k: one.best for k, one in found.items()}
+        self.refitted.setdefault(parts, {}).update(made)
         return made
 
     def _end(self, k: int, parts: Parts) -> Optimum:
         """The end to climb on from: of the most similar choice of parts that was fitted."""
-        fitted = [(names, made[k]) for names, made in self._refits.items() if k in made]
+        fitted = [(names, made[k]) for names, made in self.refitted.items() if k in made]
         fitted.append((self.parts, self.chosen(k)))
         return min(fitted, key=lambda one: len(one[0] ^ parts))[1]
 
@@ -401,7 +341,9 @@ class _Loop:
         """The estimate; without parts that the plan does not state, it is climbed once more, for comparison or instead."""
         self._refuse_none()
         whole = self._as_estimate()
-        self.progress(self.made, self.made, "what the fits make of the lens, and its images of points")
+        self.search.progress(
+            self.search.made, self.search.made, "what the fits make of the lens, and its images of points"
+        )
         if not self.parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
         bare = self._without_found(whole)
@@ -463,7 +405,7 @@ class _Loop:
     def _left_out(self) -> list[str]:
         """Observations without a fit, in words."""
         fitted = {self.observations[k].key.label for k in self.found}
-        lost = [(label, why) for label, why in self.lost.items() if label not in fitted]
+        lost = [(label, why) for label, why in self.search.lost.items() if label not in fitted]
         return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
 
     def _refuse_none(self) -> None:
@@ -495,8 +437,3 @@ def _like(optimum: Optimum, other: Optimum) -> Optimum:
 
 def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:
     return found.keys() == other.keys() and all(found[k] is other[k] for k in found)
-
-
-def _some(labels: Sequence[str]) -> str:
-    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
-    return ", ".join(labels[:NAMED]) + more

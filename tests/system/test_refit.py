@@ -45,7 +45,9 @@ def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(session: P
 
 
 def test_a_partial_fit_is_not_put_in_the_place_of_a_whole_one(session: Path) -> None:
-    with pytest.raises(DataError, match="holds G at 2000 mm too, which this fit would not replace: give it another name"):
+    with pytest.raises(
+        DataError, match="holds G at 2000 mm too, which this fit would not replace: give it another name"
+    ):
         fit(session, ranges_mm=2050.5, name="latest", workers=1)
     assert len(Results.load(session)) == 2
 
@@ -114,6 +116,6 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
         with pytest.raises(InputError, match="No space left on device; make room and fit again: that goes on where"):
             fit(session, workers=1, name="again", noll=(4, 5))
     assert kept.items() <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
-    monkeypatch.setattr("labkit.estimation.session.find_optima", lambda *task, **options: pytest.fail("fitted twice"))
+    monkeypatch.setattr("labkit.estimation.searches.find_optima", lambda *task, **options: pytest.fail("fitted twice"))
     assert len(fit(session, workers=1, name="again", noll=(4, 5))) == 2
     assert not (folder / ".fits").exists()

@@ -9,7 +9,7 @@ from labkit.estimation.estimate import Estimate
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.local import Found
 from labkit.estimation.scores import Call
-from labkit.estimation.session import Task
+from labkit.estimation.searches import Task
 from labkit.plan import Plan
 from tests.optimum_samples import PLAN, Play, optimum, played, range_of
 

@@ -10,7 +10,7 @@ import pytest
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.local import Found
 from labkit.estimation.scores import Call
-from labkit.estimation.session import Task
+from labkit.estimation.searches import Task
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from tests.optimum_samples import PLAN, RANGES_MM, Play, optimum, played, range_of

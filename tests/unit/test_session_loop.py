@@ -11,7 +11,8 @@ import pytest
 
 from labkit.errors import FitError
 from labkit.estimation.local import Found
-from labkit.estimation.session import Task, estimate
+from labkit.estimation.searches import Task
+from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (

@@ -1,0 +1,100 @@
+"""Searches as tasks: what travels to where they run, and which are under way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from labkit.errors import LostTasksError
+from labkit.estimation.local import Found, Guesses, Views, find_optima
+from labkit.estimation.observation import Observation
+from labkit.execute import Run, say
+from labkit.imaging.optics import Optics
+from labkit.sharing import Shared, share
+from labkit.target import Target
+from labkit.types import Progress
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search, as it travels. Target and frames are shared, so a task is small."""
+
+    label: str
+    optics: Optics
+    target: Shared[Target]
+    views: Shared[Views]
+    guesses: Guesses
+
+
+def fit_task(task: Task) -> Found:
+    """Do one search."""
+    return find_optima(
+        task.optics,
+        task.target.value,
+        task.views.value,
+        task.guesses,
+        progress=lambda step: say(f"{task.label}: {step}"),
+    )
+
+
+@dataclass
+class Searches:
+    """Runs searches of a session's observations, and counts them.
+
+    Attributes
+    ----------
+    observations : the session's, in order
+    targets : as shown to each channel
+    run : maps tasks
+    progress : called with what is under way
+    fitted : observations that have a fit
+    lost : by label, why a search was lost
+    made : searches that ended
+    """
+
+    observations: Sequence[Observation]
+    targets: Mapping[str, Target]
+    run: Run
+    progress: Progress
+    fitted: set[int] = field(default_factory=set)
+    lost: dict[str, str] = field(default_factory=dict)
+    made: int = 0
+
+    def __post_init__(self) -> None:
+        self._shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
+        self._views = [share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations]
+
+    def __call__(self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str) -> dict[int, Found]:
+        """Search for the optima of observations, by place.
+
+        Results are in the order of the observations, whichever ended first. The finest pictures, of the shortest
+        wavelength, are begun first, for they take longest. Those that are lost are noted.
+        """
+        results = dict[int, Found]()
+        order = sorted(wanted, key=lambda k: wanted[k][0].wavelength_um)
+        tasks = [self._task(k, *wanted[k]) for k in order]
+        under_way = {k: task.label for k, task in zip(order, tasks, strict=True)}
+        total = self.made + max(len(self.observations) - len(self.fitted), len(tasks))
+        try:
+            self.progress(self.made, total, _named(doing, under_way))
+            for index, found in self.run(fit_task, tasks):
+                self.made += 1
+                del under_way[order[index]]
+                self.progress(self.made, total, _named(doing, under_way))
+                results[order[index]] = found
+        except LostTasksError as error:
+            self.lost |= {task.label: why for task, why in error.lost}
+        self.fitted |= results.keys()
+        return dict(sorted(results.items()))
+
+    def _task(self, k: int, optics: Optics, guesses: Guesses) -> Task:
+        observation = self.observations[k]
+        return Task(observation.key.label, optics, self._shown[observation.channel], self._views[k], guesses)
+
+
+def _named(doing: str, under_way: Mapping[int, str]) -> str:
+    """What is done, with the first three that are under way."""
+    first, more = list(under_way.values())[:3], len(under_way) - 3
+    if not first:
+        return doing
+    return f"{doing}: {', '.join(first)}" + (f" and {more} more" if more > 0 else "")
