@@ -6,6 +6,7 @@ the truth ends, how many random starts end there too, and by how much the best o
 
 from collections.abc import Sequence
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 
@@ -61,8 +62,9 @@ def case(noll: Sequence[int], waves_rms: float, pictures: int) -> str:
 if __name__ == "__main__":
     for components, strongest in DRAWN:
         waves = (SETTINGS.start_waves[0], strongest)
-        small_problem.SETTINGS = replace(SETTINGS, psf_components=components, start_waves=waves)
+        drawn = replace(SETTINGS, psf_components=components, start_waves=waves)
         small_problem._components.cache_clear()
         print(f"{components} components, drawn up to {strongest:g} waves")
-        for noll, waves_rms, pictures in CASES:
-            print(" ", case(noll, waves_rms, pictures), flush=True)
+        with patch.object(small_problem, "SETTINGS", drawn):
+            for noll, waves_rms, pictures in CASES:
+                print(" ", case(noll, waves_rms, pictures), flush=True)
