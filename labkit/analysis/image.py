@@ -45,7 +45,6 @@ def fit_image(
     """Fit the wavefront of one colour to photographs in memory, of a target at one range.
 
     Uneven light is estimated, for there are no flats. Of twins the one is returned whose largest even mode is positive.
-    Raises ValueError for arrays of other shapes, TargetError or DataError where a photograph does not show the target.
 
     Parameters
     ----------
@@ -58,6 +57,15 @@ def fit_image(
     corners_px : (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search for the target
     mm_per_pixel : about, on the target
     gain, read_noise : counts per electron, and counts; estimated from these photographs where not given
+
+    Raises
+    ------
+    ValueError
+        An array has another shape.
+    TargetError
+        A photograph does not show the target.
+    DataError
+        No usable pixel shows the target, or the counts are no photograph's.
 
     >>> w = labkit.fit_image(counts, labkit.open_target("sierpinski:order=4,size_mm=15.6"), optics)
     """

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.analysis.kept_fits import KeptFits
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima, residuals
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
+from labkit.kept_fits import KeptFits
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
