@@ -40,6 +40,10 @@ class Data:
         precision[used] = np.linalg.inv(covariance[used])
         return cls(values, precision)
 
+    def chi2(self, rest: Floats) -> float:
+        """Squares of misfits (n, values), each observation's over its covariance."""
+        return quadratic(rest, self.precision)
+
 
 @dataclass(frozen=True)
 class Normal:
@@ -116,119 +120,97 @@ class Point:
     own: Floats
 
 
-@dataclass(frozen=True)
-class Solved:
-    """The least squares at their minimum.
-
-    Attributes
-    ----------
-    point : of the parameters
-    predicted : (n, values)
-    slopes : (n, values, columns)
-    own_slopes : (n, values, local columns)
-    normal : equations there, the priors' information included
-    chi2 : of the data and the priors
-    """
-
-    point: Point
-    predicted: Floats
-    slopes: Floats
-    own_slopes: Floats
-    normal: Normal
-    chi2: float
-
-
-def solve(model: LensModel, data: Data, start: Point) -> Solved:
-    """Minimise the squared misfits of data and priors, from a start, within the model's bounds."""
-    begin = _Misfit(model, data, _Prior.of(model), start)
-    end, _, _ = climb(begin, max_steps=MOST_STEPS, tolerance=SETTLED, damping=1e-9)
-    return Solved(end.point, end.predicted, *end.slopes, end.normal, -2 * end.objective)
-
-
-@dataclass(frozen=True)
-class _Prior:
-    """Columns' values before the session, and their precisions; of a group's columns too."""
-
-    centre: Floats
-    precision: Floats
-    own_precision: Floats
-
-    @classmethod
-    def of(cls, model: LensModel) -> _Prior:
-        return cls(
-            np.array([column.value for column in model.columns]),
-            np.array([column.prior_std for column in model.columns]) ** -2.0,
-            np.array([column.prior_std for column in model.local_columns]) ** -2.0,
-        )
-
-
 @dataclass(frozen=True, eq=False)
-class _Misfit(Position):
-    """The misfit of data and priors about a point."""
+class LeastSquares(Position):
+    """The squared misfits of data and priors about a point of the session's parameters."""
 
     model: LensModel
     data: Data
-    prior: _Prior
     point: Point
 
     @cached_property
     def predicted(self) -> Floats:
+        """(n, values)."""
         return self.model.predicted(self.point.theta, self.point.own)
 
     @cached_property
-    def slopes(self) -> tuple[Floats, Floats]:
+    def rest(self) -> Floats:
+        """(n, values) measured less predicted."""
+        return self.data.values - self.predicted
+
+    @cached_property
+    def chi2(self) -> float:
+        """Of the data and the priors."""
+        model, point = self.model, self.point
+        away = (point.theta - model.centre) / model.prior_std
+        own = point.own / model.local_std
+        return self.data.chi2(self.rest) + float(np.sum(away**2) + np.sum(own**2))
+
+    @property
+    def objective(self) -> float:
+        """Log-likelihood, but for a constant."""
+        return -0.5 * self.chi2
+
+    @cached_property
+    def _slopes(self) -> tuple[Floats, Floats]:
         return self.model.slopes(self.point.theta, self.point.own)
 
-    @cached_property
-    def pulled(self) -> Floats:
-        """(n, values) misfits times their inverse covariances."""
-        rest = self.data.values - self.predicted
-        return np.asarray((self.data.precision @ rest[..., None])[..., 0])
+    @property
+    def slopes(self) -> Floats:
+        """(n, values, columns)."""
+        return self._slopes[0]
 
-    @cached_property
-    def objective(self) -> float:
-        """Minus half the squares."""
-        prior, point = self.prior, self.point
-        chi2 = np.sum((self.data.values - self.predicted) * self.pulled)
-        chi2 += np.sum(prior.precision * (prior.centre - point.theta) ** 2)
-        chi2 += np.sum(prior.own_precision * point.own**2)
-        return -0.5 * float(chi2)
+    @property
+    def own_slopes(self) -> Floats:
+        """(n, values, local columns)."""
+        return self._slopes[1]
 
     @cached_property
     def normal(self) -> Normal:
         """The normal equations, the priors' information included."""
-        slopes, own_slopes = self.slopes
-        weighted = self.data.precision @ slopes
-        turned = own_slopes.transpose(0, 2, 1)
-        own = self.model.by_group(turned @ (self.data.precision @ own_slopes)) + np.diag(self.prior.own_precision)
-        cross = self.model.by_group(turned @ weighted).transpose(0, 2, 1)
-        common = np.tensordot(slopes, weighted, ([0, 1], [0, 1])) + np.diag(self.prior.precision)
-        return Normal(common, cross, own)
+        model, turned = self.model, self.own_slopes.transpose(0, 2, 1)
+        weighted = self.data.precision @ self.slopes
+        return Normal(
+            np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])) + np.diag(model.prior_std**-2.0),
+            model.by_group(turned @ weighted).transpose(0, 2, 1),
+            model.by_group(turned @ (self.data.precision @ self.own_slopes)) + np.diag(model.local_std**-2.0),
+        )
 
-    @cached_property
-    def gradient(self) -> tuple[Floats, Floats]:
-        """(columns,) and (groups, local columns) of the objective."""
-        slopes, own_slopes = self.slopes
-        away = self.prior.centre - self.point.theta
-        common = np.tensordot(slopes, self.pulled, ([0, 1], [0, 1])) + self.prior.precision * away
-        own = self.model.by_group((own_slopes.transpose(0, 2, 1) @ self.pulled[..., None])[..., 0])
-        return common, own - self.prior.own_precision * self.point.own
+    def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
+        """(p,) and (groups, own) right-hand sides of the normal equations by what is measured more than predicted."""
+        weighted = (self.data.precision @ shifts[..., None])[..., 0]
+        own = self.model.by_group(np.einsum("nvl,nv->nl", self.own_slopes, weighted))
+        return np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])), own
 
     def step(self, damping: float) -> Step:
-        low, high = self.model.bounds()
-        gradient, own_gradient = self.gradient
-        damped = self.normal.damped(damping)
-        theta = self.point.theta
-        common, own = damped.solve_within(gradient, own_gradient, low - theta, high - theta)
-        square = max(float(common @ gradient + np.sum(own * own_gradient)), 0.0)
-        return Step(np.append(common, own), square**0.5, square / 2)
+        model, theta = self.model, self.point.theta
+        gradient, own = self.pulls(self.rest)
+        gradient -= (theta - model.centre) / model.prior_std**2
+        own -= self.point.own / model.local_std**2
+        low, high = model.bounds()
+        change, own_change = self.normal.damped(damping).solve_within(gradient, own, low - theta, high - theta)
+        square = max(float(change @ gradient + np.sum(own_change * own)), 0.0)
+        return Step(np.append(change, own_change), square**0.5, square / 2)
 
-    def moved(self, change: Floats) -> _Misfit:
+    def moved(self, change: Floats) -> LeastSquares:
         theta, own = np.split(change, [self.point.theta.size])
-        moved = np.clip(self.point.theta + theta, *self.model.bounds())
-        return replace(self, point=Point(moved, self.point.own + own.reshape(self.point.own.shape)))
+        within = np.clip(self.point.theta + theta, *self.model.bounds())
+        return replace(self, point=Point(within, self.point.own + own.reshape(self.point.own.shape)))
+
+
+def solve(model: LensModel, data: Data, start: Point) -> LeastSquares:
+    """Minimise the squared misfits of data and priors, from a start, within the model's bounds.
+
+    There is next to no damping at first: the weakest combinations have 1e-9 of the others' information.
+    """
+    return climb(LeastSquares(model, data, start), max_steps=MOST_STEPS, tolerance=SETTLED, damping=1e-9)[0]
 
 
 def _grown(matrix: Floats, damping: float) -> Floats:
     """(..., p, p) with its diagonal grown by a share."""
     return matrix * (1 + damping * np.eye(matrix.shape[-1]))
+
+
+def quadratic(vectors: Floats, matrices: Floats) -> float:
+    """Sum of the quadratic forms of matrices (n, values, values) in vectors (n, values)."""
+    return float(np.sum(vectors * (matrices @ vectors[..., None])[..., 0]))

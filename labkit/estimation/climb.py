@@ -20,10 +20,10 @@ from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
-ON_SLOPES = 1.0  # standard errors: a last step shorter than that is not drawn, its picture lies on the slopes
-TRUSTED_DAMPING = 1e-2  # beyond it a step is short because it is damped
-REJECTED_DAMPING, MOST_DAMPING = 1e-4, 1e8  # least one after a step that led down, and the one that ends a climb
-ROUNDING, TINY = 1e-9, 1e-12  # of a log-likelihood, relative; of a promise
+TRUSTED_DAMPING, MOST_DAMPING = (
+    1e-2,
+    1e8,
+)  # beyond the first a step is short because it is damped; the other ends a climb
 STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
 
 
@@ -74,7 +74,7 @@ def climb(start: P, *, max_steps: int, tolerance: float, damping: float = 1e-3) 
     start : where to begin
     max_steps : positions whose slopes are computed, at most
     tolerance : standard errors, all parameters together, by which the end may be off
-    damping : of the first step
+    damping : of the first step, and the least after one that led down
 
     Returns
     -------
@@ -87,22 +87,21 @@ def climb(start: P, *, max_steps: int, tolerance: float, damping: float = 1e-3) 
     with one after which less is left, if the end can be foreseen: steps shrink at least as fast as they did from the last
     one to this.
     """
-    here, steps, before, converged = start, 1, 0.0, False
+    here, steps, before, converged, least = start, 1, 0.0, False, damping
     while steps < max_steps and not converged and damping < MOST_DAMPING:
-        step = here.step(damping)
-        short, trusted = step.length < tolerance, damping <= TRUSTED_DAMPING
+        step, trusted = here.step(damping), damping <= TRUSTED_DAMPING
         left = step.length * min(1.0, step.length / before) if before else step.length
-        near = trusted and left < tolerance and step.length < ON_SLOPES
+        near = trusted and left < tolerance and step.length < 1
         foreseen = here.foreseen(step.change) if near else None
         there = foreseen or here.moved(step.change)
         gained = there.objective - here.objective
-        if gained > (-ROUNDING * abs(here.objective) if short else 0.0):
-            converged = foreseen is not None or (short and trusted)
-            share = max(gained, 0.0) / max(step.gain, TINY)
-            damping *= max(1 / 8, 1 - (2 * share - 1) ** 3)
+        converged = trusted and step.length < tolerance
+        if gained > 0:
+            converged = converged or foreseen is not None
+            damping *= max(1 / 8, 1 - (2 * gained / step.gain - 1) ** 3)
             here, steps, before = there, steps + (foreseen is None), step.length
         else:
-            damping, before, converged = 8 * max(damping, REJECTED_DAMPING), 0.0, short
+            damping, before = 8 * max(damping, least), 0.0
         del there  # a position may hold much memory: one at a time
     return here, steps, converged
 
@@ -192,10 +191,6 @@ class State:
             self.log_noise + np.clip(step[-NOISE:], -1.0, 1.0),
             self.unevenness + step[-common:-NOISE],
         )
-
-    def first(self) -> State:
-        """The same for the first frame only."""
-        return replace(self, poses=self.poses[:1], scales=self.scales[:1], ambients=self.ambients[:1])
 
 
 class Start(NamedTuple):

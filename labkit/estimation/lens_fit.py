@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc
 
-from labkit.estimation.block_solve import Data, Point, Solved, solve
+from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
 from labkit.estimation.errors import covariance_with_bias
 from labkit.estimation.lens_model import (
     CONE,
@@ -55,12 +55,14 @@ class LensFit:
     measured : what the observations measured; members are those used
     solved : the least squares
     lean : (columns,) and (groups, local columns) by which what the model of the frames lacks would move the estimate
+    lean_chi2 : by which that would change chi2
     """
 
     model: LensModel
     measured: Measurements
-    solved: Solved
+    solved: LeastSquares
     lean: Point | None = None
+    lean_chi2: float = 0.0
 
     @property
     def theta(self) -> Floats:
@@ -70,19 +72,17 @@ class LensFit:
     @property
     def chi2(self) -> float:
         """Of members and priors."""
-        return self.solved.chi2
+        return self.solved.chi2 + self.lean_chi2
 
     @cached_property
     def freedom(self) -> float:
         """Numbers measured less those that they had to determine."""
         variance = np.diag(self.solved.normal.covariance)
-        free = [
-            1 - variance[k] / column.prior_std**2 for k, column in enumerate(self.model.columns) if column.kind in OPEN
-        ]
+        unknown = np.array([column.kind in OPEN for column in self.model.columns])
+        free = np.sum(1 - (variance / self.model.prior_std**2)[unknown])
         own = np.einsum("gll->gl", self.solved.normal.own_covariance)
-        prior = np.array([column.prior_std for column in self.model.local_columns]) ** 2
-        local = float(np.sum(1 - own / prior)) if own.size else 0.0
-        return max(float(self.measured.used.sum() * self.model.values - sum(free) - local), 0.0)
+        free += np.sum(1 - own / self.model.local_std**2)
+        return max(float(self.measured.used.sum() * self.model.values - free), 0.0)
 
     @property
     def typical(self) -> float:
@@ -189,33 +189,26 @@ class LensFit:
 
     def leaning(self, shifts: Floats) -> LensFit:
         """The same, where something would move what members measure by shifts (n, values): a bias, which widens nothing."""
-        model, solved = self.model, self.solved
-        noise = self.measured.covariance + np.diag(model.scatter())
-        data = Data.of(self.measured.values, noise, self.measured.used)
-        weighted = (data.precision @ shifts[..., None])[..., 0]
-        own = model.by_group(np.einsum("nvl,nv->nl", solved.own_slopes, weighted))
-        lean = Point(*solved.normal.solve(np.einsum("nvp,nv->p", solved.slopes, weighted), own))
-        moved = shifts - solved.slopes @ lean.theta - np.einsum("nvl,nl->nv", solved.own_slopes, lean.own[model.groups])
-        rest = self.measured.values - solved.predicted
-        added = _quadratic(rest + moved, data.precision) - _quadratic(rest, data.precision)
-        return replace(self, lean=lean, solved=replace(solved, chi2=solved.chi2 + added))
+        solved = self.solved
+        lean = Point(*solved.normal.solve(*solved.pulls(shifts)))
+        own = np.einsum("nvl,nl->nv", solved.own_slopes, lean.own[self.model.groups])
+        moved = shifts - solved.slopes @ lean.theta - own
+        return replace(self, lean=lean, lean_chi2=solved.data.chi2(solved.rest + moved) - solved.data.chi2(solved.rest))
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Standard errors of a combination (columns,) of the estimate, by source: photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
-        noise = measured.covariance + np.diag(model.scatter())
-        precision = Data.of(measured.values, noise, measured.used).precision
-        pull = ((self._seen @ (normal.covariance @ gradient))[:, None] @ precision)[:, 0]
-        calibration = _quadratic(pull, measured.calibration)
-        poor = _quadratic(pull, measured.model)
+        pull = ((self._seen @ (normal.covariance @ gradient))[:, None] @ self.solved.data.precision)[:, 0]
+        calibration = quadratic(pull, measured.calibration)
+        poor = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
-        prior = (gradient @ normal.covariance) ** 2 / np.array([c.prior_std for c in model.columns]) ** 2
+        prior = ((gradient @ normal.covariance) / model.prior_std) ** 2
         kinds = [column.kind for column in model.columns]
         share = {
             kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)
         }
         shares = {
-            "photons": _quadratic(pull, measured.covariance) - calibration - poor,
+            "photons": quadratic(pull, measured.covariance) - calibration - poor,
             "calibration": calibration,
             "geometry": float(scatter[-1]) + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
             "model": poor + float(scatter[:-1].sum()) + share.get(WAVELENGTH, 0.0) + share.get(CONE, 0.0),
@@ -230,7 +223,7 @@ class LensFit:
         Laplace's approximation, exact for linear laws: S. F. Gull, in Maximum Entropy and Bayesian Methods (1988).
         """
         noise = (self.measured.covariance + np.diag(self.model.scatter()))[self.measured.used]
-        prior = sum(np.log(column.prior_std) for column in self.model.columns)
+        prior = np.sum(np.log(self.model.prior_std))
         log_noise = float(np.linalg.slogdet(noise)[1].sum())
         return -0.5 * (self.chi2 + log_noise + self.solved.normal.log_determinant()) - float(prior)
 
@@ -251,7 +244,7 @@ def fit_lens(model: LensModel, measured: Measurements, start: Point | None = Non
 
 def first_point(model: LensModel, measured: Measurements) -> Point:
     """Where each channel's defocus crosses zero; all else as before the session."""
-    theta = np.array([column.value for column in model.columns])
+    theta = model.centre.copy()
     channels = np.array([reading.key.channel for reading in model.readings])
     ranges = np.array([reading.range_mm for reading in model.readings])
     waves = measured.values[:, model.defocus]
@@ -285,8 +278,3 @@ def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:
     low = 1 / (3 * ranges_mm.max() - focal_mm)
     high = 1 / max(ranges_mm.min() / 3 - focal_mm, 0.5 * focal_mm)
     return float(1 / np.clip(inverse, low, high) + focal_mm)
-
-
-def _quadratic(pull: Floats, covariance: Floats) -> float:
-    """Variance that errors (n, values, values) make of a combination (n, values)."""
-    return float(np.sum(pull * (covariance @ pull[..., None])[..., 0]))

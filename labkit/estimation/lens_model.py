@@ -261,6 +261,21 @@ class LensModel:
         )
 
     @cached_property
+    def centre(self) -> Floats:
+        """(columns,) values before the session."""
+        return np.array([column.value for column in self.columns])
+
+    @cached_property
+    def prior_std(self) -> Floats:
+        """(columns,) their standard errors."""
+        return np.array([column.prior_std for column in self.columns])
+
+    @cached_property
+    def local_std(self) -> Floats:
+        """(local columns,) standard errors of those of a channel and tile, which are 0 before the session."""
+        return np.array([column.prior_std for column in self.local_columns])
+
+    @cached_property
     def _places(self) -> dict[tuple[str, Name], int]:
         return {(column.kind, column.name): k for k, column in enumerate(self.columns)}
 

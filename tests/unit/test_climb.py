@@ -221,14 +221,6 @@ def test_noise_changes_by_no_more_than_a_factor_of_e_in_a_step() -> None:
     np.testing.assert_allclose(truth().moved(step).log_noise - PRIOR.centre, [1.0, -1.0])
 
 
-def test_the_first_frame_alone_keeps_what_all_share() -> None:
-    state = replace(truth(2), scales=np.array([1.0, 2.0]), ambients=np.array([3.0, 4.0]))
-    first = state.first()
-    assert (len(first.poses), *first.scales, *first.ambients) == (1, 1.0, 3.0)
-    assert first.waves is state.waves
-    assert first.log_noise is state.log_noise
-
-
 def test_noise_is_given_as_it_is_measured() -> None:
     state = truth()
     assert state.gain == pytest.approx(0.25)
