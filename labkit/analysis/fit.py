@@ -108,7 +108,8 @@ def fit(
     session, plan, checksum = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     steps = Steps(progress)
-    with threadpool_limits(1), _running(run, workers, steps) as mapped:
+    most = len(_wanted_keys(session, plan, ranges_mm, channels))
+    with threadpool_limits(1), _running(run, min(workers or default_workers(), most), steps) as mapped:
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
         assumed += _panel_findings(plan, target, observations)
         kept = KeptFits(mapped, folder / FOLDER)
@@ -125,12 +126,12 @@ def fit(
 
 
 @contextmanager
-def _running(run: Run | None, workers: int | None, steps: Steps) -> Iterator[Run]:
-    """What maps the fits: a caller's run, or processes of this machine."""
+def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
+    """What maps the fits: a caller's run, or processes of this machine; this process where one is enough."""
     if run is not None:
         yield run
         return
-    with Workers(workers or default_workers(), steps.heard) as processes:
+    with Workers(workers, steps.heard) as processes:
         processes.warm_up(fit_task.__module__)
         yield processes
 

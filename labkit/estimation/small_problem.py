@@ -206,5 +206,6 @@ def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
         tilts = rng.normal(scale=np.mean(SETTINGS.start_waves), size=len(TILTS))
         row[:] = (pupil.psf(scale * np.concatenate([tilts, waves])) - perfect).ravel()
     weights, vectors = scipy.linalg.eigh(drawn @ drawn.T, subset_by_index=(draws - SETTINGS.psf_components, draws - 1))
-    kept = weights > 1e-12 * weights[-1]  # few modes span few dimensions
-    return ((vectors[:, kept] / np.sqrt(weights[kept])).T @ drawn).astype(np.float32), perfect
+    kept = weights > SETTINGS.exact**2 * weights[-1]  # few modes span few dimensions
+    turn = (vectors[:, kept] / np.sqrt(weights[kept])).T
+    return turn.astype(np.float32) @ drawn.astype(np.float32), perfect
