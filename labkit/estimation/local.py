@@ -215,6 +215,7 @@ def find_optima(
         progress("at full resolution")
         freed = search.climbed(state)
         optimum = _judged(freed)
+        log.tried.append((state, optimum.log_likelihood))
         optima = _with(optima, optimum)
         if optima[0] is optimum:
             expansion = freed.expansion

@@ -31,6 +31,7 @@ class Log:
     ends_at : process time after which no start is made, the user's cap
     progress : called with what is done
     starts : made so far
+    tried : states that were climbed from over the whole likelihood, and the log-likelihood where each climb ended
     others : modes, waves RMS, and minus the log-likelihood of optima that starts led to
     returns : starts that came back to the best optimum
     """
@@ -39,6 +40,7 @@ class Log:
     ends_at: float
     progress: Callable[[str], None]
     starts: int = 0
+    tried: list[tuple[State, float]] = field(default_factory=list)
     others: list[tuple[Floats, float]] = field(default_factory=list)
     returns: int = 0
 
@@ -56,6 +58,11 @@ class Log:
     def settled(self) -> bool:
         """Whether starts came back to the best optimum often enough."""
         return self.returns >= SETTINGS.enough_returns
+
+    def best(self) -> list[State]:
+        """States whose climbs ended in the best optimum of the whole likelihood."""
+        least = max((value for _, value in self.tried), default=0.0) - SETTINGS.same_optimum
+        return [state for state, value in self.tried if value > least]
 
     def met(self, end: Solution) -> None:
         """Note where a start ended, unless that is known."""
@@ -107,19 +114,24 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
 
 
 def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Log) -> Iterator[State]:
-    """Optima of the small problem at a state's pose, the best first, until starts come back to the best."""
+    """Optima of the small problem at a state's pose, the best first, until starts come back to the best.
+
+    What comes back is what leads to the best optimum of the whole likelihood.
+    """
     small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
     before, made = log.starts, Retrieved(tuple(given))
     rng = np.random.default_rng(sketches.seed)
-    while not log.over:
+    while not (log.late or log.settled):
         made = small.to_next_candidate(made, rng)
+        log.starts = before + made.starts
+        log.others = [(optimum.state.waves, optimum.misfit / 2) for optimum in made.optima]
+        if made.candidate is not None:
+            log.progress(f"start {log.starts}")
+            yield made.candidate
+        best = log.best()
+        log.returns = sum(optimum.met for optimum in made.optima if any(optimum.state is one for one in best))
         if made.candidate is None:
             break
-        log.starts = before + made.starts
-        log.progress(f"start {log.starts}")
-        log.others = [(optimum.state.waves, optimum.misfit / 2) for optimum in made.optima]
-        yield made.candidate
-        log.returns = made.optima[0].met
 
 
 def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
