@@ -15,7 +15,7 @@ from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.residual_tests import Verdict
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.imaging.optics import Optics
@@ -78,7 +78,7 @@ def optimum(
     height: float = 0.0,
     explained: bool = True,
     unexplained: float = 0.0,
-    scores: Mapping[str, Call] | None = None,
+    scores: Mapping[str, ScoreTest] | None = None,
 ) -> Optimum:
     """An optimum that measures `measured_by`. height: log-likelihood; unexplained: log-likelihood that residuals lack."""
     of = measured_by(optics, range_mm, off, square)

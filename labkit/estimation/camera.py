@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.parts import KNOWN
 from labkit.results.model import PartTried
@@ -33,17 +33,17 @@ def cost(parts: Parts) -> float:
     return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (BLURS.index(name) if name in BLURS else 0) for name in parts)
 
 
-def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, Call]:
+def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
     """Score tests of a session, by name of the part. fits: channel and optimum; parts of the light are each channel's own."""
     names = [name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)]
-    whole = {name: reduce(Call.__add__, (one.scores[name] for _, one in fits)) for name in names}
+    whole = {name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits)) for name in names}
     for name in [name for name in names if KNOWN[name].per_channel]:
-        by_channel = dict[str, Call]()
+        by_channel = dict[str, ScoreTest]()
         for channel, one in fits:
-            call = one.scores[name]
-            by_channel[channel] = by_channel[channel] + call if channel in by_channel else call
-        calls = list(by_channel.values())
-        whole[name] = Call(np.concatenate([c.slope for c in calls]), block_diag(*(c.information for c in calls)))
+            test = one.scores[name]
+            by_channel[channel] = by_channel[channel] + test if channel in by_channel else test
+        tests = list(by_channel.values())
+        whole[name] = ScoreTest(np.concatenate([c.slope for c in tests]), block_diag(*(c.information for c in tests)))
     return whole
 
 
@@ -109,10 +109,10 @@ class CameraChoice:
 
     def _proposals(self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Iterator[Parts]:
         """Other choices, the most promising first."""
-        calls = summed(list(ends.values()))
-        gains = {name: call.gain - cost(Parts([name])) + SETTINGS.part_cost for name, call in calls.items()}
+        tests = summed(list(ends.values()))
+        gains = {name: test.gain - cost(Parts([name])) + SETTINGS.part_cost for name, test in tests.items()}
         self.tried = [one for one in self.tried if one.name not in gains]
-        self.tried += [PartTried(name, call.gain, False) for name, call in calls.items()]
+        self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
         worths = worth([optimum.measured for _, optimum in ends.values()])
         for name in sorted(parts, key=lambda one: worths.get(one, 0.0)):
             if worths.get(name, 0.0) < SETTINGS.part_cost:
@@ -122,7 +122,7 @@ class CameraChoice:
             if gains[name] > max(SETTINGS.part_cost, lacking) and name not in self.wanted:
                 yield parts | {name}
         for name in [one for one in BLURS if one in parts]:
-            commoner = [one for one in BLURS[: BLURS.index(name)] if one in calls]
+            commoner = [one for one in BLURS[: BLURS.index(name)] if one in tests]
             for one in commoner:
                 yield (parts - {name}) | {one}
             if len(commoner) > 1 and sum(len(KNOWN[one].labels) for one in commoner) <= len(KNOWN[name].labels):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.imaging.parts import SpectrumWidth
 from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
@@ -24,15 +24,15 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
     tests of all fits that belong to the session.
     """
     silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
-    said = dict[str, list[Call]]()
+    said = dict[str, list[ScoreTest]]()
     for k in session.trusted:
         channel, scores = session.fits[k].channel, session.fullest(k).scores
         if channel in silent and SpectrumWidth.name in scores:
             said.setdefault(channel, []).append(scores[SpectrumWidth.name])
-    return {name: silent[name] * _most(reduce(Call.__add__, calls)) for name, calls in said.items()}
+    return {name: silent[name] * _most(reduce(ScoreTest.__add__, tests)) for name, tests in said.items()}
 
 
-def _most(call: Call) -> float:
+def _most(test: ScoreTest) -> float:
     """Relative to the wavelength. No light is less broad than one wavelength is."""
-    (square,), (information,) = call.step, call.information.diagonal()
+    (square,), (information,) = test.step, test.information.diagonal()
     return min(float(np.sqrt(max(square, 0.0) + ONE_SIDED * information**-0.5)), WIDEST)

@@ -15,7 +15,7 @@ from labkit.estimation.expansion import Freed, free_cone
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residual_spectrum import residual_spectrum
 from labkit.estimation.residual_tests import Verdict, judge
-from labkit.estimation.scores import Call, calls
+from labkit.estimation.scores import ScoreTest, score_tests
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches
 from labkit.estimation.starts import Log
@@ -56,7 +56,7 @@ class Optimum:
     verdict: Verdict
     relative: tuple[Floats, ...]
     residual_power: Floats
-    scores: Mapping[str, Call] = field(default_factory=dict)
+    scores: Mapping[str, ScoreTest] = field(default_factory=dict)
 
     @property
     def noll(self) -> tuple[int, ...]:
@@ -223,7 +223,7 @@ def find_optima(
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
     if guesses.score:
-        lacking = calls(expansion, expansion.optics.lacking, guesses.f_number_std)
+        lacking = score_tests(expansion, expansion.optics.lacking, guesses.f_number_std)
         optima[0] = replace(optima[0], scores=lacking)
     return Found(
         tuple(optima),

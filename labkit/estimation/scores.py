@@ -21,15 +21,15 @@ from labkit.types import Floats
 
 
 @dataclass(frozen=True)
-class Call:
+class ScoreTest:
     """Of one part, from one fit: slope (n,) and information (n, n) of the log-likelihood by its numbers, all else refitted."""
 
     slope: Floats
     information: Floats
 
-    def __add__(self, other: Call) -> Call:
+    def __add__(self, other: ScoreTest) -> ScoreTest:
         """Of two fits that share the part."""
-        return Call(self.slope + other.slope, self.information + other.information)
+        return ScoreTest(self.slope + other.slope, self.information + other.information)
 
     @property
     def step(self) -> Floats:
@@ -43,7 +43,7 @@ class Call:
         return float(0.5 * step @ self.slope) if step.max() > 0 and step.sum() > 0 else 0.0
 
 
-def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, Call]:
+def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, ScoreTest]:
     """What frames say of parts that their model lacks, by the likelihood about its optimum without them.
 
     f_number_std: relative, of the cone.
@@ -64,7 +64,7 @@ def calls(expansion: Expansion, names: Sequence[str], f_number_std: float) -> di
     for name, at in added.items():
         pulled = information[np.ix_(at, kept)] @ rest
         slope = gradient[at] - pulled @ gradient[kept]
-        result[name] = Call(slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)])
+        result[name] = ScoreTest(slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)])
     return result
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from labkit.estimation.camera import CameraChoice, Parts, cost, summed, worth
 from labkit.estimation.local import Optimum
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.stated_optics import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
@@ -22,13 +22,13 @@ OPTICS = optics_of(PLAN, "G")
 FITS = 5
 
 
-def call(gain: float, sign: float = 1.0) -> Call:
+def score_test(gain: float, sign: float = 1.0) -> ScoreTest:
     """For one number that is called for, or for one that no camera has."""
-    return Call(np.array([sign * np.sqrt(2 * gain)]), np.eye(1))
+    return ScoreTest(np.array([sign * np.sqrt(2 * gain)]), np.eye(1))
 
 
 def with_scores(**gains: float) -> Optimum:
-    return optimum(OPTICS, 3200.0, scores={name: call(gain) for name, gain in gains.items()})
+    return optimum(OPTICS, 3200.0, scores={name: score_test(gain) for name, gain in gains.items()})
 
 
 @dataclass
@@ -55,7 +55,7 @@ class Fits:
     def end(self, parts: Parts) -> Optimum:
         optics = reduce(Optics.with_part, [name for name in KNOWN if name in parts], OPTICS)
         height = next((of for names, of in self.heights.items() if Parts(names) == parts), 0.0)
-        scores = {name: call(gain) for name, gain in self.called.items() if name not in parts}
+        scores = {name: score_test(gain) for name, gain in self.called.items() if name not in parts}
         lacking = max(self.unexplained - height, 0.0)
         explained = self.unexplained == 0.0 or parts == self.explaining
         made = optimum(
@@ -82,7 +82,7 @@ class Fits:
 def test_fits_add_up_what_they_call_for() -> None:
     both = summed([("G", with_scores(veil=4.0)), ("R", with_scores(veil=4.0))])
     assert both["veil"].gain == pytest.approx(8.0)
-    against = optimum(OPTICS, 3200.0, scores={"veil": call(4.0, -1.0)})
+    against = optimum(OPTICS, 3200.0, scores={"veil": score_test(4.0, -1.0)})
     assert summed([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain == 0.0
 
 
@@ -98,7 +98,7 @@ def test_parts_that_some_fits_were_not_asked_about_are_not_summed() -> None:
 
 
 def test_what_no_camera_has_gains_nothing() -> None:
-    assert call(1000.0, -1.0).gain == 0.0  # a camera that swallows stray light
+    assert score_test(1000.0, -1.0).gain == 0.0  # a camera that swallows stray light
 
 
 def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:

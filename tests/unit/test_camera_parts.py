@@ -11,7 +11,7 @@ import pytest
 
 from labkit.estimation.climb import Start
 from labkit.estimation.expansion import free_cone
-from labkit.estimation.scores import calls
+from labkit.estimation.scores import score_tests
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated_optics import optics_of, wanted_parts
 from labkit.imaging.aperture import Aperture
@@ -190,7 +190,7 @@ def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
     freed = free_cone(frames, Start(TRUTH), 0.03)
     assert "streak" in freed.optics.lacking
     # twice the gain of one number is chi-squared of one: beyond 5.4 once in a thousand
-    assert calls(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
+    assert score_tests(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
     model = plain.shaped(OPTICS.with_part("streak"))
     found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
     modes = len(OPTICS.noll)

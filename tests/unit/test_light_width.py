@@ -8,7 +8,7 @@ import pytest
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.local import Found
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.plan import Plan
 from tests.optimum_samples import PLAN, Play, optimum, played, range_of
@@ -19,10 +19,10 @@ STD = 1e-3
 
 def session(square: float, std: float = STD, channels: str = "G") -> Estimate:
     """Four ranges, each of whose fits calls for a relative square of the width."""
-    call = Call(np.array([square / std**2]), np.array([[std**-2]]))
+    score_test = ScoreTest(np.array([square / std**2]), np.array([[std**-2]]))
 
     def ends(task: Task) -> Found:
-        return Found((optimum(task.optics, range_of(task), scores={"spectrum": call}),))
+        return Found((optimum(task.optics, range_of(task), scores={"spectrum": score_test}),))
 
     return played(Play(ends), channels)
 

@@ -9,7 +9,7 @@ import pytest
 
 from labkit.estimation.climb import Problem, Start
 from labkit.estimation.expansion import Freed, free_cone
-from labkit.estimation.scores import Call, calls
+from labkit.estimation.scores import ScoreTest, score_tests
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
@@ -33,19 +33,19 @@ def fitted(of: Problem) -> Freed:
     return free_cone(of, Start(TRUTH), 0.03)
 
 
-def asked(of: Problem) -> dict[str, Call]:
+def asked(of: Problem) -> dict[str, ScoreTest]:
     freed = fitted(of)
-    return calls(freed.expansion, freed.optics.lacking, 0.03)
+    return score_tests(freed.expansion, freed.optics.lacking, 0.03)
 
 
 def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     frames = problem(LowPass(0.2, 0.15))
-    plain, call = fitted(frames), asked(frames)["low_pass_filter"]
+    plain, test = fitted(frames), asked(frames)["low_pass_filter"]
     model = frames.model.shaped(OPTICS.with_part("low_pass_filter"))
     climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
-    assert call.gain == pytest.approx(gained, rel=0.3)  # 20.3 of 23.7: a cosine is no parabola
+    assert test.gain == pytest.approx(gained, rel=0.3)  # 20.3 of 23.7: a cosine is no parabola
     rows, columns = climbed.measured.values[3:5]
     std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
     assert climbed.solution.converged
@@ -59,9 +59,9 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
     shown = replace(frames, model=frames.model.shaped(replace(OPTICS, panel=Aperture())))
     ours, plain = asked(shown), asked(frames)
     assert ours.keys() == plain.keys()
-    for name, call in plain.items():
-        np.testing.assert_allclose(ours[name].information, call.information, rtol=1e-6)
-        np.testing.assert_allclose(ours[name].slope, call.slope, rtol=1e-6)
+    for name, test in plain.items():
+        np.testing.assert_allclose(ours[name].information, test.information, rtol=1e-6)
+        np.testing.assert_allclose(ours[name].slope, test.slope, rtol=1e-6)
 
 
 def test_a_veil_is_climbed_to_with_its_width() -> None:
@@ -77,11 +77,11 @@ def test_a_veil_is_climbed_to_with_its_width() -> None:
 
 def test_a_plain_camera_calls_for_nothing() -> None:
     # twice the gain of n numbers is chi-squared of n at most: beyond 7 once in a thousand for three of them
-    assert {name: call.gain for name, call in asked(problem()).items() if call.gain > 7} == {}
+    assert {name: test.gain for name, test in asked(problem()).items() if test.gain > 7} == {}
 
 
 def test_a_model_that_has_everything_calls_for_nothing() -> None:
-    assert calls(fitted(problem()).expansion, [], 0.03) == {}
+    assert score_tests(fitted(problem()).expansion, [], 0.03) == {}
 
 
 def test_what_a_plan_gives_is_not_asked_for() -> None:

@@ -9,13 +9,13 @@ import pytest
 
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.local import Found
-from labkit.estimation.scores import Call
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.plan import Plan
 from labkit.results.model import PartTried
 from tests.optimum_samples import PLAN, RANGES_MM, Play, optimum, played, range_of
 
-CALL = Call(np.array([20.0]), np.eye(1))
+SCORE_TEST = ScoreTest(np.array([20.0]), np.eye(1))
 """A gain of 200 is promised."""
 
 
@@ -28,7 +28,7 @@ def session(height: Callable[[Task], float], *, plan: Plan = PLAN, plain: bool =
     """Fits at the two ends that call for a smear. height: log-likelihood of a task's optimum."""
 
     def ends(task: Task) -> Found:
-        scores = {} if task.optics.parts else {"smear": CALL}
+        scores = {} if task.optics.parts else {"smear": SCORE_TEST}
         made = optimum(task.optics, range_of(task), square=0.5, height=height(task), scores=scores)
         return Found((made,))
 
@@ -88,7 +88,7 @@ def test_what_a_part_would_gain_is_summed_over_all_fits_once_they_are_there() ->
 
     def ends(task: Task) -> Found:
         gain = 2.0 if range_of(task) == 3010.0 else 0.1
-        scores = {"veil": Call(np.array([np.sqrt(2 * gain)]), np.eye(1))}
+        scores = {"veil": ScoreTest(np.array([np.sqrt(2 * gain)]), np.eye(1))}
         return Found((optimum(task.optics, range_of(task), scores=scores),))
 
     (tried,) = played(Play(ends), "GRB").tried
