@@ -50,7 +50,7 @@ def selected() -> tuple[float, float, str]:
     selection = select(every, stated(70.0, 2.8))
     seconds = perf_counter() - began
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    named = set(selection.strangers)
+    named = set(selection.outliers)
     return seconds, most, f"{len(wrong & named)} of {len(wrong)}, {len(named - wrong)} right"
 
 

@@ -18,7 +18,7 @@ from labkit.estimation.lens_model import (
     FOCAL_LENGTH,
     FOCUS,
     MAGNIFICATION,
-    TAPE,
+    RANGE_ZERO,
     LensModel,
     Reading,
 )
@@ -168,7 +168,7 @@ def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Er
         "focal_length_mm": lens.std(FOCAL_LENGTH),
         "f_number": lens.std(F_NUMBER),
         "pupil_magnification": pupils * lens.std(MAGNIFICATION),
-        "range_zero_mm": lens.std(TAPE),
+        "range_zero_mm": lens.std(RANGE_ZERO),
     }
 
 
@@ -176,7 +176,7 @@ def _model(fits: Mapping[Key, Measured], stated: Stated) -> LensModel:
     """The laws of such a session. The target leans alike in all photographs."""
     readings = [Reading(key, key.range_mm, key.range_mm) for key in fits if key.range_mm is not None]
     first = next(iter(fits.values()))
-    tilt_std = min(fit.shortening[1] for fit in fits.values())
+    tilt_std = min(fit.foreshortening[1] for fit in fits.values())
     return LensModel(tuple(readings), first.noll, first.parts, stated, tilt_std=tilt_std)
 
 

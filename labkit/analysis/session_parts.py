@@ -88,15 +88,15 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
         here = wavefronts[k].fitted
         there = replace(here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone)))
         pairs.append((here, there))
-    return _moves(pairs, {} if session.lens is None else _focus_lean(session.lens))
+    return _moves(pairs, {} if session.lens is None else _focus_bias(session.lens))
 
 
-def _focus_lean(lens: LensFit) -> dict[str, float]:
+def _focus_bias(lens: LensFit) -> dict[str, float]:
     """By how much what the model lacks would move each best focus, mm."""
     focus = as_focus(lens)
-    if focus is None or lens.lean is None:
+    if focus is None or lens.bias is None:
         return {}
-    return {c: float(lens.model.best_focus(c) @ lens.lean.theta) for c in focus.best_focus_mm}
+    return {c: float(lens.model.best_focus(c) @ lens.bias.theta) for c in focus.best_focus_mm}
 
 
 def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:

@@ -10,7 +10,7 @@ import numpy as np
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import CONE, DEFOCUS, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, TAPE
+from labkit.estimation.lens_model import CONE, DEFOCUS, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, RANGE_ZERO
 from labkit.estimation.local import residuals
 from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residual_spectrum import residual_frequencies
@@ -63,7 +63,7 @@ def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
         return replace(w, test=replace(w.test, name=w.test.name if w.test.accepted else "starts", accepted=True))
     if k in session.members and not w.test.accepted:
         return replace(w, test=replace(w.test, name="session", accepted=True))
-    if k in session.strangers:
+    if k in session.outliers:
         return replace(w, test=replace(w.test, name="session", accepted=False))
     return w
 
@@ -131,7 +131,7 @@ def as_lens(lens: LensFit) -> Lens:
         Uncertain(lens.value(FOCAL_LENGTH), lens.std(FOCAL_LENGTH), "mm"),
         Uncertain(lens.value(F_NUMBER), lens.std(F_NUMBER)),
         _magnification(lens),
-        Uncertain(lens.value(TAPE), lens.std(TAPE), "mm"),
+        Uncertain(lens.value(RANGE_ZERO), lens.std(RANGE_ZERO), "mm"),
     )
 
 
@@ -144,7 +144,7 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     wanted["focal_length_mm"] = unit[model.index(FOCAL_LENGTH)]
     wanted["f_number"] = unit[model.index(F_NUMBER)]
     wanted["pupil_magnification"] = unit[model.index(MAGNIFICATION)] * _magnification(lens).value
-    wanted["range_zero_mm"] = unit[model.index(TAPE)]
+    wanted["range_zero_mm"] = unit[model.index(RANGE_ZERO)]
     return {name: lens.contributions(combination) for name, combination in wanted.items()}
 
 
@@ -166,8 +166,8 @@ def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
         for k, (key, local) in enumerate(zip(keys, session.fits, strict=True))
         if local.found.cut_short and k not in session.members
     ]
-    findings += [found("fit-mended", keys[k]) for k in session.mended]
-    findings += [found("fit-does-not-belong", keys[k]) for k in session.strangers]
+    findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
+    findings += [found("fit-does-not-belong", keys[k]) for k in session.outliers]
     return findings
 
 
@@ -193,8 +193,8 @@ def _lens_findings(lens: LensFit) -> Iterator[Finding]:
         yield found("cones-contradict-one-lens", cone_relative_error=float(np.expm1(lens.value(CONE))))
     if not lens.model.laws.shared:
         yield found("modes-differ-between-ranges", scatter_waves=lens.model.laws.mode_scatter)
-    if lens.widening > 1:
-        yield found("errors-widened", factor=lens.widening, chi2_per_freedom=lens.typical)
+    if lens.birge_ratio > 1:
+        yield found("errors-widened", factor=lens.birge_ratio, chi2_per_freedom=lens.reduced_chi2)
 
 
 def _stations(lens: LensFit) -> dict[str, set[float]]:

@@ -23,7 +23,7 @@ class Measured:
         over target, mm per mm, the mean of all directions)
     covariance : (values, values) of photons, read noise and calibration, without a prior on the f-number
     calibration : (values, values) part of it that the flats' errors make
-    shortening : ln of the scale along the line on which a tilted target does not recede, less the mean's; and its error
+    foreshortening : ln of the scale along the line on which a tilted target does not recede, less the mean's; and its error
     parts : labels of the parts' numbers
     model : (values, values) part of the covariance by residuals that are not noise alone, empty without
     """
@@ -32,7 +32,7 @@ class Measured:
     values: Floats
     covariance: Floats
     calibration: Floats
-    shortening: tuple[float, float] = (0.0, 0.0)
+    foreshortening: tuple[float, float] = (0.0, 0.0)
     parts: tuple[str, ...] = ()
     model: Floats = field(default_factory=lambda: np.empty((0, 0)))
 

@@ -62,9 +62,9 @@ class Estimate:
     fits : of those observations that have one
     lens : in common; None where no ranges, or no defocus, are there to determine one
     rows : place of each fit among the observations of `lens`, None where it bears on none
-    members : fits that the lens is made of; the others are strangers
-    strangers : fits that do not belong to the session
-    mended : fits that were made again from what the others predict, and then belonged
+    members : fits that the lens is made of; the others are outliers
+    outliers : fits that do not belong to the session
+    refitted_members : fits that were made again from what the others predict, and then belonged
     open_channels : channels whose signs the ranges leave open
     tried : camera parts that the fits were asked about
     missing : camera parts that the fits show and their model lacks
@@ -77,8 +77,8 @@ class Estimate:
     lens: LensFit | None = None
     rows: tuple[int | None, ...] = ()
     members: tuple[int, ...] = ()
-    strangers: tuple[int, ...] = ()
-    mended: tuple[int, ...] = ()
+    outliers: tuple[int, ...] = ()
+    refitted_members: tuple[int, ...] = ()
     open_channels: tuple[str, ...] = ()
     tried: tuple[PartTried, ...] = ()
     missing: tuple[str, ...] = ()

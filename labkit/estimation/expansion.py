@@ -154,7 +154,7 @@ class Expansion:
             values,
             pulled @ self.picked.T,
             pulled @ self.flats @ pulled.T,
-            _shortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
+            _foreshortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
             self.optics.shape_labels,
         )
 
@@ -317,14 +317,14 @@ def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
     )
 
 
-def _shortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
+def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
     """Mean and standard deviation over the poses that a covariance (8, 8) allows.
 
     Where the picture hardly determines which way the target leans, that is far from linear in the pose.
     """
     root = scipy.linalg.sqrtm(covariance).real
     steps = np.random.default_rng(0).normal(size=(SETTINGS.tilt_draws, POSE_SIZE)) @ root
-    values = [pose.moved(step).log_shortening() for step in steps]
+    values = [pose.moved(step).log_foreshortening() for step in steps]
     return float(np.mean(values)), float(np.std(values))
 
 

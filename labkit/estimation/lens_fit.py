@@ -54,15 +54,15 @@ class LensFit:
     model : the laws, for all observations
     measured : what the observations measured; members are those used
     solved : the least squares
-    lean : (columns,) and (groups, local columns) by which what the model of the frames lacks would move the estimate
-    lean_chi2 : by which that would change chi2
+    bias : (columns,) and (groups, local columns) by which what the model of the frames lacks would move the estimate
+    bias_chi2 : by which that would change chi2
     """
 
     model: LensModel
     measured: Measurements
     solved: LeastSquares
-    lean: Point | None = None
-    lean_chi2: float = 0.0
+    bias: Point | None = None
+    bias_chi2: float = 0.0
 
     @property
     def theta(self) -> Floats:
@@ -72,7 +72,7 @@ class LensFit:
     @property
     def chi2(self) -> float:
         """Of members and priors."""
-        return self.solved.chi2 + self.lean_chi2
+        return self.solved.chi2 + self.bias_chi2
 
     @cached_property
     def freedom(self) -> float:
@@ -85,7 +85,7 @@ class LensFit:
         return max(float(self.measured.used.sum() * self.model.values - free), 0.0)
 
     @property
-    def typical(self) -> float:
+    def reduced_chi2(self) -> float:
         """chi2 for each degree of freedom."""
         return self.chi2 / self.freedom if self.freedom >= 1 else 1.0
 
@@ -95,9 +95,9 @@ class LensFit:
         return float(chdtrc(self.freedom, self.chi2)) if self.freedom >= 1 else 1.0
 
     @property
-    def widening(self) -> float:
+    def birge_ratio(self) -> float:
         """Birge ratio, by which errors grow where the members disagree beyond chance; 1 where they do not."""
-        return float(np.sqrt(self.typical)) if self.p_value < SETTINGS.contradiction_chance else 1.0
+        return float(np.sqrt(self.reduced_chi2)) if self.p_value < SETTINGS.contradiction_chance else 1.0
 
     @cached_property
     def errors(self) -> Floats:
@@ -106,8 +106,8 @@ class LensFit:
 
     def errors_of(self, combinations: Floats) -> Floats:
         """(m, m) covariance of combinations (m, columns) of the estimate."""
-        noise = combinations @ self.solved.normal.covariance @ combinations.T * self.widening**2
-        return noise if self.lean is None else covariance_with_bias(noise, combinations @ self.lean.theta)
+        noise = combinations @ self.solved.normal.covariance @ combinations.T * self.birge_ratio**2
+        return noise if self.bias is None else covariance_with_bias(noise, combinations @ self.bias.theta)
 
     def value(self, kind: str, *name: str | float) -> float:
         """Estimate of a column."""
@@ -182,18 +182,18 @@ class LensFit:
         group = self.model.groups[k]
         followed = slopes[0] - own @ normal.eliminated[group]
         noise = followed @ normal.covariance @ followed.T + own @ normal.own_covariance[group] @ own.T
-        noise = noise * self.widening**2
-        if self.lean is None:
+        noise = noise * self.birge_ratio**2
+        if self.bias is None:
             return np.asarray(noise)
-        return covariance_with_bias(noise, slopes[0] @ self.lean.theta + own @ self.lean.own[group])
+        return covariance_with_bias(noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group])
 
-    def leaning(self, shifts: Floats) -> LensFit:
+    def with_bias(self, shifts: Floats) -> LensFit:
         """The same, where something would move what members measure by shifts (n, values): a bias, which widens nothing."""
         solved = self.solved
-        lean = Point(*solved.normal.solve(*solved.pulls(shifts)))
-        own = np.einsum("nvl,nl->nv", solved.own_slopes, lean.own[self.model.groups])
-        moved = shifts - solved.slopes @ lean.theta - own
-        return replace(self, lean=lean, lean_chi2=solved.data.chi2(solved.rest + moved) - solved.data.chi2(solved.rest))
+        bias = Point(*solved.normal.solve(*solved.pulls(shifts)))
+        own = np.einsum("nvl,nl->nv", solved.own_slopes, bias.own[self.model.groups])
+        moved = shifts - solved.slopes @ bias.theta - own
+        return replace(self, bias=bias, bias_chi2=solved.data.chi2(solved.rest + moved) - solved.data.chi2(solved.rest))
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Standard errors of a combination (columns,) of the estimate, by source: photons, calibration, geometry, model."""

@@ -24,7 +24,7 @@ from labkit.types import Floats, Indices
 FOCAL_LENGTH = "focal length"
 F_NUMBER = "f-number"
 MAGNIFICATION = "pupil magnification"
-TAPE = "tape"
+RANGE_ZERO = "tape"  # a key of results.json, where a joint climb is compared
 HOMING = "homing"
 STEPS = "steps"
 SIZE = "target size"
@@ -37,7 +37,7 @@ PART = "part"
 COMMON_MODE = "common mode"
 MODE = "mode"
 
-GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, TAPE, HOMING, STEPS, SIZE)
+GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE)
 OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
 """Columns of which nothing is known beforehand: their prior is no measurement."""
 
@@ -390,7 +390,7 @@ class LensModel:
         yield Column(FOCAL_LENGTH, (), focal.value, focal.std, 1e-2 * focal.value)
         yield Column(F_NUMBER, (), f_number.value, f_number.std, 1e-2 * f_number.value)
         yield Column(MAGNIFICATION, (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1)
-        yield Column(TAPE, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
+        yield Column(RANGE_ZERO, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
         yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
         yield Column(CONE, (), 0.0, self.laws.cone_std, 1e-2)
         homings = sorted({homing for reading in self.readings for homing in reading.homings})
@@ -460,7 +460,7 @@ class LensModel:
         slopes = np.zeros((6, len(self.columns)))
         for row, kind in enumerate(GEOMETRY[:3]):
             slopes[row, self.index(kind)] = 1.0
-        slopes[3:, self.index(TAPE)] = 1.0
+        slopes[3:, self.index(RANGE_ZERO)] = 1.0
         slopes[3, self.index(STEPS, reading.station)] = 1.0
         for homing in dict.fromkeys(reading.homings):
             if (column := self._places.get((HOMING, (homing,)))) is not None:  # all but the first

@@ -46,7 +46,7 @@ def with_model_error(session: Estimate) -> Estimate:
         row = session.rows[k]
         assert row is not None
         shifts[row] = _measured_shift(session.fits[k].optimum, session.fullest(k), (*model.noll, *model.parts))
-    return replace(session, lens=session.lens.leaning(shifts))
+    return replace(session, lens=session.lens.with_bias(shifts))
 
 
 def _measured_shift(optimum: Optimum, with_missing: Optimum, labels: Sequence[str | int]) -> Floats:

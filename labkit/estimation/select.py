@@ -34,14 +34,14 @@ class Options:
     covariance : (n, options, values, values)
     gain : (n, options) log-likelihood beside the observation's best, -inf where there is no such option
     cost : (n,) log-likelihood that leaving an observation out costs
-    shortening : (n, options, 2)
+    foreshortening : (n, options, 2)
     """
 
     values: Floats
     covariance: Floats
     gain: Floats
     cost: Floats
-    shortening: Floats
+    foreshortening: Floats
 
     @property
     def fitted(self) -> Bools:
@@ -71,7 +71,7 @@ class Options:
                 options.covariance[k, here] = measured.covariance * (1.0 if candidate.explained else growth)
                 options.covariance[k, here[1]] *= np.outer(measured.signs, measured.signs)
                 options.gain[k, here] = candidate.log_likelihood - best
-                options.shortening[k, here] = measured.shortening
+                options.foreshortening[k, here] = measured.foreshortening
         return options
 
 
@@ -98,7 +98,7 @@ class Selection:
     open_channels: tuple[str, ...] = ()
 
     @property
-    def strangers(self) -> list[Key]:
+    def outliers(self) -> list[Key]:
         """Keys of observations that were fitted and do not belong."""
         fitted = self.choice != OUT
         return [self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)]
@@ -124,7 +124,7 @@ class _Choices:
         at = np.maximum(choice, 0)
         none = np.zeros_like(self.options.covariance[n, at])
         values = self.options.values[n, at].copy()
-        values[:, -1] += self.options.shortening[n, at, 0]
+        values[:, -1] += self.options.foreshortening[n, at, 0]
         return Measurements(values, self.options.covariance[n, at], none, none, members)
 
     def fit(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[LensFit, float]:
@@ -181,7 +181,7 @@ class _Choices:
         """(n,) the best option of each observation by what all others predict, and what it promises to gain."""
         predicted, covariance = lens.predictions
         rest = self.options.values - predicted[:, None]
-        rest[..., -1] += self.options.shortening[..., 0]
+        rest[..., -1] += self.options.foreshortening[..., 0]
         chi2 = np.empty_like(self.options.gain)
         for at in range(chi2.shape[1]):
             noise = self.options.covariance[:, at] + covariance
@@ -286,7 +286,7 @@ def _measurements(
         measured = observed[k].candidates[place].measured.labelled(model.parts)
         measured = measured.twin() if twin else measured
         values[k], covariance[k], calibration[k] = measured.values, measured.covariance, measured.calibration
-        tilts[k] = measured.shortening
+        tilts[k] = measured.foreshortening
         if measured.model.size:
             poor[k] = measured.model
     common = _common_tilt(tilts[members])

@@ -184,7 +184,7 @@ class _Loop:
         return sure
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
-        """Fits to make again from what the others predict: strangers, and members whose residuals are not noise alone.
+        """Fits to make again from what the others predict: outliers, and members whose residuals are not noise alone.
 
         Where modes differ from range to range, every fit is tried with the modes of the others: the likelihood decides.
         Where the model is poor for all, that is why they differ.
@@ -396,11 +396,13 @@ class _Loop:
             return Estimate(fits, lost=lost)
         rows = tuple(self.ranged.index(k) if k in self.ranged else None for k in places)
         members = tuple(i for i, row in enumerate(rows) if row is not None and selection.members[row])
-        strangers = tuple(
+        outliers = tuple(
             i for i, row in enumerate(rows) if row is not None and selection.choice[row] != OUT and i not in members
         )
-        mended = tuple(i for i in members if places[i] in self.again)
-        return Estimate(fits, selection.lens, rows, members, strangers, mended, selection.open_channels, lost=lost)
+        refitted_members = tuple(i for i in members if places[i] in self.again)
+        return Estimate(
+            fits, selection.lens, rows, members, outliers, refitted_members, selection.open_channels, lost=lost
+        )
 
     def _left_out(self) -> list[str]:
         """Observations without a fit, in words."""

@@ -34,7 +34,7 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
     None where they agree as they are, or nowhere.
     """
     places = [k for k, fit in enumerate(session.fits) if fit.ranged and not fit.optimum.verdict.undetermined]
-    if session.lens is None or (session.lens.model.laws.paraxial and not session.strangers):
+    if session.lens is None or (session.lens.model.laws.paraxial and not session.outliers):
         return None
     order = sorted(places, key=lambda k: session.fits[k].observation.order)
     observed = {k: _observed(session, k) for k in places}
@@ -88,8 +88,8 @@ def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
         lens=selection.lens,
         rows=every,
         members=every,
-        strangers=(),
-        mended=(),
+        outliers=(),
+        refitted_members=(),
         with_missing=tuple(session.with_missing[k] for k in places if session.with_missing),
         without_found=None,
     )

@@ -87,14 +87,14 @@ class Pose:
     def log_scale(self) -> tuple[float, Floats]:
         """ln of pixels per mm at the target's centre, the geometric mean over all directions; and its slopes (8,) by v.
 
-        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_shortening` gives.
+        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_foreshortening` gives.
         """
         log_det = np.linalg.slogdet(self.matrix)[1]
         slopes = np.asarray(0.5 * np.linalg.inv(self.matrix).T, dtype=float)
         mean = 0.5 * (log_det - np.log(self.half_size_mm[0] * self.half_size_mm[1]))
         return float(mean), slopes[[0, 0, 0, 1, 1, 1, 2, 2], [2, 0, 1, 2, 0, 1, 0, 1]]
 
-    def log_shortening(self) -> float:
+    def log_foreshortening(self) -> float:
         """ln of pixels per mm along the line through the target's centre that does not recede, less the mean of all directions.
 
         A tilt shortens the target across that line only, wherever it stands in the picture. The line has (y, x) in the

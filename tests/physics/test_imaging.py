@@ -84,12 +84,12 @@ def test_the_scale_along_the_line_that_does_not_recede_is_that_of_a_target_that_
     tilts_deg: tuple[float, float], aside_mm: float
 ) -> None:
     pose = pinhole(tilts_deg, aside_mm)
-    assert pose.log_scale()[0] + pose.log_shortening() == pytest.approx(np.log(12000 / 400), abs=1e-12)
+    assert pose.log_scale()[0] + pose.log_foreshortening() == pytest.approx(np.log(12000 / 400), abs=1e-12)
 
 
 def test_the_mean_scale_is_less_by_half_of_ln_cos_of_a_tilt_and_its_slopes_are_differences() -> None:
     pose = pinhole((8.0, 0.0), 0.0)
-    assert pose.log_shortening() == pytest.approx(-0.5 * np.log(np.cos(np.radians(8.0))), abs=1e-12)
+    assert pose.log_foreshortening() == pytest.approx(-0.5 * np.log(np.cos(np.radians(8.0))), abs=1e-12)
     size = np.array([1e-3] * 6 + [1e-6] * 2)
     for slope, step in zip(pose.log_scale()[1], np.diag(size), strict=True):
         high, low = (pose.moved(s).log_scale()[0] for s in (step, -step))

@@ -12,7 +12,7 @@ from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.candidate import Observed
 from labkit.estimation.errors import covariance_with_bias
 from labkit.estimation.lens_fit import LensFit, fit_lens
-from labkit.estimation.lens_model import FOCUS, MAGNIFICATION, TAPE, Laws
+from labkit.estimation.lens_model import FOCUS, MAGNIFICATION, RANGE_ZERO, Laws
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION
@@ -51,7 +51,7 @@ def test_a_lens_is_found_again() -> None:
     assert np.exp(fit.value(MAGNIFICATION)) == pytest.approx(0.93, abs=2e-5)
     assert fit.value("f-number") == pytest.approx(4.0, abs=1e-3)
     assert best_focus(fit, "G").value == pytest.approx(482.0, abs=1e-4)
-    assert fit.value(TAPE) == pytest.approx(0.0, abs=2e-3)
+    assert fit.value(RANGE_ZERO) == pytest.approx(0.0, abs=2e-3)
 
 
 def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
@@ -60,26 +60,26 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     noise = fit.solved.normal.covariance
     shifts = np.array([0.3 * rng.normal(size=3) * np.sqrt(np.diag(measured_of(one).covariance)) for one in every])
     shifted = [with_values(one, measured_of(one).values + shift) for one, shift in zip(every, shifts, strict=True)]
-    there, leaning = lens_of(shifted, plan), fit.leaning(shifts)
-    assert leaning.lean is not None
+    there, biased = lens_of(shifted, plan), fit.with_bias(shifts)
+    assert biased.bias is not None
     std = np.sqrt(np.diag(noise))
-    np.testing.assert_allclose(leaning.lean.theta / std, (there.theta - fit.theta) / std, atol=0.01)  # the laws bend
-    widened = covariance_with_bias(noise * leaning.widening**2, leaning.lean.theta)
-    np.testing.assert_allclose(leaning.errors, widened)
+    np.testing.assert_allclose(biased.bias.theta / std, (there.theta - fit.theta) / std, atol=0.01)  # the laws bend
+    widened = covariance_with_bias(noise * biased.birge_ratio**2, biased.bias.theta)
+    np.testing.assert_allclose(biased.errors, widened)
     # the members disagree as they would after the move, not as they do now
-    assert leaning.chi2 == pytest.approx(there.chi2, rel=0.02)
-    assert fit.chi2 < 1e-6 < 1 < leaning.chi2
-    assert leaning.std(TAPE) > fit.std(TAPE)
+    assert biased.chi2 == pytest.approx(there.chi2, rel=0.02)
+    assert fit.chi2 < 1e-6 < 1 < biased.chi2
+    assert biased.std(RANGE_ZERO) > fit.std(RANGE_ZERO)
 
 
 def test_the_sources_of_an_error_with_a_bias_add_up_to_its_variance() -> None:
     every, plan = near_session()
     shifts = np.zeros((len(every), 3))
     shifts[::2, 0] = 2e-4
-    leaning = lens_of(every, plan).leaning(shifts)
-    for k, unit in enumerate(np.eye(len(leaning.theta))):
-        shares = leaning.contributions(unit)
-        assert sum(share**2 for share in shares.values()) == pytest.approx(leaning.errors[k, k])
+    biased = lens_of(every, plan).with_bias(shifts)
+    for k, unit in enumerate(np.eye(len(biased.theta))):
+        shares = biased.contributions(unit)
+        assert sum(share**2 for share in shares.values()) == pytest.approx(biased.errors[k, k])
 
 
 def drawn(rng: np.random.Generator, plan: Stated, mp: float) -> tuple[list[Observed], dict[str, float]]:
@@ -97,7 +97,14 @@ def drawn(rng: np.random.Generator, plan: Stated, mp: float) -> tuple[list[Obser
             floors = np.diag([SETTINGS.defocus_floor_waves**2, 0.0, SETTINGS.size_floor**2])
             noise = rng.multivariate_normal(np.zeros(3), covariance(clean[0]) + floors)
             every.append(observed(r, c, measured(clean + noise)))
-    truth = {"R": best["R"], "B": best["B"], "focal length": f, "f-number": n, TAPE: zero, MAGNIFICATION: np.log(mp)}
+    truth = {
+        "R": best["R"],
+        "B": best["B"],
+        "focal length": f,
+        "f-number": n,
+        RANGE_ZERO: zero,
+        MAGNIFICATION: np.log(mp),
+    }
     return every, truth
 
 
@@ -129,7 +136,7 @@ def test_the_misfit_of_a_session_is_as_large_as_chance_makes_it() -> None:
     # nothing was known of three best focuses and of two colours' sizes
     assert [fit.freedom for fit in fits] == pytest.approx([15 * 3 - 5] * 40, rel=1e-6)
     # the mean of 40 chi-squareds over their 40 freedoms errs by sqrt(2 / 1600); allow four of them
-    assert np.mean([fit.typical for fit in fits]) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1600))
+    assert np.mean([fit.reduced_chi2 for fit in fits]) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1600))
 
 
 def test_an_estimate_that_believes_the_rail_is_exact_is_wrong() -> None:
@@ -162,7 +169,7 @@ def independent_std(
             information += slope.T @ np.linalg.solve(noise, slope)
     scale = 1 / np.sqrt(np.diag(information))
     std = scale * np.sqrt(np.diag(np.linalg.inv(information * np.outer(scale, scale))))
-    names = ("focal length", "f-number", MAGNIFICATION, TAPE)
+    names = ("focal length", "f-number", MAGNIFICATION, RANGE_ZERO)
     return dict(zip(names, std, strict=False)) | {FOCUS: std[4]}
 
 
@@ -182,13 +189,13 @@ def test_standard_errors_are_those_of_an_independent_calculation(case: str) -> N
     held = {"focal_length": Uncertain(f, 1e-9), "f_number": Uncertain(n, 1e-9), "range_zero_std_mm": 1e-9}
     plan = stated(f, n, **(held if exact else {}))
     fit = lens_of(members(ranges, focus, f, n, size_std=size_std), plan)
-    found = {name: fit.std(name) for name in ("focal length", "f-number", MAGNIFICATION, TAPE)}
+    found = {name: fit.std(name) for name in ("focal length", "f-number", MAGNIFICATION, RANGE_ZERO)}
     found[FOCUS] = best_focus(fit, "G").std
     for name, std in independent_std(ranges, focus, plan, size_std).items():
         if std > 1e-6:  # what is held exact has no error to compare
             assert found[name] == pytest.approx(std, rel=2e-6), name
     pure = independent_std(ranges, focus, plan, size_std, floors=False)
-    numbers = [pure[name] for name in (FOCUS, "f-number", "focal length", MAGNIFICATION, TAPE)]
+    numbers = [pure[name] for name in (FOCUS, "f-number", "focal length", MAGNIFICATION, RANGE_ZERO)]
     numbers[1] *= 100 / n
     for number, wanted in zip(numbers, printed, strict=True):
         # the table does not say what it takes for known of the magnification beforehand, nor where focus lay
@@ -217,7 +224,7 @@ def test_the_sources_of_an_error_add_up_to_its_variance() -> None:
 def test_errors_grow_where_the_members_disagree() -> None:
     every, plan = near_session()
     fit = lens_of([moved(one, 0.01) if k % 4 == 0 else one for k, one in enumerate(every)], plan)
-    assert fit.widening > 3
+    assert fit.birge_ratio > 3
     shares = budget(fit)["best_focus_mm.G"]
     assert np.linalg.norm(list(shares.values())) == pytest.approx(best_focus(fit, "G").std, rel=1e-6)
 
@@ -293,7 +300,7 @@ def test_defocus_that_no_lens_has_gives_no_magnification() -> None:
     every, plan = near_session()
     fit = lens_of([moved(one, 2 * measured_of(one).values[0] + 0.5) for one in every], plan)
     assert fit.p_value < 1e-6
-    assert fit.widening > 5
+    assert fit.birge_ratio > 5
     assert not focus_of(fit).identifiable
 
 
@@ -304,27 +311,29 @@ def test_ranges_that_tell_nothing_leave_no_zero_error() -> None:
     assert fit.std(MAGNIFICATION) == pytest.approx(USUAL_LOG_MAGNIFICATION, rel=0.3)
 
 
-def leaning(one: Observed, shortening: float, std: float) -> Observed:
-    """A member whose target leans: its size is less by as much."""
+def tilted(one: Observed, foreshortening: float, std: float) -> Observed:
+    """A member whose target is tilted, which makes its size less by `foreshortening`."""
     of = measured_of(one)
-    return with_measured(one, replace(of, values=of.values - [0.0, 0.0, shortening], shortening=(shortening, std)))
+    return with_measured(
+        one, replace(of, values=of.values - [0.0, 0.0, foreshortening], foreshortening=(foreshortening, std))
+    )
 
 
 def test_a_tilt_that_all_ranges_share_costs_no_precision_of_one_size_against_another() -> None:
     every = members((1900, 2000, 2100), 2010, 70.0, 2.8)
     straight = lens_of(every, stated(70.0, 2.8))
-    leans = lens_of([leaning(one, 8e-4, 3e-4 if k else 1e-5) for k, one in enumerate(every)], stated(70.0, 2.8))
-    assert leans.model.tilt_std == 1e-5
-    off = np.abs(leans.theta - straight.theta) / np.sqrt(np.diag(straight.errors))
+    fit = lens_of([tilted(one, 8e-4, 3e-4 if k else 1e-5) for k, one in enumerate(every)], stated(70.0, 2.8))
+    assert fit.model.tilt_std == 1e-5
+    off = np.abs(fit.theta - straight.theta) / np.sqrt(np.diag(straight.errors))
     assert off.max() < 1e-3
-    assert leans.std(MAGNIFICATION) == pytest.approx(straight.std(MAGNIFICATION), rel=0.02)
+    assert fit.std(MAGNIFICATION) == pytest.approx(straight.std(MAGNIFICATION), rel=0.02)
 
 
 def test_tilts_that_differ_count_each_for_itself_with_their_errors() -> None:
     every, plan = members((1900, 2000, 2100), 2010, 70.0, 2.8), stated(70.0, 2.8)
-    leans = lens_of([leaning(one, (2e-4, 8e-4, 5e-4)[k // 3], 2e-5) for k, one in enumerate(every)], plan)
-    assert leans.model.tilt_std == 0.0
-    variances = leans.measured.covariance[:, -1, -1]
+    fit = lens_of([tilted(one, (2e-4, 8e-4, 5e-4)[k // 3], 2e-5) for k, one in enumerate(every)], plan)
+    assert fit.model.tilt_std == 0.0
+    variances = fit.measured.covariance[:, -1, -1]
     np.testing.assert_allclose(variances, SIZE_STD**2 + 2e-5**2)
     straight = lens_of(every, plan)
-    assert leans.value("focal length") == pytest.approx(straight.value("focal length"), abs=0.02)
+    assert fit.value("focal length") == pytest.approx(straight.value("focal length"), abs=0.02)

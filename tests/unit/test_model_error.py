@@ -37,15 +37,15 @@ def plain() -> Estimate:
 
 
 def test_the_lens_leans_by_what_the_part_would_move(plain: Estimate) -> None:
-    leaning = with_model_error(plain).lens
+    biased = with_model_error(plain).lens
     assert plain.lens is not None
-    assert leaning is not None
-    assert leaning.lean is not None
-    moves = float(leaning.model.best_focus("G") @ leaning.lean.theta)
+    assert biased is not None
+    assert biased.bias is not None
+    moves = float(biased.model.best_focus("G") @ biased.bias.theta)
     # both ranges' defocus grows by as much: the crossing moves by that over the slope at focus, about that of the chord
     (near, *_), (far, *_) = map(true_values, ENDS)
     assert moves == pytest.approx(-MOVED / ((far - near) / (ENDS[1] - ENDS[0])), rel=0.05)
-    assert best_focus(leaning, "G").std > abs(moves) > 3 * best_focus(plain.lens, "G").std
+    assert best_focus(biased, "G").std > abs(moves) > 3 * best_focus(plain.lens, "G").std
 
 
 def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
@@ -57,12 +57,12 @@ def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
         state = replace(fit.optimum.state, waves=there.waves)
         fuller.append(replace(fit.optimum, measured=there, state=state))
     assert plain.lens is not None
-    leaning = with_model_error(replace(plain, with_missing=tuple(fuller))).lens
-    wanted = plain.lens.leaning(np.array([moves, moves]))
-    assert leaning is not None
-    assert leaning.lean is not None
-    assert wanted.lean is not None
-    np.testing.assert_allclose(leaning.lean.theta, wanted.lean.theta, rtol=1e-9, atol=1e-12)
+    biased = with_model_error(replace(plain, with_missing=tuple(fuller))).lens
+    wanted = plain.lens.with_bias(np.array([moves, moves]))
+    assert biased is not None
+    assert biased.bias is not None
+    assert wanted.bias is not None
+    np.testing.assert_allclose(biased.bias.theta, wanted.bias.theta, rtol=1e-9, atol=1e-12)
 
 
 def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
@@ -70,12 +70,12 @@ def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
     play = Play(lambda task: Found((optimum(task.optics, range_of(task), square=0.2),)))
     found = played(play, ranges_mm=ENDS, plan=FILTERED)
     without = tuple(optimum(fit.optics.without([FILTER]), r) for fit, r in zip(found.fits, ENDS, strict=True))
-    leaning = with_model_error(replace(found, missing=("smear",), with_missing=without)).lens
-    assert leaning is not None
-    assert leaning.lean is not None
-    rows = leaning.model.index("part", f"{FILTER}.rows_px2")
-    assert leaning.theta[rows] == pytest.approx(0.2)
-    assert leaning.lean.theta[rows] == pytest.approx(-0.2, rel=1e-3)
+    biased = with_model_error(replace(found, missing=("smear",), with_missing=without)).lens
+    assert biased is not None
+    assert biased.bias is not None
+    rows = biased.model.index("part", f"{FILTER}.rows_px2")
+    assert biased.theta[rows] == pytest.approx(0.2)
+    assert biased.bias.theta[rows] == pytest.approx(-0.2, rel=1e-3)
 
 
 def test_a_session_that_lacks_nothing_stays_as_it_is(plain: Estimate) -> None:

@@ -183,9 +183,9 @@ def test_a_selection_begins_where_an_earlier_one_ended() -> None:
 
 def test_a_wrong_optimum_is_named_and_no_other() -> None:
     every = session()
-    assert select(every, PLAN).strangers == []
+    assert select(every, PLAN).outliers == []
     selection = select([moved(one, 0.09) if k == 7 else one for k, one in enumerate(every)], PLAN)  # physics.md §15
-    assert selection.strangers == keys(every, 7)
+    assert selection.outliers == keys(every, 7)
     focus = best_focus(selection.lens, every[7].reading.key.channel)
     assert focus.value == pytest.approx(2050.0, abs=4 * focus.std)
 
@@ -194,7 +194,7 @@ def test_a_few_wrong_optima_cost_no_law() -> None:
     for wrong in ([7], [7, 11]):
         off = [moved(one, 0.02, modes=-0.05) if k in wrong else one for k, one in enumerate(session())]
         selection = select(off, PLAN)
-        assert selection.strangers == keys(off, *wrong)
+        assert selection.outliers == keys(off, *wrong)
         assert selection.lens.model.laws.shared
         assert selection.lens.model.laws.paraxial
         assert selection.lens.p_value > 0.1
@@ -204,15 +204,15 @@ def test_of_two_camps_that_contradict_each_other_one_is_named_by_its_keys() -> N
     """The lens was focused anew after some of the ranges: defocus follows one focus or another."""
     first, last = session("G", RANGES[:3]), session("G", RANGES[3:], 2090.0)
     selection = select([*first, *last], PLAN)
-    strangers = set(selection.strangers)
-    assert strangers in ({one.reading.key for one in first}, {one.reading.key for one in last})
+    outliers = set(selection.outliers)
+    assert outliers in ({one.reading.key for one in first}, {one.reading.key for one in last})
 
 
 def test_where_everyone_belongs_none_is_left_out_whatever_that_costs() -> None:
     every = [moved(one, 0.09) if k == 7 else one for k, one in enumerate(session())]
     selection = select(every, PLAN, everyone=True)
     assert selection.members.all()
-    assert selection.lens.widening > 3
+    assert selection.lens.birge_ratio > 3
     assert selection.lens.model.laws.paraxial
 
 
@@ -220,7 +220,7 @@ def test_what_is_not_fitted_is_predicted() -> None:
     every = session()
     blind = [replace(one, candidates=()) if k == 7 else one for k, one in enumerate(every)]
     selection = select(blind, PLAN)
-    assert selection.strangers == []
+    assert selection.outliers == []
     predicted, covariance = selection.lens.predictions
     noise = covariance[7] + measured_of(every[7]).covariance
     off = predicted[7] - measured_of(every[7]).values
@@ -247,7 +247,7 @@ def test_a_cone_of_another_lens_is_not_believed() -> None:
     every, plan = members(ranges, 482.0, 60.0, 4.0), stated(60.0, 4.0, **exact, range_zero_std_mm=0.1)
     assert select(every, plan).lens.model.laws.paraxial
     selection = select([moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every], plan)
-    assert selection.strangers == []
+    assert selection.outliers == []
     assert not selection.lens.model.laws.paraxial
     # without sizes the pupils take a part of it upon them: 0.020 is left
     assert 0.01 < selection.lens.value(CONE) < 0.04
@@ -259,7 +259,7 @@ def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> 
     assert select(every, PLAN).lens.model.laws.shared
     drifting = [moved(one, modes=1e-4 * (one.reading.range_mm - 2060.0)) for one in every]
     selection = select(drifting, PLAN)
-    assert selection.strangers == []
+    assert selection.outliers == []
     assert selection.lens.model.laws.mode_scatter == 0.01  # half decades: the drift is 0.011 RMS
     assert selection.lens.model.laws.paraxial
 
@@ -288,4 +288,4 @@ def test_among_tiles_every_wrong_optimum_is_named() -> None:
     wrong = {int(3 * group + rng.integers(3)): rng.normal(0, 0.3, 2) for group in at}
     off = [moved(one, wrong[k][0], modes=0.05 + abs(wrong[k][1])) if k in wrong else one for k, one in enumerate(every)]
     selection = select([turned(one) if rng.random() < 0.5 else one for one in off], PLAN)
-    assert sorted(selection.strangers) == sorted(keys(every, *wrong))
+    assert sorted(selection.outliers) == sorted(keys(every, *wrong))

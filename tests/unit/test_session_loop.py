@@ -111,10 +111,10 @@ def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(ch
     assert again.label == label
     truth = true_values(range_of(again))[:2]
     np.testing.assert_allclose(again.guesses.starts[0], truth, atol=7e-4)
-    (mended,) = session.mended
-    assert session.fits[mended].label == label
-    np.testing.assert_allclose(session.fits[mended].optimum.waves, truth)
-    assert session.strangers == ()
+    (refitted,) = session.refitted_members
+    assert session.fits[refitted].label == label
+    np.testing.assert_allclose(session.fits[refitted].optimum.waves, truth)
+    assert session.outliers == ()
     assert len(session.members) == len(session.fits)
 
 
@@ -126,8 +126,8 @@ def test_a_fit_that_began_from_the_prediction_and_ended_elsewhere_does_not_belon
     play = Play(ends)
     session = played(play)
     assert len(play.batches) == 2
-    assert session.strangers == (1,)
-    assert session.mended == ()
+    assert session.outliers == (1,)
+    assert session.refitted_members == ()
     assert session.lens is not None
     assert best_focus(session.lens, "G").value == pytest.approx(3000.0, abs=1e-3)
 
