@@ -105,9 +105,10 @@ def check(photographs: Path, work: Path) -> Outcome:
     bands = {nm: band_of(photographs, work / str(nm), nm, corners) for nm in BANDS}
     fits = together(bands)
     um = 8 * F_NUMBER**2 * np.sqrt(12) * REFERENCE_NM * 1e-3  # of a wave RMS of defocus
-    poor = [fits[nm].best.poor for nm in BANDS]  # the model is rejected: errors hold what it leaves unexplained
-    focus = um * np.array([measured.values[0] for measured in poor])
-    std = um * np.sqrt([measured.covariance[0, 0] for measured in poor])
+    # the model is rejected: sandwich errors include what it leaves unexplained
+    sandwich = [fits[nm].best.sandwich for nm in BANDS]
+    focus = um * np.array([measured.values[0] for measured in sandwich])
+    std = um * np.sqrt([measured.covariance[0, 0] for measured in sandwich])
     places = np.array([corners_found(bands[nm], fits[nm]) for nm in BANDS])
     sizes = np.array([np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places])
     middle = list(BANDS).index(550)

@@ -84,7 +84,7 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
     """How far the parts that the model lacks would move the session's results."""
     pairs = list[tuple[FittedWavefront, FittedWavefront]]()
     for k in session.trusted:
-        modes, cone = shift(session.fits[k].optimum, session.fullest(k))
+        modes, cone = shift(session.fits[k].optimum, session.with_all_parts(k))
         here = wavefronts[k].fitted
         there = replace(here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone)))
         pairs.append((here, there))
@@ -104,8 +104,8 @@ def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, 
 
     None where no part was found.
     """
-    plain = session.without_found
-    if plain is None or session.unaided(0) is None:
+    plain = session.stated_camera
+    if plain is None or session.with_stated_camera(0) is None:
         return None
     others = as_wavefronts(plain)
     pairs = [(wavefronts[k].fitted, others[k].fitted) for k in session.trusted]

@@ -39,11 +39,11 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
 
 def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
     """Fit k, with errors that hold what a missing part may move it by."""
-    local, fullest = session.fits[k], session.fullest(k)
-    w = as_wavefront(local, session.unaided(k))
-    if local.optimum is fullest:
+    local, complete = session.fits[k], session.with_all_parts(k)
+    w = as_wavefront(local, session.with_stated_camera(k))
+    if local.optimum is complete:
         return w
-    modes, cone = shift(local.optimum, fullest)
+    modes, cone = shift(local.optimum, complete)
     std = float(error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone)))
     return replace(w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std)
 
@@ -211,8 +211,8 @@ def _magnification(lens: LensFit) -> Uncertain:
     return Uncertain(value, value * lens.std(MAGNIFICATION))
 
 
-def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
-    """A local fit as results keep it. unaided: the same without the parts that were found, if any were."""
+def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) -> Wavefront:
+    """A local fit as results keep it. with_stated_camera: the same without the parts that were found, if any were."""
     optics: Optics = local.optics
     observation, optimum = local.observation, local.optimum
     poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in optimum.state.poses]
@@ -236,7 +236,7 @@ def as_wavefront(local: LocalFit, unaided: LocalFit | None = None) -> Wavefront:
         residual_spectrum=ResidualSpectrum(
             residual_frequencies(observation.frames),
             optimum.residual_power,
-            None if unaided is None else unaided.optimum.residual_power,
+            None if with_stated_camera is None else with_stated_camera.optimum.residual_power,
         ),
         seconds=local.found.seconds,
         frames=observation.names,

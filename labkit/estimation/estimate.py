@@ -69,7 +69,7 @@ class Estimate:
     tried : camera parts that the fits were asked about
     missing : camera parts that the fits show and their model lacks
     with_missing : fits with the missing parts, None where there is none
-    without_found : the session without the parts that its plan does not state, where some were found
+    stated_camera : the session without the parts that its plan does not state, where some were found
     lost : why observations have no fit, in words
     """
 
@@ -83,7 +83,7 @@ class Estimate:
     tried: tuple[PartTried, ...] = ()
     missing: tuple[str, ...] = ()
     with_missing: tuple[Optimum | None, ...] = ()
-    without_found: Estimate | None = None
+    stated_camera: Estimate | None = None
     lost: tuple[str, ...] = ()
 
     @property
@@ -91,12 +91,12 @@ class Estimate:
         """The members, or all fits where there is no lens to belong to."""
         return self.members or tuple(range(len(self.fits)))
 
-    def unaided(self, k: int) -> LocalFit | None:
+    def with_stated_camera(self, k: int) -> LocalFit | None:
         """Fit k without the parts that were found; None where none was, or memory was too short for some."""
-        plain = self.without_found
+        plain = self.stated_camera
         return None if plain is None or len(plain.fits) != len(self.fits) else plain.fits[k]
 
-    def fullest(self, k: int) -> Optimum:
+    def with_all_parts(self, k: int) -> Optimum:
         """Optimum of fit k with what its model lacks, where there is one."""
         with_missing = self.with_missing[k] if self.with_missing else None
         return self.fits[k].optimum if with_missing is None else with_missing

@@ -31,7 +31,7 @@ class Freed:
     """Where a fit ends once its cone is free, and what of the camera is.
 
     expansion: the last, which the last step began at; optics: of where it ends; covariance: (modes, modes) of the modes, the
-    shape's prior error in it; measured: without that prior; poor: the same if residuals are not noise alone.
+    shape's prior error in it; measured: without that prior; sandwich: the same if residuals are not noise alone.
     """
 
     expansion: Expansion
@@ -39,7 +39,7 @@ class Freed:
     optics: Optics
     covariance: Floats
     measured: Measured
-    poor: Measured
+    sandwich: Measured
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Expansion:
             self.optics.shape_labels,
         )
 
-    def poor(self, measured: Measured) -> Measured:
+    def sandwich(self, measured: Measured) -> Measured:
         """What `measured` says, if residuals are not noise alone: with larger errors."""
         _, covariance = self.newton(self.optics.usual_shape**-2)
         model = self.picked @ self.surplus(covariance) @ self.picked.T
@@ -223,7 +223,7 @@ def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, 
         expansion.optics_after(step),
         covariance[:modes, :modes],
         measured,
-        expansion.poor(measured),
+        expansion.sandwich(measured),
     )
 
 

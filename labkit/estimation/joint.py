@@ -163,7 +163,7 @@ def reach(leg: Leg) -> Reached:
     problem = problem_at(leg, optics, state)
     expansion = expand(problem, Start(state))
     measured = expansion.measured()
-    return Reached(state, optics, measured if leg.explained else expansion.poor(measured), expansion.objective)
+    return Reached(state, optics, measured if leg.explained else expansion.sandwich(measured), expansion.objective)
 
 
 def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:

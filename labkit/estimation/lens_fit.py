@@ -200,7 +200,7 @@ class LensFit:
         normal, model, measured = self.solved.normal, self.model, self.measured
         pull = ((self._seen @ (normal.covariance @ gradient))[:, None] @ self.solved.data.precision)[:, 0]
         calibration = quadratic(pull, measured.calibration)
-        poor = quadratic(pull, measured.model)
+        surplus = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
         prior = ((gradient @ normal.covariance) / model.prior_std) ** 2
         kinds = [column.kind for column in model.columns]
@@ -208,10 +208,10 @@ class LensFit:
             kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)
         }
         shares = {
-            "photons": quadratic(pull, measured.covariance) - calibration - poor,
+            "photons": quadratic(pull, measured.covariance) - calibration - surplus,
             "calibration": calibration,
             "geometry": float(scatter[-1]) + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
-            "model": poor + float(scatter[:-1].sum()) + share.get(WAVELENGTH, 0.0) + share.get(CONE, 0.0),
+            "model": surplus + float(scatter[:-1].sum()) + share.get(WAVELENGTH, 0.0) + share.get(CONE, 0.0),
         }
         shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(shares.values())
         return {name: float(np.sqrt(max(value, 0.0))) for name, value in shares.items()}

@@ -37,7 +37,7 @@ class Optimum:
     optics : f-number and camera parts there
     covariance : (modes, modes) waves RMS squared, the given f-number's error included
     measured : what the frames alone say, for the session
-    poor : the same with errors of a model that does not explain the frames
+    sandwich : the same with errors of a model that does not explain the frames
     log_likelihood : of the frames and the noise's calibration
     chi2_per_pixel : of the residuals
     verdict : whether the residuals are noise alone
@@ -50,7 +50,7 @@ class Optimum:
     optics: Optics
     covariance: Floats
     measured: Measured
-    poor: Measured
+    sandwich: Measured
     log_likelihood: float
     chi2_per_pixel: float
     verdict: Verdict
@@ -72,7 +72,7 @@ class Optimum:
     def candidate(self) -> Candidate:
         """As the session's selection takes it."""
         explained = self.verdict.accepted
-        return Candidate(self.measured if explained else self.poor, self.log_likelihood, explained)
+        return Candidate(self.measured if explained else self.sandwich, self.log_likelihood, explained)
 
     @property
     def unexplained(self) -> float:
@@ -88,7 +88,7 @@ class Optimum:
             state=replace(self.state, waves=self.waves * signs),
             covariance=self.covariance * np.outer(signs, signs),
             measured=self.measured.twin(),
-            poor=self.poor.twin(),
+            sandwich=self.sandwich.twin(),
         )
 
     def canonical(self) -> Optimum:
@@ -317,9 +317,9 @@ def _judged(freed: Freed) -> Optimum:
     return Optimum(
         state=solution.state,
         optics=freed.optics,
-        covariance=freed.covariance if explained else freed.covariance + freed.poor.model[:modes, :modes],
+        covariance=freed.covariance if explained else freed.covariance + freed.sandwich.model[:modes, :modes],
         measured=freed.measured,
-        poor=freed.poor,
+        sandwich=freed.sandwich,
         log_likelihood=solution.objective,
         chi2_per_pixel=solution.chi2_per_pixel,
         verdict=verdict.knowing(solution.covariance()[:modes, :modes], freed.measured.noll),

@@ -28,10 +28,10 @@ def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
 
 def confirmed(session: Estimate, index: int) -> bool:
     """Whether a fit is at the optimum that explains its frames once the model has what it lacks."""
-    optimum, fullest = session.fits[index].optimum, session.fullest(index)
-    if optimum is fullest or not fullest.verdict.accepted:
+    optimum, complete = session.fits[index].optimum, session.with_all_parts(index)
+    if optimum is complete or not complete.verdict.accepted:
         return False
-    modes, _ = shift(optimum, fullest)
+    modes, _ = shift(optimum, complete)
     above_defocus = [k for k, j in enumerate(optimum.noll) if j != DEFOCUS]
     return float(np.linalg.norm(modes[above_defocus])) < SETTINGS.sure_waves
 
@@ -45,7 +45,7 @@ def with_model_error(session: Estimate) -> Estimate:
     for k in session.members:
         row = session.rows[k]
         assert row is not None
-        shifts[row] = _measured_shift(session.fits[k].optimum, session.fullest(k), (*model.noll, *model.parts))
+        shifts[row] = _measured_shift(session.fits[k].optimum, session.with_all_parts(k), (*model.noll, *model.parts))
     return replace(session, lens=session.lens.with_bias(shifts))
 
 

@@ -280,7 +280,7 @@ def _measurements(
     size, n = model.values, len(observed)
     values, tilts = np.zeros((n, size)), np.zeros((n, 2))
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
-    calibration, poor = np.zeros((n, size, size)), np.zeros((n, size, size))
+    calibration, surplus = np.zeros((n, size, size)), np.zeros((n, size, size))
     for k in np.flatnonzero(choice != OUT).tolist():
         place, twin = divmod(int(choice[k]), 2)
         measured = observed[k].candidates[place].measured.labelled(model.parts)
@@ -288,11 +288,11 @@ def _measurements(
         values[k], covariance[k], calibration[k] = measured.values, measured.covariance, measured.calibration
         tilts[k] = measured.foreshortening
         if measured.model.size:
-            poor[k] = measured.model
+            surplus[k] = measured.model
     common = _common_tilt(tilts[members])
     values[:, -1] += tilts[:, 0] if common is None else common[0]
     return (
-        Measurements(values, covariance, calibration, poor, members),
+        Measurements(values, covariance, calibration, surplus, members),
         0.0 if common is None else common[1],
         tilts[:, 1] if common is None else np.empty(0),
     )

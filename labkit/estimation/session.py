@@ -346,9 +346,9 @@ class _Loop:
         )
         if not self.parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
-        bare = self._without_found(whole)
+        bare = self._with_stated_camera(whole)
         if not plain:
-            return replace(self._asked(whole, (), {}), without_found=bare)
+            return replace(self._asked(whole, (), {}), stated_camera=bare)
         missing = (*self.camera.missing, *sorted(self.parts))
         full = {k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)}
         return self._asked(bare, missing, full, adopted=False)
@@ -361,7 +361,7 @@ class _Loop:
         tried = tuple(self.camera.tried if adopted else [replace(one, adopted=False) for one in self.camera.tried])
         return replace(session, tried=tried, missing=missing, with_missing=with_missing if missing else ())
 
-    def _without_found(self, whole: Estimate) -> Estimate:
+    def _with_stated_camera(self, whole: Estimate) -> Estimate:
         """The session as the plan states its camera, every fit climbed from where it is right with all parts."""
         places = sorted(self.found)
         bare = self._climbed(places, Parts(), score=False)

@@ -72,7 +72,7 @@ def _whole(observed: Sequence[Observed], stated: Stated) -> Selection:
 
 def _observed(session: Estimate, k: int) -> Observed:
     """The chosen optimum of a fit, with what its model lacks."""
-    return Observed(reading_of(session.fits[k].observation), (session.fullest(k).candidate,))
+    return Observed(reading_of(session.fits[k].observation), (session.with_all_parts(k).candidate,))
 
 
 def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
@@ -91,7 +91,7 @@ def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
         outliers=(),
         refitted_members=(),
         with_missing=tuple(session.with_missing[k] for k in places if session.with_missing),
-        without_found=None,
+        stated_camera=None,
     )
 
 

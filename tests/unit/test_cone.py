@@ -133,7 +133,7 @@ def scatter_and_errors(model: ForwardModel, alike_px: float) -> tuple[Floats, Fl
     rng, used, one = np.random.default_rng(5), np.ones(FRAME, bool), np.ones(FRAME)
     (seen,) = model.means(TRUTH.waves, model.draw(TRUTH.poses), [used])
     mean = (1500 * seen + 40).reshape(FRAME)
-    ends, stds, poor = [], [], []
+    ends, stds, sandwich = [], [], []
     for _ in range(40):
         noise = rng.normal(size=FRAME)
         if alike_px:
@@ -142,21 +142,21 @@ def scatter_and_errors(model: ForwardModel, alike_px: float) -> tuple[Floats, Fl
         data = FrameData(mean + noise * np.sqrt(0.25 * mean + 4), used, one, 0 * one)
         expansion = expand(Problem(model, (data,), PRIOR), Start(TRUTH))
         good = expansion.measured()
-        bad = expansion.poor(good)
+        bad = expansion.sandwich(good)
         ends.append(good.values[MODES])
         stds.append(np.sqrt(np.diag(good.covariance))[MODES])
-        poor.append(np.sqrt(np.diag(bad.covariance))[MODES])
+        sandwich.append(np.sqrt(np.diag(bad.covariance))[MODES])
         np.testing.assert_allclose(bad.covariance - bad.model, good.covariance)
-    return np.std(ends, axis=0), np.mean(stds, axis=0), np.mean(poor, axis=0)
+    return np.std(ends, axis=0), np.mean(stds, axis=0), np.mean(sandwich, axis=0)
 
 
 def test_errors_of_a_model_that_lacks_something_cover_what_residuals_do_to_the_modes(model: ForwardModel) -> None:
-    scatter, stds, poor = scatter_and_errors(model, 1.5)
+    scatter, stds, sandwich = scatter_and_errors(model, 1.5)
     assert np.all(scatter > 1.6 * stds)
-    assert np.all(np.abs(np.log(poor / scatter)) < 0.2)
+    assert np.all(np.abs(np.log(sandwich / scatter)) < 0.2)
 
 
 def test_they_grow_little_where_it_lacks_nothing(model: ForwardModel) -> None:
-    scatter, stds, poor = scatter_and_errors(model, 0.0)
-    assert np.all(poor < 1.2 * stds)
+    scatter, stds, sandwich = scatter_and_errors(model, 0.0)
+    assert np.all(sandwich < 1.2 * stds)
     assert np.all(np.abs(scatter / stds - 1) < 0.1)

@@ -53,10 +53,10 @@ def test_a_part_that_the_fits_need_is_in_all_of_them() -> None:
 
 def test_the_same_session_without_the_parts_that_were_found_is_told_too() -> None:
     found, _ = session(by_smear)
-    assert found.without_found is not None
-    assert [names(fit) for fit in found.without_found.fits] == [[], []]
-    assert found.without_found.lens is not None
-    assert found.without_found.lens.model.parts == ()
+    assert found.stated_camera is not None
+    assert [names(fit) for fit in found.stated_camera.fits] == [[], []]
+    assert found.stated_camera.lens is not None
+    assert found.stated_camera.lens.model.parts == ()
 
 
 def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it() -> None:
@@ -69,7 +69,7 @@ def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it()
 
 def test_a_session_whose_parts_gain_nothing_is_not_fitted_without_any() -> None:
     found, _ = session(lambda task: 0.0)
-    assert found.without_found is None
+    assert found.stated_camera is None
     assert found.tried == (PartTried("smear", 400.0, adopted=False),)
     assert [names(fit) for fit in found.fits] == [[], []]
 
@@ -80,7 +80,7 @@ def test_a_part_that_the_plan_wants_fitted_stays_where_it_does_nothing() -> None
     found, play = session(lambda task: 1.0, plan=plan)
     assert all(names(task) == ["low_pass_filter"] for batch in play.batches for task in batch)
     assert [fit.optimum.measured.parts[0] for fit in found.fits] == ["low_pass_filter.rows_px2"] * 2
-    assert found.without_found is None
+    assert found.stated_camera is None
 
 
 def test_what_a_part_would_gain_is_summed_over_all_fits_once_they_are_there() -> None:
