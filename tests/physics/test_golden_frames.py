@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the shared sessions
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    source = GOLDEN / "open"
+    source = GOLDEN / "bench-open"
     folder = tmp_path_factory.mktemp("golden") / "session"
     with Session.create(folder, (source / "plan.toml").read_text(), source) as made:
         for row in csv.DictReader((source / "frames.csv").read_text().splitlines()):
@@ -47,7 +47,7 @@ def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("range_mm", [2000, 2080, 2160])
 def test_a_still_target_is_found_twice_in_the_same_place_and_of_the_right_size(range_mm: int) -> None:
-    folder = GOLDEN / "open"
+    folder = GOLDEN / "bench-open"
     first, second = (found_in(folder / f"target_{range_mm}_{k}.dng", folder / "plan.toml") for k in range(2))
     assert np.max(np.abs(first - second)) < 0.05
     plan = Plan.load(folder / "plan.toml")
@@ -65,7 +65,7 @@ def test_an_undersampled_target_is_found(trial: int) -> None:
 
 @pytest.mark.parametrize("channel", ["R", "G", "B"])
 def test_gain_and_read_noise_are_the_simulators(calibration: Calibration, channel: str) -> None:
-    truth = json.loads((GOLDEN / "truth-open.json").read_text())
+    truth = json.loads((GOLDEN / "truth-bench-open.json").read_text())
     found = calibration.noise[channel]
     assert found.gain is not None
     assert found.gain_std is not None

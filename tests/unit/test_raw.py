@@ -215,7 +215,7 @@ def test_a_white_level_beyond_the_file_is_refused(
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the reference sessions are not beside this checkout")
 def test_an_independent_simulators_raw_is_read() -> None:
-    mosaic = read_raw(SHARED / "golden" / "open" / "target_2000_0.dng", SILENT)
+    mosaic = read_raw(SHARED / "golden" / "bench-open" / "target_2000_0.dng", SILENT)
     assert (mosaic.counts.shape, mosaic.cfa, mosaic.white) == ((240, 240), "RGGB", 16383)
     np.testing.assert_array_equal(mosaic.black, np.full((2, 2), 600))
 
