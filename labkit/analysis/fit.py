@@ -18,7 +18,7 @@ from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.findings import model_incomplete_everywhere, residuals_not_noise, undetermined
-from labkit.estimation.joint import Joint, climb, refined
+from labkit.estimation.joint import Joint, refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
@@ -117,7 +117,7 @@ def fit(
         stated = Stated.of(plan)
         fits = estimate(observations, plan, targets, kept, steps, patience_s, plain)
         fits = refined(fits, targets, stated, kept)
-        together = climb(fits, targets, stated, kept, steps) if joint and fits.lens is not None else None
+        together = refit_jointly(fits, targets, stated, kept, steps) if joint and fits.lens is not None else None
         change = find_change(fits, stated)
     common = (plan, checksum, _noted(session, plan, [*assumed, *_changes(change)]), patience_s)
     whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)

@@ -232,8 +232,8 @@ class EdgeFit:
 def fit_edges(
     problem: EdgeProblem,
     start: EdgeState,
-    max_steps: int = 30,
     tolerance: float = EXACTLY,
+    max_steps: int = 40,
     held: Sequence[int] = (),
 ) -> EdgeFit:
     """Climb to the maximum of the likelihood near a start.
@@ -242,7 +242,7 @@ def fit_edges(
     ----------
     problem : regions and their camera
     start : where to begin
-    max_steps, tolerance : as in `labkit.estimation.climb.climb`
+    tolerance, max_steps : as in `labkit.estimation.climb.climb`
     held : places, in the thesis's order, of parameters that stay
 
     Raises
@@ -252,7 +252,7 @@ def fit_edges(
     """
     if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
         raise ValueError("no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere")
-    end, steps, converged = climb(_Scored(problem, start, tuple(held)), max_steps=max_steps, tolerance=tolerance)
+    end, steps, converged = climb(_Scored(problem, start, tuple(held)), tolerance=tolerance, max_steps=max_steps)
     information = end.scored[2]
     return EdgeFit(problem, end.state, end.objective, inverse(information), steps, converged)
 

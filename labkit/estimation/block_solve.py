@@ -13,11 +13,8 @@ import numpy as np
 
 from labkit.estimation.climb import Position, Step, climb
 from labkit.estimation.lens_model import LensModel
+from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
-
-MOST_STEPS = 50
-SETTLED = 1e-4  # standard errors: a step shorter than this ends a climb
-STIFF = 1e12  # factor of a column's information by which it is held where it is
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ class Normal:
         """With common columns (p,) too stiff to leave where the right-hand side puts them."""
         common = self.common.copy()
         at = np.flatnonzero(held)
-        common[at, at] *= STIFF
+        common[at, at] /= SETTINGS.exact**2
         return Normal(common, self.cross, self.own)
 
 
@@ -198,12 +195,12 @@ class LeastSquares(Position):
         return replace(self, point=Point(within, self.point.own + own.reshape(self.point.own.shape)))
 
 
-def solve(model: LensModel, data: Data, start: Point) -> LeastSquares:
+def solve(model: LensModel, data: Data, start: Point, tolerance: float = 1e-4) -> LeastSquares:
     """Minimise the squared misfits of data and priors, from a start, within the model's bounds.
 
     There is next to no damping at first: the weakest combinations have 1e-9 of the others' information.
     """
-    return climb(LeastSquares(model, data, start), max_steps=MOST_STEPS, tolerance=SETTLED, damping=1e-9)[0]
+    return climb(LeastSquares(model, data, start), tolerance=tolerance, damping=1e-9)[0]
 
 
 def _grown(matrix: Floats, damping: float) -> Floats:

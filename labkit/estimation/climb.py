@@ -13,6 +13,7 @@ import scipy.linalg
 from labkit.arrays import positive, real_array
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
@@ -20,11 +21,6 @@ from labkit.types import Floats
 
 PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
 NOISE = 2  # log gain, log read variance
-TRUSTED_DAMPING, MOST_DAMPING = (
-    1e-2,
-    1e8,
-)  # beyond the first a step is short because it is damped; the other ends a climb
-STRAY = 0.5  # of the target's size: corners are known to about a pixel beforehand
 
 
 class Step(NamedTuple):
@@ -40,6 +36,11 @@ class Step(NamedTuple):
     change: Floats
     length: float
     gain: float
+
+    @property
+    def shortened(self) -> float:
+        """What damping leaves to go along the step, over its length: an undamped step promises half of its length squared."""
+        return self.gain / self.length**2 - 0.5 if self.length else 0.0
 
 
 class Position(Protocol):
@@ -66,14 +67,14 @@ class Position(Protocol):
 P = TypeVar("P", bound=Position)
 
 
-def climb(start: P, *, max_steps: int, tolerance: float, damping: float = 1e-3) -> tuple[P, int, bool]:
+def climb(start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1e-3) -> tuple[P, int, bool]:
     """Climb to the maximum near a start.
 
     Parameters
     ----------
     start : where to begin
-    max_steps : positions whose slopes are computed, at most
     tolerance : standard errors, all parameters together, by which the end may be off
+    max_steps : positions whose slopes are computed, at most
     damping : of the first step, and the least after one that led down
 
     Returns
@@ -83,19 +84,21 @@ def climb(start: P, *, max_steps: int, tolerance: float, damping: float = 1e-3) 
     Notes
     -----
     Levenberg (1944), Marquardt (1963). The damping follows the share of its promise that a step gained: H. B. Nielsen,
-    report IMM-REP-1999-05, Technical University of Denmark (1999). A climb ends with a step shorter than the tolerance, or
-    with one after which less is left, if the end can be foreseen: steps shrink at least as fast as they did from the last
-    one to this.
+    report IMM-REP-1999-05, Technical University of Denmark (1999). What a step leaves to go is known beforehand: steps
+    shrink at least as fast as they did from the last one to this, unless damping cuts them short. A climb ends with a step
+    that leaves less than the tolerance and can be foreseen, or that is itself as short.
     """
-    here, steps, before, converged, least = start, 1, 0.0, False, damping
-    while steps < max_steps and not converged and damping < MOST_DAMPING:
-        step, trusted = here.step(damping), damping <= TRUSTED_DAMPING
-        left = step.length * min(1.0, step.length / before) if before else step.length
-        near = trusted and left < tolerance and step.length < 1
+    here, steps, before, least = start, 1, 0.0, damping
+    converged = False
+    while steps < max_steps and not converged and damping * SETTINGS.exact < 1:
+        step = here.step(damping)
+        slowed = min(1.0, step.length / before) if before else 1.0
+        left = step.length * max(slowed, step.shortened)
+        near = left < tolerance and step.length < SETTINGS.slopes_stds
         foreseen = here.foreseen(step.change) if near else None
         there = foreseen or here.moved(step.change)
         gained = there.objective - here.objective
-        converged = trusted and step.length < tolerance
+        converged = left < tolerance and step.length < tolerance
         if gained > 0:
             converged = converged or foreseen is not None
             damping *= max(1 / 8, 1 - (2 * gained / step.gain - 1) ** 3)
@@ -306,7 +309,7 @@ def maximize(
     free_waves: bool = True,
     exact: bool = True,
     max_steps: int = 40,
-    tolerance: float = 0.05,
+    tolerance: float = SETTINGS.converged_stds,
 ) -> Solution:
     """Climb to the maximum of the likelihood near a start.
 
@@ -382,12 +385,14 @@ class _Drawn(Position):
 
 
 def sane(state: State, start: State) -> bool:
-    """Whether a trial is worth drawing: light on the target, every corner before the lens and not far from its start.
+    """Whether a trial is worth drawing: light on the target, every corner before the lens, near where the target was found.
 
-    Without it a pose ran away where defocus was far off, to a target magnified beyond all memory.
+    Corners are known to about a pixel beforehand; half of the target's size is allowed.
+
+    Without that a pose ran away where defocus was far off, to a target magnified beyond all memory.
     """
     for pose, first in zip(state.poses, start.poses, strict=True):
-        reach = STRAY * np.ptp(first.corners_px(), axis=0).max()
+        reach = 0.5 * np.ptp(first.corners_px(), axis=0).max()
         if not (np.abs(pose.v[6:]).sum() < 1 and np.abs(pose.corners_px() - first.corners_px()).max() < reach):
             return False
     return bool(np.all(state.scales > 0))

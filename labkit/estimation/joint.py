@@ -72,7 +72,9 @@ class Joint:
     log_likelihoods: tuple[float, ...]
 
 
-def climb(session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run, progress: Progress) -> Joint:
+def refit_jointly(
+    session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run, progress: Progress
+) -> Joint:
     """Gauss-Newton over everything at once, from the two levels' end.
 
     The parameters of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by

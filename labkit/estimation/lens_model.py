@@ -7,7 +7,8 @@ its slopes (`_linear`, or an argument of `_laws`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
@@ -196,7 +197,8 @@ class LensModel:
     tilt_std: float = 0.0
 
     def __post_init__(self) -> None:
-        if twice := _twice([reading.key for reading in self.readings]):
+        times = Counter(reading.key for reading in self.readings)
+        if twice := [str(key) for key, count in times.items() if count > 1]:
             raise ValueError(f"{', '.join(twice)}: observed twice; give each key once")
 
     @property
@@ -299,14 +301,11 @@ class LensModel:
         """(columns,) each: least and largest values."""
         low = np.full(len(self.columns), -np.inf)
         high = np.full(len(self.columns), np.inf)
-        at = self.index(FOCAL_LENGTH)
-        focal_mm = self.columns[at].value
-        low[at], high[at] = 0.5 * focal_mm, 2 * focal_mm
-        at = self.index(F_NUMBER)
-        low[at], high[at] = 0.5 * self.columns[at].value, 2 * self.columns[at].value
+        for at in (self.index(FOCAL_LENGTH), self.index(F_NUMBER)):
+            low[at], high[at] = 0.5 * self.centre[at], 2 * self.centre[at]
         at = self.index(MAGNIFICATION)
         low[at], high[at] = np.log(SETTINGS.magnification_bounds)
-        low[self.index(FOCUS)] = 1.05 * focal_mm
+        low[self.index(FOCUS)] = 1.05 * self.centre[self.index(FOCAL_LENGTH)]
         return low, high
 
     def scatter(self) -> Floats:
@@ -497,8 +496,3 @@ class LensModel:
         ahead = self._laws(arguments[:, None] + moves)
         behind = self._laws(arguments[:, None] - moves)
         return np.asarray((ahead - behind) / (2 * steps))
-
-
-def _twice(keys: Sequence[Key]) -> list[str]:
-    seen = set[Key]()
-    return [str(key) for key in keys if key in seen or seen.add(key)]  # type: ignore[func-returns-value]
