@@ -60,7 +60,7 @@ def measured_by(optics: Optics, range_mm: float, off: Sequence[float], square: f
     """What a fit measures whose modes are off by some waves, and whose camera parts have one number, known to 0.01."""
     defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
     plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
-    labels = optics.shape_labels
+    labels = optics.camera_labels
     inserted = [2] * len(labels)
     covariance = np.diag(np.insert(np.zeros(4), inserted, 1e-4))
     others = [0, 1, -2, -1]
@@ -84,7 +84,7 @@ def optimum(
     of = measured_by(optics, range_mm, off, square)
     return Optimum(
         State(of.values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
-        optics.shaped(of.values[2:-1]),
+        optics.with_camera_parameters(of.values[2:-1]),
         of.covariance[:2, :2],
         of,
         replace(of, covariance=100 * of.covariance, model=99 * of.covariance),

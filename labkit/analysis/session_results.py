@@ -78,7 +78,7 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     labels = lens.model.parts
     optics = session.fits[k].optics
     numbers = dict(zip(labels, values[modes:-2], strict=True))
-    shape = [*(numbers[label] for label in optics.shape_labels), values[-2]]
+    parameters = [*(numbers[label] for label in optics.camera_labels), values[-2]]
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     at = w.noll.index(DEFOCUS)
     um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
@@ -86,7 +86,7 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     pull[[at, -2]] = um, um * waves[at]
     return replace(
         w,
-        spectrum=optics.shaped(np.array(shape)).light,
+        spectrum=optics.with_camera_parameters(np.array(parameters)).light,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,

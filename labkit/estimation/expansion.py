@@ -1,8 +1,9 @@
-"""The f-number of the cone that reaches the sensor, freed: engravings are right to some 3 %, and defocus hangs on it.
+"""Free the working f-number of a fit, and summarise the likelihood about its optimum as a Gaussian measurement.
 
-A wavefront's fit holds the cone. Here its optimum is moved to the cone that the frames call for, and the likelihood about it
-is summed up in a measurement: modes, f-number and size of the picture with their full covariance, all that a session's other
-frames have to do with. Exact to second order about a cone that the last step hardly changed.
+Engraved f-numbers are right to some 3 %, and defocus depends on the f-number. Newton's steps move the optimum of a wavefront
+to the f-number and the camera parameters that the frames favour. The measurement holds modes, camera parameters, ln of the
+f-number and ln of the picture's scale with their full covariance: all parameters that other frames of a session share. The
+expansion is exact to second order about an f-number that the last step hardly changed.
 """
 
 from __future__ import annotations
@@ -28,10 +29,16 @@ from labkit.types import Bools, Floats
 
 @dataclass(frozen=True)
 class Freed:
-    """Where a fit ends once its cone is free, and what of the camera is.
+    """The end of a fit with free working f-number and free camera parameters.
 
-    expansion: the last, which the last step began at; optics: of where it ends; covariance: (modes, modes) of the modes, the
-    shape's prior error in it; measured: without that prior; sandwich: the same if residuals are not noise alone.
+    Attributes
+    ----------
+    expansion : the likelihood where the last step began
+    solution : the end of the climb
+    optics : f-number and camera parts at the end
+    covariance : (modes, modes) of the modes, waves RMS squared, the errors of the camera parameters' prior included
+    measured : the measurement, without a prior on the f-number
+    sandwich : the measurement with sandwich errors, which hold if residuals are not noise alone
     """
 
     expansion: Expansion
@@ -44,35 +51,50 @@ class Freed:
 
 @dataclass(frozen=True)
 class Expansion:
-    """The log-likelihood about a state to second order, over modes, shape, and the rest as in `Problem.scores`.
+    """The log-likelihood about a state to second order.
 
-    gradient: (p,); information: (p, p);
-    picked: (modes + shape + 1, p) what modes, shape and ln scale change by, which are `here` at the state. evaluations: of
-    each frame.
+    The p parameters are modes, camera parameters, and the rest as in `Problem.scores`. Of m = modes + camera parameters + 1
+    measured values, the last is ln of the picture's scale.
+
+    Attributes
+    ----------
+    problem : frames and their model
+    state : the point of expansion
+    gradient : (p,) of the log-likelihood
+    information : (p, p) Fisher information
+    values : (m,) measured values at the state
+    projection : (m, p) derivatives of the measured values by the parameters
+    evaluations : model and derivatives for each frame
     """
 
     problem: Problem
     state: State
     gradient: Floats
     information: Floats
-    here: Floats
-    picked: Floats
+    values: Floats
+    projection: Floats
     evaluations: tuple[Evaluation, ...]
 
     @property
     def optics(self) -> Optics:
-        """Those that it is about."""
+        """Optics at the state."""
         return self.problem.model.optics
 
     @property
-    def shape(self) -> slice:
-        """Where `Optics.shape` stands among the parameters, (p,)."""
+    def camera(self) -> slice:
+        """Places of `Optics.camera_parameters` among the p parameters."""
         modes = self.state.waves.size
-        return slice(modes, modes + self.optics.shape.size)
+        return slice(modes, modes + self.optics.camera_parameters.size)
 
     def newton(self, precision: Floats, pull: Floats | float = 0.0) -> tuple[Floats, Floats]:
-        """(p,) the step to the optimum and (p, p) the covariance there; precision, pull: (shape,) of what else is known."""
-        at = np.arange(self.shape.start, self.shape.stop)
+        """Return Newton's step to the optimum, (p,), and the covariance there, (p, p).
+
+        Parameters
+        ----------
+        precision : (camera,) inverse variances of the camera parameters' prior
+        pull : (camera,) gradient of the prior's log-likelihood at the state
+        """
+        at = np.arange(self.camera.start, self.camera.stop)
         information, gradient = self.information.copy(), self.gradient.copy()
         information[at, at] += precision
         gradient[at] += pull
@@ -85,18 +107,19 @@ class Expansion:
 
     @property
     def flats(self) -> Floats:
-        """(p, p) the part of the gradient's covariance that the flats' errors make."""
+        """(p, p) part of the gradient's covariance due to errors of the flat frames."""
         return self._scattered[0]
 
     @property
     def scattered(self) -> Floats:
-        """(p, p) the gradient's covariance as blocks of pixels scatter."""
+        """(p, p) covariance of the gradient, estimated from the scatter of blocks of pixels."""
         return self._scattered[1]
 
     def surplus(self, covariance: Floats) -> Floats:
-        """(p, p) by which a covariance (p, p) of the optimum grows if residuals are not noise alone.
+        """Return the growth (p, p) of a covariance (p, p) of the optimum if residuals are not noise alone.
 
-        To the sandwich's, where that is larger: H. White, Econometrica 50, 1 (1982).
+        The covariance grows to the sandwich's in every direction in which the sandwich's is larger: H. White, Econometrica
+        50, 1 (1982).
         """
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -110,30 +133,31 @@ class Expansion:
         return self.problem.objective(self.state, [e.mean for e in self.evaluations])
 
     def moved(self, step: Floats) -> State:
-        """The state after a step (p,)."""
-        return self.state.moved(np.delete(step, self.shape))
+        """Return the state after a step (p,)."""
+        return self.state.moved(np.delete(step, self.camera))
 
     def optics_after(self, step: Floats) -> Optics:
-        """Those after a step (p,)."""
-        return self.optics.shaped(self.optics.shape + step[self.shape])
+        """Return the optics after a step (p,)."""
+        return self.optics.with_camera_parameters(self.optics.camera_parameters + step[self.camera])
 
     def within(self, step: Floats, covariance: Floats) -> Floats:
-        """A step (p,), or where it leads beyond what the camera's numbers may be: to there, all else as likely as it can be.
+        """Return a step (p,) that stays within the bounds of the camera parameters.
 
-        covariance: (p, p) at the optimum.
+        Parameters beyond a bound stop there; all others move to their likeliest values, by the covariance (p, p) at the
+        optimum.
         """
-        beyond = self.optics_after(step).shape - (self.optics.shape + step[self.shape])
-        at = self.shape.start + np.flatnonzero(np.abs(beyond) > SETTINGS.exact * self.optics.usual_shape)
-        held = np.linalg.solve(covariance[np.ix_(at, at)], beyond[at - self.shape.start])
+        beyond = self.optics_after(step).camera_parameters - (self.optics.camera_parameters + step[self.camera])
+        at = self.camera.start + np.flatnonzero(np.abs(beyond) > SETTINGS.exact * self.optics.camera_stds)
+        held = np.linalg.solve(covariance[np.ix_(at, at)], beyond[at - self.camera.start])
         return step + covariance[:, at] @ held
 
     def foreseen(self, step: Floats) -> list[Floats]:
-        """Relative images (pixels,) of the frames after a short step (p,)."""
+        """Predict the relative image (pixels,) of each frame after a short step (p,), to first order."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
     def with_parts(self, optics: Optics) -> Expansion:
-        """The same with more parts, behind those that it has. They do nothing there, so that all that is at hand is right."""
-        problem, state = replace(self.problem, model=self.problem.model.shaped(optics)), self.state
+        """Add camera parts behind the present ones. Their numbers are 0, so images and other derivatives stay valid."""
+        problem, state = replace(self.problem, model=self.problem.model.with_optics(optics)), self.state
         used, have = [frame.used for frame in problem.frames], self.optics.parts
         more = problem.model.by_parts(state.waves, problem.draw(state), used, first=len(have))
         behind = state.waves.size + sum(len(part.labels) for part in have)
@@ -144,44 +168,50 @@ class Expansion:
         return _expansion(problem, state, evaluations)
 
     def measured(self) -> Measured:
-        """The Gaussian of modes, shape and scale."""
-        step, covariance = self.newton(self.optics.usual_shape**-2)
-        pulled = self.picked @ covariance
-        values = self.here + self.picked @ self.within(step, covariance)
-        at = self.shape.stop + np.arange(POSE_SIZE)
+        """Return the Gaussian of modes, camera parameters and scale."""
+        step, covariance = self.newton(self.optics.camera_stds**-2)
+        pulled = self.projection @ covariance
+        values = self.values + self.projection @ self.within(step, covariance)
+        at = self.camera.stop + np.arange(POSE_SIZE)
         return Measured(
             self.optics.noll,
             values,
-            pulled @ self.picked.T,
+            pulled @ self.projection.T,
             pulled @ self.flats @ pulled.T,
             _foreshortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
-            self.optics.shape_labels,
+            self.optics.camera_labels,
         )
 
     def sandwich(self, measured: Measured) -> Measured:
-        """What `measured` says, if residuals are not noise alone: with larger errors."""
-        _, covariance = self.newton(self.optics.usual_shape**-2)
-        model = self.picked @ self.surplus(covariance) @ self.picked.T
+        """Return a measurement with the larger errors that hold if residuals are not noise alone."""
+        _, covariance = self.newton(self.optics.camera_stds**-2)
+        model = self.projection @ self.surplus(covariance) @ self.projection.T
         return replace(measured, covariance=measured.covariance + model, model=model)
 
     def at(self, values: Floats) -> tuple[State, Optics]:
-        """The state, and the optics, that are likeliest where modes, shape and ln scale are given, (modes + shape + 1,)."""
-        step, covariance = self.newton(self.optics.usual_shape**-2)
-        pulled = self.picked @ covariance
-        step = step + pulled.T @ np.linalg.solve(pulled @ self.picked.T, values - self.here - self.picked @ step)
+        """Return the likeliest state and optics with given measured values (m,)."""
+        step, covariance = self.newton(self.optics.camera_stds**-2)
+        pulled = self.projection @ covariance
+        away = values - self.values - self.projection @ step
+        step = step + pulled.T @ np.linalg.solve(pulled @ self.projection.T, away)
         return self.moved(step), self.optics_after(step)
 
 
 def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
-    """Climb by Newton's steps, halved where they lead down, to an optimum that is near, and to the cone, and the camera's
-    parts, that its frames call for.
+    """Climb by Newton's steps to a nearby optimum over all parameters, working f-number and camera parts included.
 
-    f_number_std: relative, of the cone that the problem has; the parts' numbers are known to lie about 0, as they usually do.
-    The first step goes by rough slopes, those after it by exact ones; the last is not drawn, its picture lies on the slopes.
-    Where they do not settle, `Freed.solution.converged` says so.
+    A step that leads down is halved. The first step uses rough slopes, later steps use exact ones. The image after the last
+    step is predicted from the slopes, not drawn. If the steps do not settle, `Freed.solution.converged` is False.
+
+    Parameters
+    ----------
+    problem : frames and their model
+    start : where to begin
+    f_number_std : relative standard error of the f-number in the problem's optics. Numbers of the camera parts have a prior
+        about 0, as wide as cameras vary.
     """
     problem, start = _wide_enough(problem, start)
-    given, precision = _known_shape(problem.model.optics, f_number_std)
+    given, precision = _camera_prior(problem.model.optics, f_number_std)
     best, taken, halvings = None, np.empty(0), 0
     for rounds in range(1, SETTINGS.newton_rounds + 1):
         expansion = expand(problem, start, exact=rounds > 1)
@@ -190,14 +220,14 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
             taken, halvings = 0.5 * taken, halvings + 1
             problem, start = _stepped(problem, best, taken)
             continue
-        step, covariance = expansion.newton(precision, (given - expansion.optics.shape) * precision)
+        step, covariance = expansion.newton(precision, (given - expansion.optics.camera_parameters) * precision)
         step = expansion.within(step, covariance)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
-        near, cone = length < SETTINGS.slopes_stds, expansion.shape.stop - 1
+        near, cone = length < SETTINGS.slopes_stds, expansion.camera.stop - 1
         close = abs(step[cone]) < SETTINGS.settled_stds * np.sqrt(covariance[cone, cone])
         settled = rounds > 1 and near and close and not fallen
-        wild = abs(step[cone]) > 3 * SETTINGS.loose or not sane(expansion.moved(step), start.state)
-        if settled or fallen or wild or rounds == SETTINGS.newton_rounds:
+        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not sane(expansion.moved(step), start.state)
+        if settled or fallen or diverged or rounds == SETTINGS.newton_rounds:
             break
         best, taken, halvings = expansion, step, 0
         problem, start = _stepped(problem, expansion, step)
@@ -205,13 +235,13 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
 
 
 def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool) -> Freed:
-    """After a last step (p,) from an expansion, which is not drawn: its picture lies on the slopes."""
+    """Return the end of a climb after a last step (p,), whose image is predicted from the slopes."""
     problem, modes = expansion.problem, expansion.state.waves.size
     state, relative, measured = expansion.moved(step), expansion.foreseen(step), expansion.measured()
     solution = Solution(
         state,
         problem.objective(state, relative),
-        np.delete(np.delete(expansion.information, expansion.shape, 0), expansion.shape, 1),
+        np.delete(np.delete(expansion.information, expansion.camera, 0), expansion.camera, 1),
         relative,
         problem.chi2_per_pixel(state, relative),
         rounds,
@@ -228,55 +258,62 @@ def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, 
 
 
 def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
-    """The problem, and where to begin, after a step (p,) from an expansion."""
+    """Return the problem, and where to begin, after a step (p,) from an expansion."""
     before, start = expansion.state, Start(expansion.moved(step))
-    return replace(problem, model=reshaped(problem.model, expansion.optics_after(step), before)), start
+    return replace(problem, model=with_optics_about(problem.model, expansion.optics_after(step), before)), start
 
 
-def _known_shape(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
-    """What is known of a shape beforehand, and how precisely, 1/variance: (shape,) each."""
-    given, stds = np.zeros_like(optics.shape), optics.usual_shape
-    given[-1], stds[-1] = optics.shape[-1], max(f_number_std, SETTINGS.exact)
+def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
+    """Return mean and inverse variance of the camera parameters' prior, (camera,) each."""
+    given, stds = np.zeros_like(optics.camera_parameters), optics.camera_stds
+    given[-1], stds[-1] = optics.camera_parameters[-1], max(f_number_std, SETTINGS.exact)
     return given, stds**-2
 
 
-def reshaped(model: ForwardModel, optics: Optics, state: State) -> ForwardModel:
-    """The same model of another shape, built anew about a state where it does not spare enough of the cone."""
+def with_optics_about(model: ForwardModel, optics: Optics, state: State) -> ForwardModel:
+    """Return the model with other optics; rebuild it about a state if its sampling leaves too little margin for the cone."""
     try:
-        return model.shaped(optics)
+        return model.with_optics(optics)
     except ValueError:
-        return model.again(optics, state.poses[0], waves=state.waves, spare=SETTINGS.spare_cone)
+        return model.rebuilt(optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin)
 
 
 def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
-    """With a window that holds what the start's wavefront throws far."""
+    """Widen the model's PSF window where the start's wavefront spreads light beyond it."""
     model, state = problem.model, start.state
     if model.window_airy >= SETTINGS.narrow_window * model.optics.window_airy(state.waves):
         return problem, start
-    wider = model.again(model.optics, state.poses[0], waves=state.waves, spare=SETTINGS.spare_cone)
+    wider = model.rebuilt(model.optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin)
     return replace(problem, model=wider), Start(state)
 
 
 def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
-    """The log-likelihood about a state, the shape free. exact: as in `ForwardModel.evaluate`."""
+    """Expand the log-likelihood about a state, over the camera parameters too.
+
+    Parameters
+    ----------
+    problem : frames and their model
+    start : the state, with its drawing and images if they are at hand
+    exact : whether derivatives cover the whole pass band, see `ForwardModel.evaluate`
+    """
     state, used = start.state, [f.used for f in problem.frames]
     drawing = start.drawing or problem.draw(state)
     return _expansion(
         problem,
         state,
-        problem.model.evaluate(state.waves, drawing, used, by_shape=True, exact=exact, means=start.relative),
+        problem.model.evaluate(state.waves, drawing, used, by_camera=True, exact=exact, means=start.relative),
     )
 
 
 def _expansion(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Expansion:
-    """From derivatives by modes, shape and pose."""
+    """Expand from derivatives by modes, camera parameters and pose."""
     gradient, information = _assembled(problem, state, evaluations)
-    here, picked = _picked(problem, state, len(gradient))
-    return Expansion(problem, state, gradient, information, here, picked, tuple(evaluations))
+    values, projection = _projection(problem, state, len(gradient))
+    return Expansion(problem, state, gradient, information, values, projection, tuple(evaluations))
 
 
 def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
-    """Gradient (p,) and information (p, p), where what is not known of the target's own light takes its likeliest value."""
+    """Return gradient (p,) and information (p, p), the unknown part of the target's own light at its likeliest value."""
     shining = [replace(e, by_waves=np.concatenate([e.by_waves, e.by_shine])) for e in evaluations if len(e.by_shine)]
     gradient, information, _ = problem.assembled(state, shining or evaluations)
     if not shining:
@@ -290,8 +327,10 @@ def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]
 
 
 def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
-    """(p, p) each, covariances of the gradient over modes, shape, and so on: what the flats' relative errors make of it, and
-    what blocks of pixels show, of which a pixel's residuals may be alike but blocks' are not."""
+    """Return two covariances (p, p) of the gradient: due to the flats' relative errors, and from the scatter of blocks.
+
+    Residuals of neighbouring pixels may be correlated, those of blocks are not.
+    """
     modes, even, frames = len(evaluations[0].by_waves), state.unevenness.size, len(state.poses)
     size = modes + PER_FRAME * frames + even + NOISE
     flats, blocks = np.zeros((size, size)), np.zeros((size, SETTINGS.blocks**2))
@@ -309,7 +348,7 @@ def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]
 
 
 def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
-    """(pixels, blocks^2) 1 for the block that a used pixel lies in."""
+    """Return a matrix (pixels, blocks^2) with 1 for the block that contains a used pixel."""
     rows, columns = (at * SETTINGS.blocks // n for at, n in zip(np.nonzero(used), used.shape, strict=True))
     pixels = rows.size
     return scipy.sparse.csr_array(
@@ -318,9 +357,9 @@ def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
 
 
 def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
-    """Mean and standard deviation over the poses that a covariance (8, 8) allows.
+    """Return mean and standard deviation of ln of the foreshortening, over poses drawn from a covariance (8, 8).
 
-    Where the picture hardly determines which way the target leans, that is far from linear in the pose.
+    Where frames hardly determine the direction of the target's tilt, the foreshortening is far from linear in the pose.
     """
     root = scipy.linalg.sqrtm(covariance).real
     steps = np.random.default_rng(0).normal(size=(SETTINGS.tilt_draws, POSE_SIZE)) @ root
@@ -328,17 +367,17 @@ def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values))
 
 
-def _picked(problem: Problem, state: State, size: int) -> tuple[Floats, Floats]:
-    """Modes, shape and ln scale, (modes + shape + 1,), the last a mean over the frames; and their slopes, by all (size,)."""
-    shape, frames = problem.model.optics.shape, len(state.poses)
-    first = state.waves.size + shape.size
-    picked = np.zeros((first + 1, size))
-    picked[:first, :first] = np.eye(first)
+def _projection(problem: Problem, state: State, size: int) -> tuple[Floats, Floats]:
+    """Return the measured values (m,), the scale averaged over frames, and their derivatives (m, size) by all parameters."""
+    camera, frames = problem.model.optics.camera_parameters, len(state.poses)
+    first = state.waves.size + camera.size
+    projection = np.zeros((first + 1, size))
+    projection[:first, :first] = np.eye(first)
     scales = []
     for k, pose in enumerate(state.poses):
         scale, slope = pose.log_scale()
         scales.append(scale)
         at = first + k * PER_FRAME
-        picked[-1, at : at + POSE_SIZE] = slope / frames
+        projection[-1, at : at + POSE_SIZE] = slope / frames
     pitch_mm = problem.model.scene.torus.pitch_um * 1e-3
-    return np.concatenate([state.waves, shape, [np.mean(scales) + np.log(pitch_mm)]]), picked
+    return np.concatenate([state.waves, camera, [np.mean(scales) + np.log(pitch_mm)]]), projection

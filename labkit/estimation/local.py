@@ -106,7 +106,7 @@ class Found:
     optima : the likeliest first
     starts : made
     others : modes (modes,) and by how much the log-likelihood is less, of optima met on the way, the likeliest first
-    settled : whether many starts came back to the best
+    returns : starts that came back to the best optimum
     cut_short : whether the user's cap ended the search
     seconds : it took
     """
@@ -114,7 +114,7 @@ class Found:
     optima: tuple[Optimum, ...]
     starts: int = 0
     others: tuple[tuple[Floats, float], ...] = ()
-    settled: bool = False
+    returns: int = 0
     cut_short: bool = False
     seconds: float = 0.0
 
@@ -122,6 +122,11 @@ class Found:
     def best(self) -> Optimum:
         """The likeliest."""
         return self.optima[0]
+
+    @property
+    def settled(self) -> bool:
+        """Whether starts came back to the best optimum often enough."""
+        return self.returns >= SETTINGS.enough_returns
 
     def joined(self, later: Found) -> Found:
         """With what a later search found."""
@@ -132,7 +137,7 @@ class Found:
             tuple(optima),
             self.starts + later.starts,
             later.others if len(later.others) > len(self.others) else self.others,
-            self.settled or later.settled,
+            max(self.returns, later.returns),
             later.cut_short,
             self.seconds + later.seconds,
         )
@@ -229,7 +234,7 @@ def find_optima(
         tuple(optima),
         log.starts,
         _below(log.others),
-        log.settled,
+        log.returns,
         log.late and not (explained or log.settled),
         perf_counter() - began,
     )
@@ -248,8 +253,8 @@ class _Search:
     @classmethod
     def of(cls, optics: Optics, target: Target, views: Views, guesses: Guesses, seed: int | Sequence[int]) -> _Search:
         frame, pose = views.frames[0], views.poses[0]
-        spare = SETTINGS.spare_cone if guesses.f_number_std else 0.0
-        model = ForwardModel.build(optics, target, frame.counts.shape, pose, spare=spare, shine=frame.shine)
+        cone_margin = SETTINGS.cone_margin if guesses.f_number_std else 0.0
+        model = ForwardModel.build(optics, target, frame.counts.shape, pose, cone_margin=cone_margin, shine=frame.shine)
         sketched = Sketches(optics.in_one_wavelength(), target, frame, pose, views.noise, seed)
         first = first_state(frame, pose, views.noise, len(optics.noll))
         return cls(Problem(model, views.frames, views.noise), sketched, views, guesses, first)

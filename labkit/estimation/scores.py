@@ -52,13 +52,13 @@ def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float)
         return {}
     without = expansion.optics
     wider = expansion.with_parts(reduce(Optics.with_part, names, without))
-    first, cone = wider.shape.start, wider.shape.stop - 1
+    first, cone = wider.camera.start, wider.camera.stop - 1
     added = {name: first + places for name, places in _added(without, names).items()}
     kept = np.setdiff1d(np.arange(len(wider.gradient)), np.concatenate([*added.values()]))
     information, gradient = wider.information.copy(), wider.gradient
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
     others = kept[(kept >= first) & (kept < cone)]  # parts that are there already: as usual, as in a climb
-    information[others, others] += without.usual_shape[:-1] ** -2
+    information[others, others] += without.camera_stds[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
     result = {}
     for name, at in added.items():
@@ -69,7 +69,7 @@ def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float)
 
 
 def _added(without: Optics, names: Sequence[str]) -> dict[str, NDArray[np.intp]]:
-    """Where the numbers of each named part stand in the wider shape: behind those of the parts that are there."""
+    """Return the places of each added part's numbers among the camera parameters: behind the parts that are present."""
     at, places = sum(len(part.labels) for part in without.parts), dict[str, NDArray[np.intp]]()
     for name in names:
         many = len(KNOWN[name].labels)

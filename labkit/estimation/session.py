@@ -135,7 +135,8 @@ class _Loop:
     def _undecided(self) -> list[int]:
         """Fits to search further: none is explained, and they do not confirm each other either.
 
-        Where a search without limit left that so, the model is poor for all, and nothing is searched further.
+        Fits confirm each other where several starts came back to each one's optimum, and all belong to one lens: then the
+        model is poor for all, and nothing is searched further; neither is it after a search without limit.
         """
         if self.deep or any(found.best.verdict.accepted for found in self.found.values()):
             return []
@@ -143,7 +144,8 @@ class _Loop:
         if selection is not None:
             inside = np.flatnonzero(selection.members)
             stations = {selection.observed[k].reading.station for k in inside}
-            if len(stations) > 1 and selection.members[selection.choice != OUT].all():
+            returned = all(found.returns for found in self.found.values())
+            if returned and len(stations) > 1 and selection.members[selection.choice != OUT].all():
                 return []
         return list(self.found)
 
@@ -259,8 +261,8 @@ class _Loop:
             return replace(optics, f_number=self.engraved_cone.value)
         if selection is not None and k in self.ranged:
             predicted, _ = selection.lens.predictions
-            return optics.shaped(predicted[self.ranged.index(k), len(self.noll) : -1])
-        return optics.shaped(self._clearest().optics.shape)
+            return optics.with_camera_parameters(predicted[self.ranged.index(k), len(self.noll) : -1])
+        return optics.with_camera_parameters(self._clearest().optics.camera_parameters)
 
     def _clearest(self) -> Optimum:
         """The fit to begin others from where no lens predicts them: explained, and farthest from focus."""
@@ -423,11 +425,12 @@ def _with(optics: Optics, parts: Parts) -> Optics:
 def with_parts_of(stated: Optics, parts: Parts, like: Optics) -> Optics:
     """A plan's optics with more parts, and the numbers that a fit has for those that both have."""
     optics = _with(stated, parts)
-    known = dict(zip((*like.shape_labels, "f_number"), like.shape, strict=True))
-    shape = [
-        known.get(label, value) for label, value in zip((*optics.shape_labels, "f_number"), optics.shape, strict=True)
+    known = dict(zip((*like.camera_labels, "f_number"), like.camera_parameters, strict=True))
+    parameters = [
+        known.get(label, value)
+        for label, value in zip((*optics.camera_labels, "f_number"), optics.camera_parameters, strict=True)
     ]
-    return optics.shaped(np.array(shape))
+    return optics.with_camera_parameters(np.array(parameters))
 
 
 def _like(optimum: Optimum, other: Optimum) -> Optimum:

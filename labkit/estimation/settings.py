@@ -60,7 +60,7 @@ class Settings:
     """Standard errors: the picture after a last step as short lies on the slopes, and is not drawn."""
     newton_rounds: int = 12
     """Steps of Newton's: six do where the cone is 12 % off, and two or three where it is 3 % off."""
-    spare_cone: float = 0.06
+    cone_margin: float = 0.06
     """Relative change of the cone, two of an engraving's errors, up to which a model serves without being built anew."""
     narrow_window: float = 0.8
     """Share of the window that a wavefront should have, below which twice as much light strays beyond it."""

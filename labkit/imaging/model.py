@@ -33,9 +33,14 @@ GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (
 class Evaluation:
     """The mean and its derivatives at one frame's used pixels, in units of the target's radiance there.
 
-    mean: (pixels,); by_waves: (modes, pixels), behind them those by the `Optics.shape` if they were wanted; by_pose:
-    (8, pixels); by_shine: (2, pixels), by what of the light may be the lens's or the target's (`Shine.doubts`), if it has any.
-    Derivatives that were not wanted are empty.
+    Derivatives that were not requested are empty.
+
+    Attributes
+    ----------
+    mean : (pixels,)
+    by_waves : (modes, pixels), followed by derivatives by `Optics.camera_parameters` if requested
+    by_pose : (8, pixels)
+    by_shine : (2, pixels), by the light that may be due to the lens or to the target (`Shine.doubts`), if there is any
     """
 
     mean: Floats
@@ -82,18 +87,24 @@ class ForwardModel:
         *,
         band: float = 1.0,
         window_airy: float = WINDOW_AIRY,
-        spare: float = 0.0,
+        cone_margin: float = 0.0,
         shine: Shine | None = None,
     ) -> "ForwardModel":
-        """A model of frames of a size, (rows, columns).
+        """Build a model of frames of a given size.
 
-        reference: the target's pose in such frames, its scale right to 5 %; see `Scene`.
-        band: share of the optics' pass band that is modelled; below 1 it is a rough and quick sketch.
-        window_airy: width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
-        the wavefront. spare: relative, by which `shaped` may make the cone wider. shine: of the target's places.
+        Parameters
+        ----------
+        optics, target : lens, light and sensor, and the target that they show
+        frame : (rows, columns) of the frames
+        reference : the target's pose in such frames, its scale right to 5 %; see `Scene`
+        band : share of the optics' pass band that is modelled; below 1 the model is a rough and quick sketch
+        window_airy : width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
+            the wavefront
+        cone_margin : relative, by which `with_optics` may make the cone wider
+        shine : brightness of the target from place to place
         """
         window_um = window_airy * optics.airy_um
-        cutoff = 1 / (optics.airy_um * (1 - spare) * optics.shortest)
+        cutoff = 1 / (optics.airy_um * (1 - cone_margin) * optics.shortest)
         reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
         guard_px = guards(frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0))
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
@@ -112,10 +123,12 @@ class ForwardModel:
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
         return cls(optics, Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
 
-    def shaped(self, optics: Optics) -> "ForwardModel":
-        """The same of another `Optics.shape`; drawings serve both unless a panel's `Aperture` is in it.
+    def with_optics(self, optics: Optics) -> "ForwardModel":
+        """Return the model with other `Optics.camera_parameters`. Drawings serve both unless a panel's `Aperture` changes.
 
-        Raises ValueError for a cone wider than spared, in any of the light.
+        Raises
+        ------
+        ValueError : the cone is wider than the margin allows, at some wavelength of the light
         """
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.light, parts=optics.parts)
@@ -124,12 +137,18 @@ class ForwardModel:
         rough = replace(blur, torus=self.rough.torus).simple
         return replace(self, optics=optics, scene=scene, blur=blur, rough=rough)
 
-    def again(self, optics: Optics, reference: Pose, *, waves: Floats, spare: float) -> "ForwardModel":
-        """Built anew, whole band, for other optics and with a window for a wavefront, (modes,) RMS."""
+    def rebuilt(self, optics: Optics, reference: Pose, *, waves: Floats, cone_margin: float) -> "ForwardModel":
+        """Build the model anew for other optics, over the whole band, with a window for a wavefront (modes,) RMS."""
         window_airy = max(self.window_airy, optics.window_airy(waves))
         scene = self.scene
         return ForwardModel.build(
-            optics, scene.target, scene.torus.frame, reference, window_airy=window_airy, spare=spare, shine=scene.shine
+            optics,
+            scene.target,
+            scene.torus.frame,
+            reference,
+            window_airy=window_airy,
+            cone_margin=cone_margin,
+            shine=scene.shine,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
@@ -149,15 +168,21 @@ class ForwardModel:
         used: Sequence[Bools],
         *,
         by_waves: bool = True,
-        by_shape: bool = False,
+        by_camera: bool = False,
         exact: bool = True,
         means: Sequence[Floats] = (),
     ) -> list[Evaluation]:
-        """Mean and Jacobian at the used pixels of each frame; the wavefront is common to all of them.
+        """Compute mean and Jacobian at the used pixels of each frame; the wavefront is common to all frames.
 
-        by_waves, by_shape: whether derivatives by wavefront and by `Optics.shape` are wanted; the former cost most of the time.
-        exact: whether derivatives are of the whole band, or of what a climb needs. means: those of `means` at the same place,
-        if they are at hand.
+        Parameters
+        ----------
+        waves : (modes,) RMS at the reference wavelength
+        drawing : the target at the frames' poses
+        used : (rows, columns) mask of each frame
+        by_waves, by_camera : whether to compute derivatives by the wavefront and by `Optics.camera_parameters`; the former
+            take most of the time
+        exact : whether derivatives cover the whole band, or only the part that a climb needs
+        means : result of `means` at the same point, if at hand
         """
         self._checked(drawing, used)
         blur = self.blur if exact else self.rough
@@ -166,7 +191,7 @@ class ForwardModel:
         by_lens = [np.array(rows, float).reshape(-1, int(u.sum())) for rows, u in zip(by_modes, used, strict=True)]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
-        if by_shape:
+        if by_camera:
             by_parts = self._turned(blur, blur.by_parts(waves), spectra, used)
             by_panel = self._by_panel(blur, single, drawing, used)
             by_cone = self._turned(blur, [blur.by_cone(waves)], spectra, used)
@@ -176,7 +201,7 @@ class ForwardModel:
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
             for spectrum, pose, u in zip(spectra, drawing.poses, used, strict=True)
         ]
-        by_shine = self._by_shine(blur.torus, spectra, kernels, used) if by_shape else np.empty((len(used), 0, 0))
+        by_shine = self._by_shine(blur.torus, spectra, kernels, used) if by_camera else np.empty((len(used), 0, 0))
         return [Evaluation(*of) for of in zip(means, by_lens, by_pose, by_shine, strict=True)]
 
     def _by_shine(

@@ -87,27 +87,27 @@ class Optics:
 
     @property
     def estimated(self) -> tuple[Estimated, ...]:
-        """Groups of the numbers in `shape`, in their order: parts, panel."""
+        """Groups of the numbers in `camera_parameters`, in their order: parts, panel."""
         return self.parts if self.panel is None else (*self.parts, self.panel)
 
     @property
-    def shape(self) -> Floats:
+    def camera_parameters(self) -> Floats:
         """(n,) numbers that may be estimated next to the wavefront: of the parts, of the panel, ln N."""
         return np.array([*chain(*(group.values for group in self.estimated)), math.log(self.f_number)])
 
     @property
-    def shape_labels(self) -> tuple[str, ...]:
+    def camera_labels(self) -> tuple[str, ...]:
         """Names of the numbers before ln N, each as GROUP.NUMBER."""
         return tuple(f"{group.name}.{label}" for group in self.estimated for label in group.labels)
 
     @property
-    def usual_shape(self) -> Floats:
-        """(n,) standard deviations of the shape among cameras: wide priors."""
+    def camera_stds(self) -> Floats:
+        """(n,) standard deviations of the camera parameters among cameras: wide priors."""
         return np.array([*chain(*(group.usual for group in self.estimated)), 1.0])
 
-    def shaped(self, shape: Floats) -> Optics:
-        """Return the same optics with another shape (n,)."""
-        numbers = iter(map(float, shape))
+    def with_camera_parameters(self, values: Floats) -> Optics:
+        """Return the same optics with other camera parameters (n,)."""
+        numbers = iter(map(float, values))
         parts = tuple(part.at([next(numbers) for _ in part.labels]) for part in self.parts)
         panel = self.panel and self.panel.at([next(numbers) for _ in self.panel.labels])
         return replace(self, parts=parts, panel=panel, f_number=math.exp(next(numbers)))

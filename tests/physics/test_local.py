@@ -144,7 +144,7 @@ def test_a_search_that_is_not_deep_ends_with_its_starts(views: Views, best: Opti
     assert shallow.starts == 1
     assert not shallow.best.verdict.accepted
     assert shallow.best.log_likelihood < best.log_likelihood - 100
-    joined = shallow.joined(Found((best,), starts=3, settled=True))
+    joined = shallow.joined(Found((best,), starts=3, returns=8))
     assert joined.best is best
     assert (joined.starts, joined.settled, len(joined.optima)) == (4, True, 2)
 
@@ -168,7 +168,7 @@ def test_a_part_of_the_model_is_fitted_too(views: Views) -> None:
     optimum = find_optima(camera, CARPET, views, Guesses(starts=(WRONG,))).best
     assert optimum.verdict.accepted
     assert [part.name for part in optimum.optics.parts] == ["low_pass_filter"]
-    assert optimum.measured.parts == optimum.optics.shape_labels
+    assert optimum.measured.parts == optimum.optics.camera_labels
     assert_right(optimum)
 
 

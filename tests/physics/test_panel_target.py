@@ -79,13 +79,15 @@ def test_slopes_by_the_aperture_are_differences(lying: bool) -> None:
 def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
     target = PanelTarget.of(CARPET, (54, 54), 0)
     optics = replace(OPTICS, panel=Aperture(0.03, -0.02))
-    model = ForwardModel.build(optics, target, (58, 60), POSE, spare=0.02)
+    model = ForwardModel.build(optics, target, (58, 60), POSE, cone_margin=0.02)
     assert isinstance(model.scene.target, PanelTarget)
     assert model.scene.target.aperture == pytest.approx((0.88, 0.83))
     used = [np.ones((58, 60), bool)]
-    slopes = model.evaluate(TRUTH.waves, model.draw([POSE]), used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]
+    slopes = model.evaluate(TRUTH.waves, model.draw([POSE]), used, by_camera=True)[0].by_waves[len(TRUTH.waves) :]
     for k, step in enumerate(1e-2 * np.eye(3)[:2]):
-        up, down = (model.shaped(optics.shaped(optics.shape + sign * step)) for sign in (1, -1))
+        up, down = (
+            model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)) for sign in (1, -1)
+        )
         means = [each.means(TRUTH.waves, each.draw([POSE]), used)[0] for each in (up, down)]
         difference = (means[0] - means[1]) / 2e-2
         # measured: 1.2e-4 of the largest, which single precision of drawings makes: pictures err by 2e-8 of white RMS

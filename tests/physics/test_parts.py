@@ -162,15 +162,17 @@ def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before(
 def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None) -> None:
     light = () if variance is None else (SpectrumWidth(variance),)
     optics = replace(OPTICS, parts=(*EVERY[1:2], *EVERY[3:], *light))
-    model = ForwardModel.build(optics, CARPET, (58, 60), POSE, spare=0.02)
+    model = ForwardModel.build(optics, CARPET, (58, 60), POSE, cone_margin=0.02)
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
-    slopes = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) :]
+    slopes = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[len(TRUTH.waves) :]
     steps = np.array([1e-3] * 8 + [4e-4] * (variance is not None) + [1e-3])
     limits = [1.2e-5] * 8 + [7e-3] * (variance is not None) + [3e-3]
     for k, (step, limit) in enumerate(zip(np.diag(steps), limits, strict=True)):
         up, down = (
-            model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0]
+            model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)).means(
+                TRUTH.waves, drawing, used
+            )[0]
             for sign in (1, -1)
         )
         difference = (up - down) / (2 * step[k])
-        assert np.abs(slopes[k] - difference).max() < limit * np.abs(difference).max(), optics.shape_labels[k : k + 1]
+        assert np.abs(slopes[k] - difference).max() < limit * np.abs(difference).max(), optics.camera_labels[k : k + 1]

@@ -44,7 +44,7 @@ def test_light_is_blurred_with_the_target_that_shines() -> None:
 
 def test_its_share_has_the_slope_that_differences_have() -> None:
     uneven = model(0.05)
-    (evaluation,) = uneven.evaluate(WAVES, uneven.draw([POSE]), [USED], by_shape=True)
+    (evaluation,) = uneven.evaluate(WAVES, uneven.draw([POSE]), [USED], by_camera=True)
     difference = mean(model(0.1)) - mean(model(0.0))
     ours = 0.1 / (0.05 * SHARE_STD) * evaluation.by_shine[0].reshape(FRAME)
     assert np.std(ours - difference) < 0.05 * np.std(difference)
@@ -57,7 +57,7 @@ def test_a_curvature_round_about_the_middle_has_the_slope_that_differences_have(
         ForwardModel.build(OPTICS, CARPET, FRAME, POSE, shine=Shine.seen(light(ROWS, COLUMNS) * by, USED))
         for by in (1 / bent, bent)
     )
-    (evaluation,) = (flat := model(1.0)).evaluate(WAVES, flat.draw([POSE]), [USED], by_shape=True)
+    (evaluation,) = (flat := model(1.0)).evaluate(WAVES, flat.draw([POSE]), [USED], by_camera=True)
     inside = np.s_[8:-8, 8:-8]  # beyond the frame light is that of its edge
     difference = (mean(other) - mean(one))[inside].ravel()
     # brighter in all, which is the light's level, and a faint veil of second order

@@ -62,7 +62,7 @@ class Fits:
             optics, 3200.0, square=0.5, height=height, scores=scores, explained=explained, unexplained=lacking
         )
         values = made.measured.values.copy()
-        for k, label in enumerate(optics.shape_labels, 2):
+        for k, label in enumerate(optics.camera_labels, 2):
             values[k] = self.squares.get(label.split(".")[0], 0.5)
         return replace(made, measured=replace(made.measured, values=values))
 

@@ -112,16 +112,16 @@ def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
 
 def test_the_shape_is_of_parts_then_panel_then_cone() -> None:
     optics = replace(OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)).with_part("spectrum")
-    assert optics.shape_labels == (
+    assert optics.camera_labels == (
         "diffusion.variance_px2",
         "spectrum.variance",
         "panel_pixels.across",
         "panel_pixels.down",
     )
-    np.testing.assert_allclose(optics.shape, [0.1, 0.0, 0.03, -0.02, np.log(OPTICS.f_number)])
-    moved = optics.shaped(optics.shape + 0.001)
+    np.testing.assert_allclose(optics.camera_parameters, [0.1, 0.0, 0.03, -0.02, np.log(OPTICS.f_number)])
+    moved = optics.with_camera_parameters(optics.camera_parameters + 0.001)
     assert moved.panel == Aperture(0.031, -0.019)
-    assert len(optics.usual_shape) == 5
+    assert len(optics.camera_stds) == 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,12 +171,15 @@ def streak(monkeypatch: pytest.MonkeyPatch) -> Streak:
 
 def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) -> None:
     optics = replace(OPTICS, parts=(Diffusion(0.02), streak))
-    model = ForwardModel.build(optics, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    model = ForwardModel.build(optics, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
     used, drawing = [np.ones(FRAME, bool)], model.draw([POSE])
-    slope = model.evaluate(TRUTH.waves, drawing, used, by_shape=True)[0].by_waves[len(TRUTH.waves) + 1]
+    slope = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[len(TRUTH.waves) + 1]
     step = np.array([0.0, 1e-3, 0.0])
     up, down = (
-        model.shaped(optics.shaped(optics.shape + sign * step)).means(TRUTH.waves, drawing, used)[0] for sign in (1, -1)
+        model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)).means(
+            TRUTH.waves, drawing, used
+        )[0]
+        for sign in (1, -1)
     )
     difference = (up - down) / 2e-3
     # a difference errs by (2 pi^2 w^2)^2 1e-6 / 6, at half a cycle a pixel 4e-6; measured 7e-6
@@ -184,14 +187,14 @@ def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) 
 
 
 def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
-    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
-    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
     frames = replace(photographed(taken), model=plain)
     freed = free_cone(frames, Start(TRUTH), 0.03)
     assert "streak" in freed.optics.lacking
     # twice the gain of one number is chi-squared of one: beyond 5.4 once in a thousand
     assert score_tests(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
-    model = plain.shaped(OPTICS.with_part("streak"))
+    model = plain.with_optics(OPTICS.with_part("streak"))
     found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
     modes = len(OPTICS.noll)
     variance = Uncertain(found.measured.values[modes], found.measured.covariance[modes, modes] ** 0.5)

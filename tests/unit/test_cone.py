@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.expansion import expand, free_cone, reshaped
+from labkit.estimation.expansion import expand, free_cone, with_optics_about
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
@@ -32,7 +32,7 @@ MODES = slice(3)
 
 @pytest.fixture(scope="module")
 def model() -> ForwardModel:
-    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
 
 
 def photographed(model: ForwardModel, truth: State = TRUTH) -> Problem:
@@ -58,7 +58,9 @@ def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: F
 
 def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -> None:
     problem = photographed(model)
-    off = Problem(reshaped(model, replace(OPTICS, f_number=1.03 * OPTICS.f_number), TRUTH), problem.frames, PRIOR)
+    off = Problem(
+        with_optics_about(model, replace(OPTICS, f_number=1.03 * OPTICS.f_number), TRUTH), problem.frames, PRIOR
+    )
     freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
     std = np.sqrt(freed.measured.covariance[-2, -2])
     assert std < 0.02
@@ -72,11 +74,11 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
 def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> None:
     """In the shortest of its light, whose PSFs are the finest, too."""
     broad = replace(OPTICS, spectrum=light)
-    model = ForwardModel.build(broad, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    model = ForwardModel.build(broad, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
     finest_um = 0.5 * OPTICS.airy_um * min(light.nodes)
     least = model.blur.pupil.spacing_um / finest_um  # of the cone, that its grid is for
     for cone, same in ((1.001 * least, True), (0.999 * least, False)):
-        other = reshaped(model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH)
+        other = with_optics_about(model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH)
         assert (other.blur.torus == model.blur.torus) == same
         slopes = [*other.blur.psf_slopes(TRUTH.waves)]
         assert np.isfinite(slopes).all()
@@ -85,9 +87,9 @@ def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> N
 def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(model: ForwardModel) -> None:
     """No light is as broad as would blur like this filter."""
     filtered = ForwardModel.build(
-        replace(OPTICS, given=(LowPass(0.8, 0.8),)), CARPET, FRAME, POSE, spare=SETTINGS.spare_cone
+        replace(OPTICS, given=(LowPass(0.8, 0.8),)), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
     )
-    broad = reshaped(model, OPTICS.with_part("spectrum"), TRUTH)
+    broad = with_optics_about(model, OPTICS.with_part("spectrum"), TRUTH)
     freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
     assert freed.solution.converged
     assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more
@@ -102,7 +104,7 @@ def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) 
 
 def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardModel) -> None:
     thrown = replace(TRUTH, waves=np.array([0.5, 0.8, 0.8]))
-    wide = model.again(OPTICS, POSE, waves=thrown.waves, spare=SETTINGS.spare_cone)
+    wide = model.rebuilt(OPTICS, POSE, waves=thrown.waves, cone_margin=SETTINGS.cone_margin)
     assert wide.window_airy > 1.5 * model.window_airy
     problem = photographed(wide, thrown)
     ends = [free_cone(replace(problem, model=each), Start(thrown), 0.03) for each in (model, wide)]

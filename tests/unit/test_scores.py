@@ -24,8 +24,8 @@ SPECTRUM = SpectrumWidth.name
 
 def problem(*parts: Part) -> Problem:
     """Frames taken with parts of a camera, and a model without."""
-    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
-    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, spare=SETTINGS.spare_cone)
+    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
     return replace(photographed(with_them), model=without)
 
 
@@ -41,7 +41,7 @@ def asked(of: Problem) -> dict[str, ScoreTest]:
 def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     frames = problem(LowPass(0.2, 0.15))
     plain, test = fitted(frames), asked(frames)["low_pass_filter"]
-    model = frames.model.shaped(OPTICS.with_part("low_pass_filter"))
+    model = frames.model.with_optics(OPTICS.with_part("low_pass_filter"))
     climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
@@ -56,7 +56,7 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
 def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing() -> None:
     frames = problem(LowPass(0.2, 0.15))
     # a target that is no panel's: the panel's numbers are as their prior has them
-    shown = replace(frames, model=frames.model.shaped(replace(OPTICS, panel=Aperture())))
+    shown = replace(frames, model=frames.model.with_optics(replace(OPTICS, panel=Aperture())))
     ours, plain = asked(shown), asked(frames)
     assert ours.keys() == plain.keys()
     for name, test in plain.items():
@@ -66,7 +66,7 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
 
 def test_a_veil_is_climbed_to_with_its_width() -> None:
     frames = problem(Veil(0.02, 7.0))
-    model = frames.model.shaped(OPTICS.with_part("veil"))
+    model = frames.model.with_optics(OPTICS.with_part("veil"))
     climbed = free_cone(replace(frames, model=model), Start(fitted(frames).solution.state), 0.03)
     share, log_scale = climbed.measured.values[3:5]
     std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
@@ -94,8 +94,8 @@ def test_a_part_of_each_name_can_be_added() -> None:
     for name, part in KNOWN.items():
         assert OPTICS.with_part(name).parts == (part,)
         assert OPTICS.with_part(name).without([name]) == OPTICS
-    assert OPTICS.with_part(SPECTRUM).shape_labels == ("spectrum.variance",)
-    assert replace(OPTICS, parts=(Diffusion(0.1),)).with_part("veil").shape_labels == (
+    assert OPTICS.with_part(SPECTRUM).camera_labels == ("spectrum.variance",)
+    assert replace(OPTICS, parts=(Diffusion(0.1),)).with_part("veil").camera_labels == (
         "diffusion.variance_px2",
         "veil.share",
         "veil.log_scale",
