@@ -1,8 +1,8 @@
-"""Which parts of the camera a session shows that its plan does not state: forward selection by summed score tests.
+"""Select camera parts that a session shows and its plan does not state: forward selection by summed score tests.
 
-Every optimum tells by its slopes what each absent part would gain (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)); the
-sums over a session name the part to try. The fits that tell most are climbed again with it, and the penalised likelihood
-decides. Parts that blur alike are tried in each other's place, the commoner one first.
+A score test at every optimum gives the log-likelihood that each absent part would gain (C. R. Rao, Proc. Camb. Phil. Soc.
+44, 50 (1948)). The sums over a session name the part to try. The most significant fits are refitted with it, and the
+penalised likelihood decides. Parts with similar blur are tried in place of each other, the more common part first.
 """
 
 from __future__ import annotations
@@ -22,19 +22,24 @@ from labkit.imaging.parts import KNOWN
 from labkit.results.model import PartTried
 
 BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
-"""Parts that blur alike to first order, the commonest first."""
+"""Parts with the same blur to first order, the most common first."""
 
 Parts = frozenset[str]
 Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
 
 def cost(parts: Parts) -> float:
-    """Penalty of a choice of parts, in log-likelihood."""
+    """Return the penalty of a choice of parts, in log-likelihood."""
     return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (BLURS.index(name) if name in BLURS else 0) for name in parts)
 
 
-def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
-    """Score tests of a session, by name of the part. fits: channel and optimum; parts of the light are each channel's own."""
+def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
+    """Sum the score tests of a session, by name of the part.
+
+    Parameters
+    ----------
+    fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test.
+    """
     names = [name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)]
     whole = {name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits)) for name in names}
     for name in [name for name in names if KNOWN[name].per_channel]:
@@ -47,20 +52,20 @@ def summed(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
     return whole
 
 
-def worth(fits: Sequence[Measured]) -> dict[str, float]:
-    """By name of a fitted part, the log-likelihood that the fits would lose without it, to second order."""
-    worths = dict[str, float]()
+def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
+    """Return the log-likelihood that fits would lose without each fitted part, to second order (Wald test)."""
+    losses = dict[str, float]()
     for measured in fits:
         names = [label.split(".")[0] for label in measured.parts]
         for name in dict.fromkeys(name for name in names if name in KNOWN):
             at = len(measured.noll) + np.flatnonzero([one == name for one in names])
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
-            worths[name] = worths.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))
-    return worths
+            losses[name] = losses.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))
+    return losses
 
 
-def _lacking(fits: Sequence[Optimum]) -> float:
-    """Log-likelihood that a part must gain where residuals of all fits are more than noise: else it stands for another lack."""
+def _least_gain(fits: Sequence[Optimum]) -> float:
+    """Return the log-likelihood that a part must gain if the model explains no fit: a smaller gain may have another cause."""
     if any(fit.verdict.accepted for fit in fits):
         return 0.0
     return SETTINGS.few * sum(fit.unexplained for fit in fits)
@@ -72,12 +77,12 @@ class CameraChoice:
 
     Attributes
     ----------
-    refit : climbs fits again, from their ends, with a choice of parts
-    wanted : parts that the plan wants fitted, which stay
-    tried : what was asked about, with what it would gain
+    refit : refits observations, each from its optimum, with a choice of parts
+    wanted : parts that the plan requests to fit, which always stay
+    tried : parts that were tested for, with their gains
     refused : choices that did not raise the penalised likelihood
-    missing : the part that the fits show, which was refused for explaining too little
-    with_missing : fits with it
+    missing : the significant part that was refused because it explains too little of the residuals
+    with_missing : fits with the missing part
     """
 
     refit: Refit
@@ -88,9 +93,12 @@ class CameraChoice:
     with_missing: dict[int, Optimum] = field(default_factory=dict)
 
     def chosen(self, fits: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Parts:
-        """The parts that raise the penalised likelihood most, by steps.
+        """Find the parts that raise the penalised likelihood most, step by step.
 
-        fits: channel and optimum of each fit, with `parts` in its model beside the plan's.
+        Parameters
+        ----------
+        fits : channel and optimum of each fit
+        parts : parts in the fits' model in addition to the plan's
         """
         best, ends = parts, dict(fits)
         self.refused.clear()
@@ -108,30 +116,30 @@ class CameraChoice:
                 return best
 
     def _proposals(self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Iterator[Parts]:
-        """Other choices, the most promising first."""
-        tests = summed(list(ends.values()))
+        """Propose other choices of parts, the most promising first."""
+        tests = summed_score_tests(list(ends.values()))
         gains = {name: test.gain - cost(Parts([name])) + SETTINGS.part_cost for name, test in tests.items()}
         self.tried = [one for one in self.tried if one.name not in gains]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
-        worths = worth([optimum.measured for _, optimum in ends.values()])
-        for name in sorted(parts, key=lambda one: worths.get(one, 0.0)):
-            if worths.get(name, 0.0) < SETTINGS.part_cost:
+        losses = wald_losses([optimum.measured for _, optimum in ends.values()])
+        for name in sorted(parts, key=lambda one: losses.get(one, 0.0)):
+            if losses.get(name, 0.0) < SETTINGS.part_cost:
                 yield parts - {name}
-        lacking = _lacking([optimum for _, optimum in ends.values()])
+        least = _least_gain([optimum for _, optimum in ends.values()])
         for name in sorted(gains, key=lambda one: -gains[one]):
-            if gains[name] > max(SETTINGS.part_cost, lacking) and name not in self.wanted:
+            if gains[name] > max(SETTINGS.part_cost, least) and name not in self.wanted:
                 yield parts | {name}
         for name in [one for one in BLURS if one in parts]:
-            commoner = [one for one in BLURS[: BLURS.index(name)] if one in tests]
-            for one in commoner:
+            more_common = [one for one in BLURS[: BLURS.index(name)] if one in tests]
+            for one in more_common:
                 yield (parts - {name}) | {one}
-            if len(commoner) > 1 and sum(len(KNOWN[one].labels) for one in commoner) <= len(KNOWN[name].labels):
-                yield (parts - {name}) | set(commoner)
+            if len(more_common) > 1 and sum(len(KNOWN[one].labels) for one in more_common) <= len(KNOWN[name].labels):
+                yield (parts - {name}) | set(more_common)
 
     def _reached(
         self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts, choice: Parts
     ) -> dict[int, tuple[str, Optimum]] | None:
-        """Fits with another choice of parts, if that raises the penalised likelihood; else None."""
+        """Return the fits with another choice of parts, or None if the penalised likelihood does not rise."""
         telling = self._telling(ends, choice ^ parts)
         fits = dict(self.refit(telling, choice))
         if self._gain(ends, fits) <= cost(choice) - cost(parts):
@@ -149,12 +157,12 @@ class CameraChoice:
         return None
 
     def _telling(self, ends: Mapping[int, tuple[str, Optimum]], names: Parts) -> list[int]:
-        """The fits that show most of some parts, by their score tests or their numbers."""
+        """Return the fits with the most significant score tests, or estimates, of some parts."""
 
         def shown(k: int) -> float:
             optimum = ends[k][1]
-            worths = worth([optimum.measured])
-            return sum(optimum.scores[n].gain if n in optimum.scores else worths.get(n, 0.0) for n in names)
+            losses = wald_losses([optimum.measured])
+            return sum(optimum.scores[n].gain if n in optimum.scores else losses.get(n, 0.0) for n in names)
 
         return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]
 
@@ -165,9 +173,9 @@ class CameraChoice:
     def _better(
         self, ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum], parts: Parts, choice: Parts
     ) -> bool:
-        """Whether fits with other parts are likelier by the parts' cost, and by a share of what was unexplained."""
+        """Whether fits with other parts gain more than the parts' cost, and a share of the unexplained log-likelihood."""
         gain = self._gain(ends, fits) - cost(choice) + cost(parts)
         if gain <= 0 or not choice - parts:
             return gain > 0
         explained = any(fit.verdict.accepted for fit in fits.values())
-        return explained or gain > _lacking([ends[k][1] for k in fits])
+        return explained or gain > _least_gain([ends[k][1] for k in fits])

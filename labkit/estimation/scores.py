@@ -1,7 +1,8 @@
-"""What frames say of parts of the camera that their model lacks: score tests at the optimum without them.
+"""Score tests for camera parts that a model lacks, at the optimum without them.
 
-A part's numbers are such that the likelihood is regular where they are 0 (`labkit.imaging.parts`), so its slope there says
-what the part would gain, to second order, and no climb with it is needed: C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948).
+A part is parametrised so that the likelihood is regular where all its numbers are 0 (`labkit.imaging.parts`). The slope there
+gives the log-likelihood that the part would gain, to second order, without a fit that includes the part: C. R. Rao, Proc.
+Camb. Phil. Soc. 44, 50 (1948).
 """
 
 from __future__ import annotations
@@ -22,31 +23,45 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """Of one part, from one fit: slope (n,) and information (n, n) of the log-likelihood by its numbers, all else refitted."""
+    """A Rao score test for one camera part with n numbers.
+
+    Attributes
+    ----------
+    slope : (n,) derivative of the log-likelihood by the part's numbers, at 0
+    information : (n, n) Fisher information, all other parameters refitted
+    """
 
     slope: Floats
     information: Floats
 
     def __add__(self, other: ScoreTest) -> ScoreTest:
-        """Of two fits that share the part."""
+        """Add the tests of two fits that share the part."""
         return ScoreTest(self.slope + other.slope, self.information + other.information)
 
     @property
     def step(self) -> Floats:
-        """(n,) to the numbers that are called for."""
+        """(n,) likeliest numbers of the part, to second order."""
         return inverse(self.information) @ self.slope
 
     @property
     def gain(self) -> float:
-        """Log-likelihood that the part would gain; 0 where it would need numbers that no camera has."""
+        """Log-likelihood that the part would gain; 0 if its likeliest numbers are unphysical."""
         step = self.step
         return float(0.5 * step @ self.slope) if step.max() > 0 and step.sum() > 0 else 0.0
 
 
 def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, ScoreTest]:
-    """What frames say of parts that their model lacks, by the likelihood about its optimum without them.
+    """Test for camera parts that a model lacks, by the likelihood about its optimum without them.
 
-    f_number_std: relative, of the cone.
+    Parameters
+    ----------
+    expansion : the likelihood about the optimum
+    names : parts to test for
+    f_number_std : relative standard error of the working f-number
+
+    Returns
+    -------
+    one test for each name
     """
     if not names:
         return {}
@@ -57,7 +72,7 @@ def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float)
     kept = np.setdiff1d(np.arange(len(wider.gradient)), np.concatenate([*added.values()]))
     information, gradient = wider.information.copy(), wider.gradient
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
-    others = kept[(kept >= first) & (kept < cone)]  # parts that are there already: as usual, as in a climb
+    others = kept[(kept >= first) & (kept < cone)]  # present parts keep the prior that they have in a climb
     information[others, others] += without.camera_stds[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
     result = {}

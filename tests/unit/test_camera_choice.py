@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from labkit.estimation.camera import CameraChoice, Parts, cost, summed, worth
+from labkit.estimation.camera import CameraChoice, Parts, cost, summed_score_tests, wald_losses
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.stated_optics import optics_of
@@ -80,21 +80,21 @@ class Fits:
 
 
 def test_fits_add_up_what_they_call_for() -> None:
-    both = summed([("G", with_scores(veil=4.0)), ("R", with_scores(veil=4.0))])
+    both = summed_score_tests([("G", with_scores(veil=4.0)), ("R", with_scores(veil=4.0))])
     assert both["veil"].gain == pytest.approx(8.0)
     against = optimum(OPTICS, 3200.0, scores={"veil": score_test(4.0, -1.0)})
-    assert summed([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain == 0.0
+    assert summed_score_tests([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain == 0.0
 
 
 def test_each_channel_has_a_spectrum_of_its_own() -> None:
     fits = [("G", with_scores(spectrum=4.0)), ("G", with_scores(spectrum=4.0)), ("R", with_scores(spectrum=9.0))]
-    (both,) = summed(fits).values()
+    (both,) = summed_score_tests(fits).values()
     np.testing.assert_allclose(both.step, np.sqrt([8.0, 18.0]))
     assert both.gain == pytest.approx(8.0 + 9.0)
 
 
 def test_parts_that_some_fits_were_not_asked_about_are_not_summed() -> None:
-    assert [*summed([("G", with_scores(veil=4.0, smear=1.0)), ("G", with_scores(smear=1.0))])] == ["smear"]
+    assert [*summed_score_tests([("G", with_scores(veil=4.0, smear=1.0)), ("G", with_scores(smear=1.0))])] == ["smear"]
 
 
 def test_what_no_camera_has_gains_nothing() -> None:
@@ -106,7 +106,7 @@ def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
     values = of.values.copy()
     values[2:5] = 0.01, -0.01, 0.04  # known to 0.01 each
     fits = [replace(of, values=values)] * 2
-    assert worth(fits) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 16.0})
+    assert wald_losses(fits) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 16.0})
 
 
 def test_a_rarer_part_costs_more_than_a_commoner_one_that_blurs_alike() -> None:
