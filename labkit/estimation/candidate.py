@@ -1,4 +1,4 @@
-"""An optimum of one observation's likelihood, as the session sees it: a Gaussian, how likely it is, how well it explains."""
+"""An optimum of one observation's likelihood, summarised for the session as a Gaussian measurement."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class Measured:
-    """What frames of one observation say about an optimum: a Gaussian.
+    """A Gaussian measurement: the likelihood of one observation's frames about an optimum.
 
     Attributes
     ----------
-    noll : modes
-    values : (values,) modes in waves RMS, numbers of the parts, ln of the cone's f-number, ln of the picture's scale (sensor
-        over target, mm per mm, the mean of all directions)
-    covariance : (values, values) of photons, read noise and calibration, without a prior on the f-number
-    calibration : (values, values) part of it that the flats' errors make
-    foreshortening : ln of the scale along the line on which a tilted target does not recede, less the mean's; and its error
+    noll : Noll's numbers of the modes
+    values : (values,) modes in waves RMS, numbers of the parts, ln of the working f-number, ln of the picture's scale
+        (sensor over target, mm per mm, averaged over all directions)
+    covariance : (values, values) due to photons, read noise and calibration, without a prior on the f-number
+    calibration : (values, values) part of the covariance due to errors of the flat frames
+    foreshortening : ln of the scale along the tilt axis of the target less ln of the mean scale; and its standard error
     parts : labels of the parts' numbers
-    model : (values, values) part of the covariance by residuals that are not noise alone, empty without
+    model : (values, values) part of the covariance due to residuals that are not noise alone; empty if they are noise
     """
 
     noll: tuple[int, ...]
@@ -38,18 +38,18 @@ class Measured:
 
     @property
     def waves(self) -> Floats:
-        """(modes,) of the values."""
+        """(modes,) wavefront in waves RMS."""
         return self.values[: len(self.noll)]
 
     @property
     def signs(self) -> Floats:
-        """(values,) -1 for the even modes, which change sign in the twin, +1 for all else (thesis §3.6)."""
+        """(values,) -1 for even modes, which change sign in the twin, +1 for all other values (thesis §3.6)."""
         signs = np.ones(len(self.values))
         signs[: len(self.noll)] = twin_signs(self.noll)
         return signs
 
     def labelled(self, parts: tuple[str, ...]) -> Measured:
-        """The same with numbers of more parts, of which nothing was measured: some channels have light of a known width."""
+        """Add unmeasured numbers of further parts: channels with a known spectrum, for example, do not measure its width."""
         if parts == self.parts:
             return self
         modes, size = len(self.noll), len(self.noll) + len(parts) + 2
@@ -66,7 +66,7 @@ class Measured:
         return replace(self, values=values, covariance=covariance, calibration=calibration, model=model, parts=parts)
 
     def twin(self) -> Measured:
-        """The same with the even modes reversed: the same pictures."""
+        """Reverse the even modes: the twin makes the same pictures."""
         both = np.outer(self.signs, self.signs)
         return replace(
             self,
@@ -83,9 +83,9 @@ class Candidate:
 
     Attributes
     ----------
-    measured : Gaussian about it, its errors as its residuals have them
-    log_likelihood : beside the observation's other candidates
-    explained : whether what is left of the data is noise alone
+    measured : the Gaussian about the optimum; sandwich errors if the residuals are not noise alone
+    log_likelihood : comparable with the observation's other candidates
+    explained : whether the residuals are noise alone
     """
 
     measured: Measured
@@ -95,7 +95,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Observed:
-    """An observation with its candidates, none before it is fitted."""
+    """An observation with its candidates; there is none before the first fit."""
 
     reading: Reading
     candidates: tuple[Candidate, ...] = ()

@@ -1,7 +1,8 @@
-"""Errors of numbers that are known to be biased, and stay as they are.
+"""Standard errors of estimates with a known bias that is not corrected.
 
-A standard error is taken for the width that holds the truth 68.3 times in 100. Beside a bias the root of both squares does not:
-beside a large one it holds it 50 times. S. D. Phillips, K. R. Eberhardt, B. Parry, J. Res. NIST 102, 577 (1997).
+A standard error is read as the half-width of an interval with a coverage of 68.3 %. The root sum of squares of standard error
+and bias does not keep this coverage: for a large bias the coverage is 50 %. S. D. Phillips, K. R. Eberhardt, B. Parry, J. Res.
+NIST 102, 577 (1997).
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ WITHIN = float(erf(0.5**0.5))
 
 
 def error_with_bias(std: Floats, bias: Floats) -> Floats:
-    """Standard error that holds the truth as often as that of a normal error does, of an estimate with a known bias.
+    """Return the half-width with the coverage of one standard error, for estimates with a known bias.
 
-    A squared normal error with a bias follows the noncentral chi-squared distribution; beyond a hundred standard errors
-    of bias the width grows as the bias does.
+    A squared normal error with a bias follows the noncentral chi-squared distribution. For a bias beyond a hundred standard
+    errors the width grows as the bias does.
+
+    Parameters
+    ----------
+    std, bias : standard errors and biases, of the same shape and unit
     """
     std, bias = np.asarray(std, float), np.abs(bias)
     ratio = np.minimum(bias / np.maximum(std, np.finfo(float).tiny), 100.0)
@@ -27,7 +32,10 @@ def error_with_bias(std: Floats, bias: Floats) -> Floats:
 
 
 def covariance_with_bias(covariance: Floats, bias: Floats) -> Floats:
-    """(n, n) whose diagonal is `error_with_bias` squared, all numbers (n,) biased together."""
+    """Add a known bias (n,) to a covariance (n, n): the diagonal becomes `error_with_bias` squared.
+
+    The biases of all n estimates are fully correlated.
+    """
     variance = np.diag(covariance)
     added = np.maximum(error_with_bias(np.sqrt(variance), bias) ** 2 - variance, 0.0)
     together = np.sign(bias) * np.sqrt(added)

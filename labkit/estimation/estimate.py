@@ -1,4 +1,4 @@
-"""What the fits of a session come to: a wavefront for every observation, and the lens that they have in common."""
+"""The estimate of a session: a wavefront for every observation, and one lens for all."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class LocalFit:
 
     Attributes
     ----------
-    observation : its frames
-    optimum : the chosen one, with the session's sign
-    found : what the searches for it met
+    observation : the frames
+    optimum : the chosen optimum, with the session's sign
+    found : all optima of the searches
     """
 
     observation: Observation
@@ -30,12 +30,12 @@ class LocalFit:
 
     @property
     def channel(self) -> str:
-        """Of the observation."""
+        """Channel of the observation."""
         return self.observation.channel
 
     @property
     def optics(self) -> Optics:
-        """Of the optimum."""
+        """Optics at the optimum."""
         return self.optimum.optics
 
     @property
@@ -45,11 +45,11 @@ class LocalFit:
 
     @property
     def ranged(self) -> bool:
-        """Whether it bears on the lens."""
+        """Whether the fit contributes to the lens."""
         return is_ranged(self.observation, self.optimum.noll)
 
     def with_optimum(self, optimum: Optimum) -> LocalFit:
-        """The same at another optimum."""
+        """Return the fit with another optimum."""
         return replace(self, optimum=optimum)
 
 
@@ -59,18 +59,18 @@ class Estimate:
 
     Attributes
     ----------
-    fits : of those observations that have one
-    lens : in common; None where no ranges, or no defocus, are there to determine one
-    rows : place of each fit among the observations of `lens`, None where it bears on none
-    members : fits that the lens is made of; the others are outliers
-    outliers : fits that do not belong to the session
-    refitted_members : fits that were made again from what the others predict, and then belonged
-    open_channels : channels whose signs the ranges leave open
-    tried : camera parts that the fits were asked about
-    missing : camera parts that the fits show and their model lacks
-    with_missing : fits with the missing parts, None where there is none
-    stated_camera : the session without the parts that its plan does not state, where some were found
-    lost : why observations have no fit, in words
+    fits : a fit for each observation but the lost ones
+    lens : the common lens; None if ranges are unknown or defocus is not fitted
+    rows : place of each fit among the observations of `lens`; None for fits that do not contribute
+    members : places of the fits from which the lens is estimated
+    outliers : places of fits that contradict the lens
+    refitted_members : places of members that were outliers until they were refitted from the session's prediction
+    open_channels : channels whose signs of defocus the ranges leave open
+    tried : camera parts that the fits were tested for
+    missing : camera parts that the fits show and the model lacks
+    with_missing : optima with the missing parts, None where not fitted
+    stated_camera : the session without the camera parts that the plan does not state; None if no part was added
+    lost : for each observation without a fit, a sentence with the reason
     """
 
     fits: tuple[LocalFit, ...]
@@ -88,34 +88,34 @@ class Estimate:
 
     @property
     def trusted(self) -> tuple[int, ...]:
-        """The members, or all fits where there is no lens to belong to."""
+        """The members, or all fits if there is no lens."""
         return self.members or tuple(range(len(self.fits)))
 
     def with_stated_camera(self, k: int) -> LocalFit | None:
-        """Fit k without the parts that were found; None where none was, or memory was too short for some."""
+        """Return fit k without the parts that were added; None if no part was, or if memory was too short for some fits."""
         plain = self.stated_camera
         return None if plain is None or len(plain.fits) != len(self.fits) else plain.fits[k]
 
     def with_all_parts(self, k: int) -> Optimum:
-        """Optimum of fit k with what its model lacks, where there is one."""
+        """Return the optimum of fit k with the missing parts in its model, or the chosen optimum if no part is missing."""
         with_missing = self.with_missing[k] if self.with_missing else None
         return self.fits[k].optimum if with_missing is None else with_missing
 
 
 def is_ranged(observation: Observation, noll: tuple[int, ...]) -> bool:
-    """Whether an observation bears on the lens: its range is known, and defocus is fitted."""
+    """Whether an observation contributes to the lens: its range is known, and defocus is fitted."""
     return observation.measured_range_mm is not None and DEFOCUS in noll
 
 
 def reading_of(observation: Observation) -> Reading:
-    """Where the rail stood for an observation of known range."""
+    """Return the rail's position for an observation of known range."""
     assert observation.measured_range_mm is not None
     station = observation.measured_range_mm if observation.range_mm is None else observation.range_mm
     return Reading(observation.key, observation.measured_range_mm, station, observation.homings)
 
 
 def observed(observation: Observation, found: Found | None) -> Observed:
-    """An observation as the selection takes it."""
+    """Return an observation with its candidates for the selection: optima that determine all modes."""
     optima = () if found is None else found.optima
     usable = [optimum for optimum in optima if not optimum.verdict.undetermined]
     return Observed(reading_of(observation), tuple(optimum.candidate for optimum in usable))

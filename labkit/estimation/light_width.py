@@ -1,4 +1,7 @@
-"""How broad the light of each channel may be, where the plan does not say: photographs hardly tell, and PSFs hang on it."""
+"""Upper limits on the spectral width of each channel's light, where the plan does not state the spectrum.
+
+Photographs hardly determine the width, and PSFs depend on it.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,14 @@ from labkit.optics.spectrum import WIDEST
 from labkit.plan import Plan
 
 ONE_SIDED = float(ndtri(0.95))
-"""Standard errors, above which a normal error is 5 times in 100."""
+"""Quantile, in standard errors, that a normal error exceeds with a probability of 5 %."""
 
 
 def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
-    """By channel, standard deviations of the light that its photographs allow, nm: the largest, with 95 % confidence.
+    """Return upper limits, with 95 % confidence, on the standard deviation of each channel's light, nm.
 
-    At most `WIDEST` of the wavelength. Of channels of which the plan states no spectrum, nor the fits have one, by the score
-    tests of all fits that belong to the session.
+    Limits follow from the score tests of all fits that belong to the session, and are at most `WIDEST` of the wavelength.
+    Channels whose spectrum is stated or fitted are left out.
     """
     silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
     said = dict[str, list[ScoreTest]]()
@@ -33,6 +36,6 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
 
 
 def _most(test: ScoreTest) -> float:
-    """Relative to the wavelength. No light is less broad than one wavelength is."""
+    """Return the upper limit relative to the wavelength; a negative estimate of the variance counts as 0."""
     (square,), (information,) = test.step, test.information.diagonal()
     return min(float(np.sqrt(max(square, 0.0) + ONE_SIDED * information**-0.5)), WIDEST)

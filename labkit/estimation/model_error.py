@@ -1,7 +1,7 @@
-"""How wrong a session may be whose model lacks a camera part that its frames show.
+"""Model error: the bias of a session whose model lacks a camera part that its frames show.
 
-A sandwich tells how residuals that are not noise scatter an estimate, not where they drag all fits alike. The same fits with
-the part say that. Estimates stay as the model has them; their errors hold the move.
+A sandwich covariance describes how residuals that are not noise scatter an estimate, but not a bias common to all fits. The
+bias follows from the same fits with the part. Estimates are not corrected; their standard errors include the bias.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from labkit.types import Floats
 
 
 def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
-    """(modes,) waves RMS and ln of the cone by which what is missing would move a wavefront. Of two twins the nearer counts."""
+    """Return the change of a wavefront due to missing parts: (modes,) waves RMS, and ln of the ratio of working f-numbers.
+
+    Of two twins the nearer counts.
+    """
     near = _near(optimum, with_missing)
     return near.waves - optimum.waves, float(np.log(near.optics.f_number / optimum.optics.f_number))
 
 
 def confirmed(session: Estimate, index: int) -> bool:
-    """Whether a fit is at the optimum that explains its frames once the model has what it lacks."""
+    """Whether a fit is at the optimum that explains its frames once the missing parts are in the model."""
     optimum, complete = session.fits[index].optimum, session.with_all_parts(index)
     if optimum is complete or not complete.verdict.accepted:
         return False
@@ -37,7 +40,7 @@ def confirmed(session: Estimate, index: int) -> bool:
 
 
 def with_model_error(session: Estimate) -> Estimate:
-    """With the lens's errors as what is missing makes them."""
+    """Include the bias due to missing parts in the errors of the lens."""
     if session.lens is None or not any(session.with_missing):
         return session
     model = session.lens.model
@@ -50,7 +53,7 @@ def with_model_error(session: Estimate) -> Estimate:
 
 
 def _measured_shift(optimum: Optimum, with_missing: Optimum, labels: Sequence[str | int]) -> Floats:
-    """(values,) of the session's model; a part that one of the two lacks has numbers 0."""
+    """Return the change (values,) due to missing parts; a part that is absent from one of the optima counts as 0."""
     here, there = optimum.measured, _near(optimum, with_missing).measured
     before, after = _by_label(here), _by_label(there)
     moved = [after.get(label, 0.0) - before.get(label, 0.0) for label in labels]
@@ -63,6 +66,6 @@ def _by_label(measured: Measured) -> dict[str | int, float]:
 
 
 def _near(optimum: Optimum, other: Optimum) -> Optimum:
-    """Another, or its twin, whichever is nearer."""
+    """Return another optimum or its twin, whichever is nearer."""
     even = twin_signs(optimum.noll) < 0
     return other.twin() if optimum.waves[even] @ other.waves[even] < 0 else other
