@@ -1,4 +1,4 @@
-"""What an estimate reports about itself, as findings: the sentences are in `labkit.findings`."""
+"""Findings about an estimate; their sentences are in `labkit.findings`."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ CONFIRMED_BY = {
     "starts": "many starts ended in",
     "parts": "a fit with more parts of the camera confirms",
 }
-"""What confirmed an optimum, by the name of its test; any other test is the session's."""
+"""How an optimum was confirmed, by the name of its test; any other test is the session's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """How far another model of the camera would move a session's results.
+    """Changes of a session's results under another model of the camera.
 
-    Parameters
+    Attributes
     ----------
     best_focus_mm : by channel; empty without a best focus
-    waves : the largest move of a wavefront, waves RMS
+    waves : the largest change of a wavefront, waves RMS
     psf_l1 : the largest summed absolute difference of a PSF of unit sum
     """
 
@@ -41,7 +41,7 @@ class Moves:
 
     @property
     def numbers(self) -> dict[str, JSON]:
-        """The same as the numbers of a finding."""
+        """The changes as numbers of a finding."""
         return {
             "best_focus_moves_mm": dict(self.best_focus_mm),
             "waves_move": self.waves,
@@ -50,14 +50,23 @@ class Moves:
 
 
 def undetermined(key: Key, combinations: Sequence[str]) -> Finding:
-    """The frames leave combinations of modes open."""
+    """Report combinations of modes that the frames do not determine."""
     return found("undetermined", key, {"list": ", ".join(combinations)}, combinations=list(combinations))
 
 
 def residuals_not_noise(
     key: Key, p_value: float, chi2_per_pixel: float, missing: Sequence[str], confirmed_by: str | None
 ) -> Finding:
-    """The model does not explain a wavefront's frames. confirmed_by: the test that accepted its optimum, None for none."""
+    """Report a wavefront whose frames the model does not explain.
+
+    Parameters
+    ----------
+    key : of the wavefront
+    p_value : of the residuals
+    chi2_per_pixel : of the residuals
+    missing : camera parts that the frames show and the model lacks
+    confirmed_by : test that accepted the optimum; None if no test did
+    """
     words = {"such_as": "".join(f", such as {KNOWN[name].words}" for name in missing)}
     code = "optimum-doubtful"
     if confirmed_by is not None:
@@ -75,13 +84,14 @@ def residuals_not_noise(
 
 
 def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None) -> Finding:
-    """A part that the plan does not state was taken into the model.
+    """Report a camera part that was added to the model although the plan does not state it.
 
     Parameters
     ----------
-    values : the part's numbers, each name with its unit
-    gain : log-likelihood that the part was to gain, by its slope
-    moves : how far all results would move without the parts that were found
+    part : name of the part
+    values : the part's numbers; each name ends with its unit
+    gain : log-likelihood that the part gains, by its score test
+    moves : changes of all results without the added parts
     """
     plain = {name.removesuffix("_px").removesuffix("_nm"): value for name, value in values.items()}
     words = ", ".join(f"{name} {value}" for name, value in plain.items() if name != "spread")
@@ -97,13 +107,13 @@ def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | 
 
 
 def camera_parts_missing(parts: Sequence[str], moves: Moves) -> Finding:
-    """The frames call for parts that the model lacks. moves: how far those would move all results."""
+    """Report camera parts that the frames show and the model lacks. moves: changes of all results with these parts."""
     words = {"list": " and ".join(KNOWN[name].words for name in parts), "moves": str(moves)}
     return found("camera-parts-missing", None, words, parts=list(parts), **moves.numbers)
 
 
 def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
-    """What the parts change that were found. rejected: how many of the optima would be, without those parts."""
+    """Report changes of all results without the added parts; then `rejected` of the optima would be rejected."""
     words = f"; {rejected} of {optima} optima would be rejected" if rejected else ""
     return found(
         "stated-model-moves",
@@ -116,12 +126,12 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
 
 
 def model_incomplete_everywhere(chi2_per_pixel: Mapping[str, float], fits: int) -> Finding:
-    """The model explains the frames of few fits, whose optima confirm each other.
+    """Report a model that explains the frames of few fits, whose optima confirm each other.
 
     Parameters
     ----------
-    chi2_per_pixel : by key, of those fits that are not explained
-    fits : how many there are in all
+    chi2_per_pixel : by key, of the unexplained fits
+    fits : number of all fits
     """
     values = list(chi2_per_pixel.values())
     return found(

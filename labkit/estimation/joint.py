@@ -1,4 +1,4 @@
-"""A climb over all frames of a session at once: does the estimate from two levels lose anything?"""
+"""A climb over all frames of a session at once: a check of the two-level estimate."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from labkit.types import Floats, Progress
 
 @dataclass(frozen=True)
 class Leg:
-    """One member's part of a step.
+    """One member's part of a step, as a task.
 
     Attributes
     ----------
-    views, target : its frames, and what they show
-    state, optics : where the member stands
-    values : (values,) that the session's step gives it, see `Measured`
-    explained : whether the model explains its frames
+    views, target : the member's frames and the target
+    state, optics : the member's present parameters
+    values : (values,) prescribed by the session's step, see `Measured`
+    explained : whether the model explains the member's frames
     """
 
     views: Shared[Views]
@@ -48,7 +48,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Reached:
-    """Where a leg ended, and the likelihood about it."""
+    """The end of a leg, and the likelihood about it."""
 
     state: State
     optics: Optics
@@ -58,12 +58,12 @@ class Reached:
 
 @dataclass(frozen=True)
 class Joint:
-    """The end of the climb.
+    """The end of the joint climb.
 
     Attributes
     ----------
-    lens : the session there
-    differences : from the two levels, in standard errors, by number
+    lens : the session's parameters at the end
+    differences : from the two-level estimate, in standard errors, by parameter
     log_likelihoods : of all frames, after each step
     """
 
@@ -75,11 +75,19 @@ class Joint:
 def refit_jointly(
     session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run, progress: Progress
 ) -> Joint:
-    """Gauss-Newton over everything at once, from the two levels' end.
+    """Climb over all parameters at once by Gauss-Newton steps, from the two-level estimate.
 
-    The parameters of the session are few, and each frame's own (pose, light, noise) touch no other: eliminated member by
-    member, they leave the session's least squares, with each member's likelihood expanded anew about where the session
-    has it.
+    The parameters of the session are few. Each frame's own parameters (pose, light, noise) affect no other frame: eliminated
+    member by member, they leave the session's least squares, with each member's likelihood expanded anew about its present
+    parameters.
+
+    Parameters
+    ----------
+    session : the two-level estimate
+    targets : the target as shown to each channel
+    stated : the plan's numbers
+    run : maps the legs
+    progress : called with each step
 
     Raises
     ------
@@ -103,10 +111,10 @@ def refit_jointly(
 
 
 def refined(session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run) -> Estimate:
-    """With the lens after the climb's first step, where camera parts were fitted.
+    """Replace the lens by the lens after the joint climb's first step, where camera parts were fitted.
 
-    In squares of a filter's spread a likelihood is less of a parabola than in all else, and the session's spread is beyond
-    what some fits alone make of it.
+    In squares of a filter's spread the likelihood is less parabolic than in other parameters, and the session's spread lies
+    beyond the estimates of some single fits.
     """
     if session.lens is None or not any(session.fits[k].optics.parts for k in session.members):
         return session
@@ -125,7 +133,7 @@ def _all_reached(
     places: Sequence[tuple[State, Optics]],
     run: Run,
 ) -> list[Reached]:
-    """From where members stand, at a lens's values for them."""
+    """Step all members to the values that a lens predicts for them."""
     predicted = lens.solved.predicted
     legs = []
     shown = {channel: share(run, target) for channel, target in targets.items()}
@@ -148,7 +156,7 @@ def _all_reached(
 
 
 def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit, stated: Stated) -> LensFit:
-    """The lens of members where they have got to, under the laws of another."""
+    """Estimate the lens from the members' new measurements, under the laws of an earlier lens."""
     at = {session.rows[k]: one for k, one in zip(session.members, reached, strict=True)}
     rows = range(len(like.model.readings))
     observed = [
@@ -160,7 +168,7 @@ def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit, state
 
 
 def reach(leg: Leg) -> Reached:
-    """Step a member's own parameters to where they are likeliest at the session's values, and expand there."""
+    """Step a member's own parameters to their likeliest values given the session's, and expand the likelihood there."""
     state, optics = expand(problem_at(leg, leg.optics, leg.state), Start(leg.state)).at(leg.values)
     problem = problem_at(leg, optics, state)
     expansion = expand(problem, Start(state))
@@ -169,7 +177,7 @@ def reach(leg: Leg) -> Reached:
 
 
 def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
-    """A leg's frames and a model of them about a state."""
+    """Return a leg's frames with a model about a state."""
     views = leg.views.value
     model = ForwardModel.build(
         optics,
@@ -189,7 +197,7 @@ def _prior_chi2(lens: LensFit) -> float:
 
 
 def _differences(one: LensFit, other: LensFit) -> dict[str, float]:
-    """Of every number, in standard errors."""
+    """Return the absolute difference of every parameter, in standard errors."""
     names = [" ".join(map(str, (column.kind, *column.name))) for column in one.model.columns]
     std = np.sqrt(np.diag(other.errors))
     return dict(zip(names, np.abs((one.theta - other.theta) / std).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Was the lens touched half-way? A session whose fits follow one lens before a moment and another after it."""
+"""Detect a change of the lens during a session: fits follow one lens before a moment and another lens after."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Change:
 
     Attributes
     ----------
-    last_mm, next_mm : stations between which it happened, in the order of their photographs
-    before, after : the session in two parts
+    last_mm, next_mm : stations before and after the change, in the order of their photographs
+    before, after : estimates of the two parts of the session
     """
 
     last_mm: float
@@ -29,9 +29,11 @@ class Change:
 
 
 def find_change(session: Estimate, stated: Stated) -> Change | None:
-    """Find the moment at which parting the session makes its fits agree.
+    """Find the moment at which the lens changed.
 
-    None where they agree as they are, or nowhere.
+    Returns
+    -------
+    None if the fits agree without a change, or if no single change makes them agree
     """
     places = [k for k, fit in enumerate(session.fits) if fit.ranged and not fit.optimum.verdict.undetermined]
     if session.lens is None or (session.lens.model.laws.paraxial and not session.outliers):
@@ -49,7 +51,7 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
 
 
 def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Stated) -> int | None:
-    """How many stations, in the order of their photographs, come before a change of the lens; None where none is seen."""
+    """Return the number of stations, in the order of their photographs, before a change; None if no change is detected."""
     if len(stations) < 3:
         return None
     whole = _whole(observed, stated).lens
@@ -66,17 +68,17 @@ def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Sta
 
 
 def _whole(observed: Sequence[Observed], stated: Stated) -> Selection:
-    """The lens of observations that all belong, held to all its laws."""
+    """Select with all observations as members, under the strictest laws."""
     return select(observed, stated, everyone=True)
 
 
 def _observed(session: Estimate, k: int) -> Observed:
-    """The chosen optimum of a fit, with what its model lacks."""
+    """Return the chosen optimum of a fit, with missing parts in its model."""
     return Observed(reading_of(session.fits[k].observation), (session.with_all_parts(k).candidate,))
 
 
 def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
-    """A part of a session, its errors as the whole has them. places: of its fits."""
+    """Estimate a part of a session from some of its fits, with errors as for the whole session."""
     fits = [session.fits[k] for k in places]
     candidates = [Observed(reading_of(fit.observation), (fit.optimum.candidate,)) for fit in fits]
     selection = _whole(candidates, stated)
