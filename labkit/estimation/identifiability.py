@@ -1,4 +1,4 @@
-"""What an information matrix determines, and what it leaves open, in words: the Cramér-Rao bound, singular or not."""
+"""Identifiability: the Cramér-Rao bound of an information matrix, singular or not, and undetermined combinations in words."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +10,18 @@ from labkit.arrays import symmetric
 from labkit.types import Floats
 
 SINGULAR = 2.0**-40
-"""Smallest eigenvalue of an information, scaled to a unit diagonal, that rounding does not explain."""
+"""Smallest eigenvalue of an information matrix, scaled to a unit diagonal, that rounding does not explain."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """What a Fisher information allows.
+    """The Cramér-Rao bound of a Fisher information.
 
-    names: (p,) of the parameters; covariance: (p, p) of any unbiased estimate, of the determined combinations where some
-    are not; undetermined: those that the data leave open, in words; none where all is determined.
+    Attributes
+    ----------
+    names : (p,) of the parameters
+    covariance : (p, p) least covariance of an unbiased estimate, over determined combinations only if some are undetermined
+    undetermined : combinations that the data do not determine, in words
     """
 
     names: tuple[str, ...]
@@ -27,18 +30,25 @@ class Bound:
 
     @property
     def std(self) -> Floats:
-        """(p,) infinite for a parameter that has part in an undetermined combination."""
+        """(p,) least standard errors; infinite for a parameter in an undetermined combination."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def rms(self, first: int, last: int) -> float:
-        """Root of the trace over a range of parameters: of the wavefront, where these are its modes."""
+        """Return the root sum of squares of standard errors first to last-1: for modes, the RMS error of the wavefront."""
         return float(np.linalg.norm(self.std[first:last]))
 
 
 def bound_of(information: Floats, names: Sequence[str]) -> Bound:
-    """The Cramér-Rao bound of an information matrix (p, p), singular or not.
+    """Return the Cramér-Rao bound of an information matrix, singular or not.
 
-    Raises ValueError for a matrix that is not square, symmetric and finite, or other than names.
+    Parameters
+    ----------
+    information : (p, p) in the parameters' units, inverse squared
+    names : (p,) of the parameters
+
+    Raises
+    ------
+    ValueError : the matrix is not symmetric and finite, or has another size
     """
     information = symmetric("information", information, len(names), "of the parameters' units, inverse squared")
     diagonal = np.diag(information)
@@ -54,7 +64,7 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
 
 
 def inverse(information: Floats) -> Floats:
-    """Covariance (p, p) of an information: entries huge where it is singular, never infinite."""
+    """Return the inverse (p, p) of an information matrix: entries are huge where the matrix is singular, never infinite."""
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
@@ -63,14 +73,21 @@ def inverse(information: Floats) -> Floats:
 
 
 def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[str, ...]:
-    """Combinations of parameters of one unit whose standard error exceeds an error, in words."""
+    """Describe combinations of parameters whose standard errors exceed a limit.
+
+    Parameters
+    ----------
+    error : the limit
+    covariance : (p, p) of the parameters, in the limit's unit squared
+    names : (p,) of the parameters
+    """
     covariance = symmetric("covariance", covariance, len(names), "of the parameters' unit, squared")
     values, vectors = np.linalg.eigh(covariance)
     return tuple(_in_words(d, np.ones(len(names)), names) for d in _plainest(vectors[:, values > error**2]))
 
 
 def _plainest(directions: Floats) -> Floats:
-    """(k, p) the span of directions (p, k) by combinations of few parameters: each has one parameter to itself."""
+    """Rewrite the span of directions (p, k) as (k, p) combinations of few parameters, each with one parameter to itself."""
     if directions.shape[1] == 0:
         return directions.T
     pivots = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
@@ -78,7 +95,7 @@ def _plainest(directions: Floats) -> Floats:
 
 
 def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
-    """A direction that changes nothing in the data: scaled, to name its parameters; then in their units."""
+    """Describe a direction (p,) in scaled parameters by the names, and in the units, of its largest components."""
     named = [int(i) for i in np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())]
     if len(named) == 1:
         return names[named[0]]

@@ -1,4 +1,4 @@
-"""The frames of one channel at one range, as the estimate takes them."""
+"""Frames of one channel at one range: the input of the estimate."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class Observation:
-    """The frames of one channel at one range, cut to the target, and where the cut is in them.
+    """Frames of one channel at one range, cut to the target, and the place of the cut.
 
     Attributes
     ----------
-    range_mm : as planned, which names the observation
-    measured_range_mm : as the rail's scale had it, where it has one; else the same
-    channel : its name
-    names : of the files
-    frames : counts with what is known of them
-    poses : of the target in each frame, in pixels of the cut, right to about a pixel
-    noise : as calibrated
+    range_mm : planned range, which names the observation
+    measured_range_mm : range by the rail's scale if the rail has one, else the planned range
+    channel : name of the channel
+    names : names of the files
+    frames : counts, with calibration
+    poses : pose of the target in each frame, in pixels of the cut, right to about a pixel
+    noise : calibrated noise
     places : (row, column) of the channel's planes in the cut
     period : pixels after which each plane repeats
-    origin_px : (row, column) of the cut's first pixel in the raw
-    homings : of each frame, how often the rail had been homed; empty where that was not recorded
-    order : of the first photograph in the session
+    origin_px : (row, column) of the cut's first pixel in the raw image
+    homings : for each frame, how often the rail had been homed; empty if not recorded
+    order : place of the first photograph in the session
     """
 
     range_mm: float | None
@@ -48,7 +48,7 @@ class Observation:
 
     @property
     def key(self) -> Key:
-        """The identity of this observation and of its wavefront."""
+        """Identity of the observation and of its wavefront."""
         return Key(self.range_mm, self.channel)
 
     @property
@@ -59,5 +59,5 @@ class Observation:
 
     @property
     def corners_px(self) -> tuple[Floats, ...]:
-        """Of each frame the target's corners (4, 2) as (row, column) in pixels of the raw, in the target's order."""
+        """Target corners (4, 2) in each frame as (row, column) in pixels of the raw image, in the target's order."""
         return tuple(pose.corners_px() + np.array(self.origin_px) for pose in self.poses)

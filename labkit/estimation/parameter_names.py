@@ -10,16 +10,16 @@ OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light"
 
 
 def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
-    """Names of all parameters of a state, in the order of `State.moved`.
+    """Name all parameters of a state, in the order of `State.moved`.
 
     Parameters
     ----------
-    state : where the information is evaluated
-    noll : the modes of its wavefront, by Noll's order
+    state : point at which the information is evaluated
+    noll : Noll's numbers of the modes
 
     Returns
     -------
-    one name a row of the information matrix
+    one name for each row of the information matrix
     """
     modes = [mode_name(j) for j in noll]
     frames = [f"{name} of frame {k + 1}" for k in range(len(state.poses)) for name in OF_A_FRAME]

@@ -1,4 +1,4 @@
-"""What is left of the data, by spatial frequency: noise alone has the same of all of them."""
+"""Power of the residuals by spatial frequency: flat for noise alone."""
 
 from collections.abc import Sequence
 
@@ -11,15 +11,24 @@ BINS = 12
 
 
 def residual_frequencies(frames: Sequence[FrameData]) -> Floats:
-    """(BINS,) cycles a pixel that `residual_spectrum` of such frames is for: middles of rings, evenly spaced."""
+    """Return the frequencies of `residual_spectrum`, (BINS,) cycles per pixel: middles of evenly spaced rings."""
     return (np.arange(BINS) + 0.5) * _highest(frames) / BINS
 
 
 def residual_spectrum(frames: Sequence[FrameData], relative: Sequence[Floats], detectors: Sequence[Detector]) -> Floats:
-    """(BINS,) power of residuals over their noise, a mean over rings of frequencies and over frames; 1 for noise alone.
+    """Compute the power of normalised residuals by spatial frequency.
 
-    relative: images (pixels,) of the used pixels of each frame. Of a Bayer plane frequencies beyond its own Nyquist frequency
-    come again, and are left out.
+    Frequencies beyond the Nyquist frequency of a Bayer plane are aliases, and are left out.
+
+    Parameters
+    ----------
+    frames : counts, with calibration
+    relative : relative image (pixels,) of the used pixels of each frame
+    detectors : detector numbers of each frame
+
+    Returns
+    -------
+    (BINS,) power averaged over rings of frequencies and over frames; 1 for noise alone
     """
     highest, total = _highest(frames), np.zeros(BINS)
     for frame, image, detector in zip(frames, relative, detectors, strict=True):
@@ -37,7 +46,7 @@ def residual_spectrum(frames: Sequence[FrameData], relative: Sequence[Floats], d
 
 
 def _highest(frames: Sequence[FrameData]) -> float:
-    """Nyquist frequency of the frames' pixels, cycles a pixel: of a Bayer plane half of all pixels', or less."""
+    """Return the Nyquist frequency of the frames' pixels, cycles per pixel; a Bayer plane has half of the sensor's."""
     rows, columns = np.nonzero(frames[0].used)
     alone = frames[0].used.sum() < 0.6 * (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
     return 0.25 if alone else 0.5

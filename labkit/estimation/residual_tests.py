@@ -1,7 +1,7 @@
-"""Whether the end of a maximisation is believed to be the global optimum: what is left of the data must be noise.
+"""Residual tests: an optimum is accepted as the global one if its residuals are noise alone.
 
-A wrong optimum leaves structure behind, of two kinds that are tested separately: more variance than the noise
-measured beforehand, and likeness between nearby pixels.
+A wrong optimum leaves structure of two kinds, which are tested separately: more variance than the calibrated noise, and
+correlation between nearby pixels.
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,17 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # row
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """p_value: chance of residuals this odd at the truth. excess: of variance, standard normal at the truth. likeness: sum
-    of squares over the lags of LAGS that exist, each standard normal there; name: of the test; undetermined: combinations
-    of modes that the data do not determine, in words."""
+    """The verdict of the residual tests on an optimum.
+
+    Attributes
+    ----------
+    p_value : probability of residuals as extreme at the true parameters
+    accepted : whether the optimum is accepted
+    excess : excess variance, standard normal at the true parameters
+    likeness : sum of squared correlations over all lags in LAGS that exist, each standard normal at the true parameters
+    name : name of the test
+    undetermined : combinations of modes that the data do not determine, in words
+    """
 
     p_value: float
     accepted: bool
@@ -34,7 +42,7 @@ class Verdict:
     undetermined: tuple[str, ...] = ()
 
     def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
-        """The same, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
+        """Return the verdict, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
         open_ = worse_than(SETTINGS.unmeasured, covariance, [mode_name(j) for j in noll])
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
@@ -44,10 +52,20 @@ def judge(
 ) -> Verdict:
     """Judge an optimum by its residuals.
 
-    excess: chi2 against the noise as calibrated, in its standard deviations, those of the calibration and of a
-    relative model_error in the residual variance included. likeness: correlation over several lags, a portmanteau as of
-    Box and Pierce. Two one-sided tests, Bonferroni; where the noise was not calibrated, excess means nothing.
-    Raises ValueError for relative images of other frames.
+    Two one-sided tests are combined by Bonferroni's rule. The excess variance is chi2 against the calibrated noise, in
+    standard deviations that include the errors of the calibration and of the model; without a noise calibration the excess is
+    not tested. The correlation over several lags is a portmanteau test as by Box and Pierce.
+
+    Parameters
+    ----------
+    problem : frames and their model
+    state : the optimum
+    relative : relative image (pixels,) of the used pixels of each frame
+    model_error : relative error of the residuals' variance due to the model
+
+    Raises
+    ------
+    ValueError : the number of images differs from the number of frames
     """
     if len(relative) != len(problem.frames):
         raise ValueError(
@@ -82,7 +100,7 @@ def judge(
 
 
 def _product(image: Floats, lag: tuple[int, int]) -> Floats:
-    """Each pixel times the one a lag (rows >= 0, columns) away."""
+    """Multiply each pixel with the pixel a lag (rows >= 0, columns) away."""
     down, right = lag
     rows, columns = image.shape
     here = image[: rows - down, max(0, -right) : columns - max(0, right)]

@@ -1,4 +1,4 @@
-"""What a plan states of lens, target and rail, each with a standard error."""
+"""Numbers of lens, target and rail that a plan states, each with a standard error."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from labkit.uncertain import Uncertain
 
 @dataclass(frozen=True)
 class Stated:
-    """The plan's numbers with their standard errors: measurements like any other.
+    """The plan's numbers with their standard errors, which count as measurements.
 
     Attributes
     ----------
     focal_length : mm
     f_number : at infinity
-    size_std : relative error of the target's size
-    range_std_mm : of each range beside the others
-    range_zero_std_mm : common to all ranges
-    homing_std_mm : of each homing of the rail
-    wavelength_std : relative, by channel
-    reference_nm : wavelength that waves are counted in
-    convention : of the law of defocus, see `labkit.optics.lens.defocus_waves`
+    size_std : relative standard error of the target's size
+    range_std_mm : standard error of each range relative to the others
+    range_zero_std_mm : standard error common to all ranges
+    homing_std_mm : standard error of each homing of the rail
+    wavelength_std : relative standard error, by channel
+    reference_nm : wavelength in which waves are counted
+    convention : law of defocus, see `labkit.optics.lens.defocus_waves`
     """
 
     focal_length: Uncertain
@@ -38,7 +38,7 @@ class Stated:
 
     @classmethod
     def of(cls, plan: Plan) -> Stated:
-        """Read them from a plan."""
+        """Read the numbers from a plan."""
         size = plan.target.stated_size
         return cls(
             focal_length=plan.lens.stated_focal_length,

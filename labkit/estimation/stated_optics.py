@@ -1,4 +1,4 @@
-"""Lens, light, sensor and camera parts as a plan states them."""
+"""Lens, light, sensor and camera parts that a plan states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labkit.uncertain import Uncertain
 
 
 def optics_of(plan: Plan, channel: str) -> Optics:
-    """Light, sensor and lens of a plan's channel, the cone as engraved."""
+    """Return light, sensor and lens of a plan's channel, with the engraved f-number."""
     light = next(c for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
     stated = [found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None]
@@ -35,13 +35,15 @@ def optics_of(plan: Plan, channel: str) -> Optics:
 
 
 def wanted_parts(plan: Plan) -> list[str]:
-    """Return the names of the parts that a plan wants fitted, in any channel."""
+    """Return the names of the parts that a plan requests to fit, in any channel."""
     return list(dict.fromkeys(part.name for c in plan.channel for part in optics_of(plan, c.name).parts))
 
 
 def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
-    """The f-number at the sensor, by the engraving, of a lens focused among some ranges; in its error what the pupils make of
-    it, as long as their magnification is not known."""
+    """Return the working f-number, by the engraving, of a lens focused on the mean of some ranges.
+
+    The standard error includes the unknown pupil magnification.
+    """
     lens, stated = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), plan.lens.stated_f_number
     cone = float(lens.working_f_number(float(np.mean(ranges_mm)))) if ranges_mm else lens.f_number
     pupils = (cone / lens.f_number - 1) * USUAL_LOG_MAGNIFICATION
