@@ -327,7 +327,7 @@ def _judged(freed: Freed) -> Optimum:
         sandwich=freed.sandwich,
         log_likelihood=solution.objective,
         chi2_per_pixel=solution.chi2_per_pixel,
-        verdict=verdict.knowing(solution.covariance()[:modes, :modes], freed.measured.noll),
+        verdict=verdict.given_covariance(solution.covariance()[:modes, :modes], freed.measured.noll),
         relative=tuple(solution.relative),
         residual_power=residual_spectrum(problem.frames, solution.relative, solution.state.detectors()),
     )

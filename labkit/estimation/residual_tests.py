@@ -29,7 +29,7 @@ class Verdict:
     p_value : probability of residuals as extreme at the true parameters
     accepted : whether the optimum is accepted
     excess : excess variance, standard normal at the true parameters
-    likeness : sum of squared correlations over all lags in LAGS that exist, each standard normal at the true parameters
+    correlation : sum of squared correlations over all lags in LAGS that exist, each standard normal at the true parameters
     name : name of the test
     undetermined : combinations of modes that the data do not determine, in words
     """
@@ -37,11 +37,11 @@ class Verdict:
     p_value: float
     accepted: bool
     excess: float
-    likeness: float
+    correlation: float
     name: str = "residuals"
     undetermined: tuple[str, ...] = ()
 
-    def knowing(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
+    def given_covariance(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
         """Return the verdict, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
         open_ = worse_than(SETTINGS.unmeasured, covariance, [mode_name(j) for j in noll])
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
@@ -94,9 +94,9 @@ def judge(
         excess = float((total / pixels - 1) / np.sqrt(allowed))
     # products of independent residuals scatter about zero by their own squares, whatever the pixels' variances
     lags = scatter > 0  # a Bayer plane has no neighbours at odd distances
-    likeness = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
-    p_value = min(1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), likeness))))
-    return Verdict(p_value, p_value >= SETTINGS.contradiction_chance, excess, likeness)
+    correlation = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
+    p_value = min(1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), correlation))))
+    return Verdict(p_value, p_value >= SETTINGS.contradiction_chance, excess, correlation)
 
 
 def _product(image: Floats, lag: tuple[int, int]) -> Floats:

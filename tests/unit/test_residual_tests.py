@@ -51,8 +51,8 @@ def test_noise_alone_is_accepted_on_every_kind_of_plane(used: NDArray[np.bool_],
 @pytest.mark.parametrize(("used", "lags"), [(np.ones(SHAPE, bool), 8), (GREEN, 6), (RED, 4)])
 def test_likeness_is_asked_only_at_distances_that_the_plane_has(used: NDArray[np.bool_], lags: int) -> None:
     # of the eight, green lacks (0, 1) and (1, 0), red the diagonals as well; chi2 of k has mean k and variance 2 k
-    likeness = [verdict(seed, used, CALIBRATED).likeness for seed in range(300)]
-    assert np.mean(likeness) == pytest.approx(lags, abs=4 * np.sqrt(2 * lags / 300))
+    correlation = [verdict(seed, used, CALIBRATED).correlation for seed in range(300)]
+    assert np.mean(correlation) == pytest.approx(lags, abs=4 * np.sqrt(2 * lags / 300))
 
 
 def test_louder_noise_is_rejected_where_the_noise_was_calibrated() -> None:
@@ -68,12 +68,12 @@ def test_louder_noise_says_nothing_where_it_was_not() -> None:
 def test_modes_that_the_data_do_not_tell_are_named_and_rejected() -> None:
     accepted = verdict(0, GREEN, CALIBRATED)
     told = np.diag([1e-4, 4e-4, 1e-4])
-    assert accepted.knowing(told, (4, 8, 11)) == accepted
+    assert accepted.given_covariance(told, (4, 8, 11)) == accepted
     opposed = np.array([1.0, 0.0, -2.0])
-    seen = accepted.knowing(told + 9 * np.outer(opposed, opposed), (4, 8, 11))
+    seen = accepted.given_covariance(told + 9 * np.outer(opposed, opposed), (4, 8, 11))
     assert not seen.accepted
     assert seen.undetermined == ("-0.5 defocus +1 spherical",)
-    assert accepted.knowing(np.diag([1e-4, 1.0, 1e-4]), (4, 8, 11)).undetermined == ("horizontal coma",)
+    assert accepted.given_covariance(np.diag([1e-4, 1.0, 1e-4]), (4, 8, 11)).undetermined == ("horizontal coma",)
 
 
 @pytest.mark.parametrize("prior", [CALIBRATED, UNKNOWN], ids=["calibrated", "unknown"])
