@@ -1,7 +1,7 @@
 """Least squares over the observations of a session, eliminated group by group (Schur complement).
 
 No array here is larger than observations x values x columns: the normal equations of n observations with p common columns
-cost n p^2. Levenberg (1944), Marquardt (1963); the elimination: physics of a session over keys.
+cost n p^2. Levenberg (1944), Marquardt (1963).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from labkit.types import Bools, Floats
 
 @dataclass(frozen=True)
 class Data:
-    """What the observations measured.
+    """Measured values of n observations with their weights.
 
     Attributes
     ----------
     values : (n, values)
-    precision : (n, values, values) inverse covariances, 0 where an observation is left out
+    precision : (n, values, values) inverse covariances; 0 for observations that are left out
     """
 
     values: Floats
@@ -32,19 +32,19 @@ class Data:
 
     @classmethod
     def of(cls, values: Floats, covariance: Floats, used: Bools) -> Data:
-        """From covariances (n, values, values), and which observations (n,) count."""
+        """Weight values (n, values) by covariances (n, values, values); used: (n,) observations that count."""
         precision = np.zeros_like(covariance)
         precision[used] = np.linalg.inv(covariance[used])
         return cls(values, precision)
 
     def chi2(self, rest: Floats) -> float:
-        """Squares of misfits (n, values), each observation's over its covariance."""
+        """Return the sum of squared misfits (n, values), weighted by the precision."""
         return quadratic(rest, self.precision)
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations in blocks: common columns, and those of each group.
+    """Normal equations in blocks: p common columns, and own columns of each group of observations.
 
     Attributes
     ----------
@@ -59,19 +59,19 @@ class Normal:
 
     @cached_property
     def eliminated(self) -> Floats:
-        """(groups, own, p) own columns' response to the common ones."""
+        """(groups, own, p) response of own columns to common columns."""
         return np.asarray(np.linalg.solve(self.own, self.cross.transpose(0, 2, 1)), float)
 
     @cached_property
     def covariance(self) -> Floats:
-        """(p, p) of the common columns."""
+        """(p, p) covariance of the common columns."""
         reduced = self.common - np.einsum("gpl,glq->pq", self.cross, self.eliminated)
         scale = 1 / np.sqrt(np.diag(reduced))
         return np.asarray(np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale))
 
     @cached_property
     def own_covariance(self) -> Floats:
-        """(groups, own, own) of the groups' columns where the common ones are held."""
+        """(groups, own, own) covariance of each group's own columns, the common columns held."""
         return np.asarray(np.linalg.inv(self.own), float)
 
     def solve(self, common: Floats, own: Floats) -> tuple[Floats, Floats]:
@@ -81,15 +81,15 @@ class Normal:
         return step, alone - self.eliminated @ step
 
     def log_determinant(self) -> float:
-        """Of the whole matrix."""
+        """Return ln of the determinant of the whole matrix."""
         return float(-np.linalg.slogdet(self.covariance)[1] - np.linalg.slogdet(self.own_covariance)[1].sum())
 
     def damped(self, damping: float) -> Normal:
-        """Marquardt's: diagonals grown by a share."""
+        """Return Marquardt's equations: every diagonal element grows by the share `damping`."""
         return Normal(_grown(self.common, damping), self.cross, _grown(self.own, damping))
 
     def solve_within(self, common: Floats, own: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-        """Solve, where common columns that would leave bounds (p,) end there, and all others follow them."""
+        """Solve within bounds (p,): common columns stop at a bound, all other columns follow."""
         held = np.zeros(len(common), bool)
         ends = np.zeros(len(common))
         while True:
@@ -102,7 +102,7 @@ class Normal:
             held |= beyond
 
     def _holding(self, held: Bools) -> Normal:
-        """With common columns (p,) too stiff to leave where the right-hand side puts them."""
+        """Return equations in which held columns (p,) keep the values of the right-hand side."""
         common = self.common.copy()
         at = np.flatnonzero(held)
         common[at, at] /= SETTINGS.exact**2
@@ -111,7 +111,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Point:
-    """Where the session's parameters stand. theta: (columns,); own: (groups, local columns)."""
+    """A point of the session's parameter space: `theta` (columns,), and `own` (groups, local columns)."""
 
     theta: Floats
     own: Floats
@@ -119,7 +119,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares(Position):
-    """The squared misfits of data and priors about a point of the session's parameters."""
+    """Squared misfits of data and priors about a point of the session's parameters."""
 
     model: LensModel
     data: Data
@@ -127,17 +127,17 @@ class LeastSquares(Position):
 
     @cached_property
     def predicted(self) -> Floats:
-        """(n, values)."""
+        """(n, values) predicted by the model."""
         return self.model.predicted(self.point.theta, self.point.own)
 
     @cached_property
     def rest(self) -> Floats:
-        """(n, values) measured less predicted."""
+        """(n, values) residuals: measured less predicted."""
         return self.data.values - self.predicted
 
     @cached_property
     def chi2(self) -> float:
-        """Of the data and the priors."""
+        """Sum of squared misfits of data and priors."""
         model, point = self.model, self.point
         away = (point.theta - model.centre) / model.prior_std
         own = point.own / model.local_std
@@ -145,7 +145,7 @@ class LeastSquares(Position):
 
     @property
     def objective(self) -> float:
-        """Log-likelihood, but for a constant."""
+        """Log-likelihood up to a constant."""
         return -0.5 * self.chi2
 
     @cached_property
@@ -154,17 +154,17 @@ class LeastSquares(Position):
 
     @property
     def slopes(self) -> Floats:
-        """(n, values, columns)."""
+        """(n, values, columns) derivatives by the common columns."""
         return self._slopes[0]
 
     @property
     def own_slopes(self) -> Floats:
-        """(n, values, local columns)."""
+        """(n, values, local columns) derivatives by the group's own columns."""
         return self._slopes[1]
 
     @cached_property
     def normal(self) -> Normal:
-        """The normal equations, the priors' information included."""
+        """Normal equations, the priors' information included."""
         model, turned = self.model, self.own_slopes.transpose(0, 2, 1)
         weighted = self.data.precision @ self.slopes
         return Normal(
@@ -174,7 +174,7 @@ class LeastSquares(Position):
         )
 
     def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """(p,) and (groups, own) right-hand sides of the normal equations by what is measured more than predicted."""
+        """Return right-hand sides (p,) and (groups, own) of the normal equations for residuals (n, values)."""
         weighted = (self.data.precision @ shifts[..., None])[..., 0]
         own = self.model.by_group(np.einsum("nvl,nv->nl", self.own_slopes, weighted))
         return np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])), own
@@ -198,16 +198,16 @@ class LeastSquares(Position):
 def solve(model: LensModel, data: Data, start: Point, tolerance: float = 1e-4) -> LeastSquares:
     """Minimise the squared misfits of data and priors, from a start, within the model's bounds.
 
-    There is next to no damping at first: the weakest combinations have 1e-9 of the others' information.
+    The first step is damped by 1e-9 only, for the weakest combinations have 1e-9 of the others' information.
     """
     return climb(LeastSquares(model, data, start), tolerance=tolerance, damping=1e-9)[0]
 
 
 def _grown(matrix: Floats, damping: float) -> Floats:
-    """(..., p, p) with its diagonal grown by a share."""
+    """Grow the diagonal of matrices (..., p, p) by the share `damping`."""
     return matrix * (1 + damping * np.eye(matrix.shape[-1]))
 
 
 def quadratic(vectors: Floats, matrices: Floats) -> float:
-    """Sum of the quadratic forms of matrices (n, values, values) in vectors (n, values)."""
+    """Sum the quadratic forms of matrices (n, values, values) in vectors (n, values)."""
     return float(np.sum(vectors * (matrices @ vectors[..., None])[..., 0]))
