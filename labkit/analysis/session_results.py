@@ -121,7 +121,7 @@ def as_focus(lens: LensFit) -> Focus | None:
         pupils.std <= TELLING_STD and inside,
         {c: tuple(float(rest[k]) for k in members if model.readings[k].key.channel == c) for c in channels},
         covariance,
-        lens.chi2 / lens.freedom if lens.freedom >= 1 else None,
+        lens.chi2 / lens.degrees_of_freedom if lens.degrees_of_freedom >= 1 else None,
     )
 
 

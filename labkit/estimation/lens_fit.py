@@ -1,4 +1,4 @@
-"""One lens for a session: the parameters that its observations and its plan determine, with all their errors."""
+"""One lens for a session: the parameters that observations and plan determine, with all their errors."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 
 LEAST_SHARE = float(np.sqrt(np.finfo(float).eps))
-"""Share of a variance that rounding leaves to the other observations, at least: below it they say nothing."""
+"""Least share of a variance for the other observations: a smaller share is rounding."""
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """What n observations measured, as the solver takes it.
+    """Measurements of n observations, stacked for the solver.
 
     Attributes
     ----------
     values : (n, values), see `LensModel`
     covariance : (n, values, values) without the laws' scatter
-    calibration, model : (n, values, values) parts of the covariance by the flats' errors, and by residuals that are not
-        noise alone
-    used : (n,) which observations count
+    calibration : (n, values, values) part of the covariance due to errors of the flat frames
+    model : (n, values, values) part of the covariance due to residuals that are not noise alone
+    used : (n,) whether the observation is a member
     """
 
     values: Floats
@@ -47,15 +47,15 @@ class Measurements:
 
 @dataclass(frozen=True)
 class LensFit:
-    """The estimate of a session from its members.
+    """The estimate of a session's parameters from its members.
 
     Attributes
     ----------
     model : the laws, for all observations
-    measured : what the observations measured; members are those used
-    solved : the least squares
-    bias : (columns,) and (groups, local columns) by which what the model of the frames lacks would move the estimate
-    bias_chi2 : by which that would change chi2
+    measured : measurements of all observations
+    solved : the least-squares solution
+    bias : change of the estimate due to camera parts that the model of the frames lacks; None if no part is missing
+    bias_chi2 : change of chi2 due to the missing parts
     """
 
     model: LensModel
@@ -66,17 +66,17 @@ class LensFit:
 
     @property
     def theta(self) -> Floats:
-        """(columns,) the estimate."""
+        """(columns,) estimated parameters."""
         return self.solved.point.theta
 
     @property
     def chi2(self) -> float:
-        """Of members and priors."""
+        """Sum of squared misfits of members and priors."""
         return self.solved.chi2 + self.bias_chi2
 
     @cached_property
-    def freedom(self) -> float:
-        """Numbers measured less those that they had to determine."""
+    def degrees_of_freedom(self) -> float:
+        """Number of measured values less the effective number of parameters that they determine."""
         variance = np.diag(self.solved.normal.covariance)
         unknown = np.array([column.kind in OPEN for column in self.model.columns])
         free = np.sum(1 - (variance / self.model.prior_std**2)[unknown])
@@ -86,46 +86,46 @@ class LensFit:
 
     @property
     def reduced_chi2(self) -> float:
-        """chi2 for each degree of freedom."""
-        return self.chi2 / self.freedom if self.freedom >= 1 else 1.0
+        """chi2 over the degrees of freedom; 1 if there is none."""
+        return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom >= 1 else 1.0
 
     @property
     def p_value(self) -> float:
-        """Chance of a chi2 as large."""
-        return float(chdtrc(self.freedom, self.chi2)) if self.freedom >= 1 else 1.0
+        """Probability of a chi2 at least as large."""
+        return float(chdtrc(self.degrees_of_freedom, self.chi2)) if self.degrees_of_freedom >= 1 else 1.0
 
     @property
     def birge_ratio(self) -> float:
-        """Birge ratio, by which errors grow where the members disagree beyond chance; 1 where they do not."""
+        """Birge ratio: factor by which errors grow if members disagree beyond chance, else 1."""
         return float(np.sqrt(self.reduced_chi2)) if self.p_value < SETTINGS.contradiction_chance else 1.0
 
     @cached_property
     def errors(self) -> Floats:
-        """(columns, columns) covariance with all that is known to be uncertain."""
+        """(columns, columns) covariance of the estimate, Birge ratio and bias included."""
         return self.errors_of(np.eye(len(self.theta)))
 
     def errors_of(self, combinations: Floats) -> Floats:
-        """(m, m) covariance of combinations (m, columns) of the estimate."""
+        """Return the covariance (m, m) of m linear combinations (m, columns) of the parameters."""
         noise = combinations @ self.solved.normal.covariance @ combinations.T * self.birge_ratio**2
         return noise if self.bias is None else covariance_with_bias(noise, combinations @ self.bias.theta)
 
     def value(self, kind: str, *name: str | float) -> float:
-        """Estimate of a column."""
+        """Return the estimate of a column."""
         return float(self.theta[self.model.index(kind, *name)])
 
     def std(self, kind: str, *name: str | float) -> float:
-        """Standard error of a column."""
+        """Return the standard error of a column."""
         k = self.model.index(kind, *name)
         return float(np.sqrt(self.errors[k, k]))
 
     @cached_property
-    def _seen(self) -> Floats:
-        """(n, values, columns) slopes once the groups' own columns have followed."""
+    def _eliminated_slopes(self) -> Floats:
+        """(n, values, columns) derivatives by the common columns, each group's own columns eliminated."""
         followed = self.solved.normal.eliminated[self.model.groups]
         return np.asarray(self.solved.slopes - self.solved.own_slopes @ followed)
 
     def _spread(self, slopes: Floats) -> Floats:
-        """(n, values, values) covariance of predictions with some slopes (n, values, columns) by the common columns."""
+        """Return the covariance (n, values, values) of predictions with derivatives (n, values, columns)."""
         own = self.solved.own_slopes
         followed = slopes - own @ self.solved.normal.eliminated[self.model.groups]
         common = followed @ self.solved.normal.covariance @ followed.transpose(0, 2, 1)
@@ -134,9 +134,9 @@ class LensFit:
 
     @cached_property
     def predictions(self) -> tuple[Floats, Floats]:
-        """(n, values) that each observation should measure by all others, and (n, values, values) its covariance.
+        """Leave-one-out predictions: (n, values) of each observation from all others, and their (n, values, values) covariance.
 
-        The scatter of the laws is part of the covariance, the observation's own noise is not.
+        The covariance includes the scatter of the laws, but not the observation's own noise.
         """
         spread = self._spread(self.solved.slopes)
         noise = self.measured.covariance + np.diag(self.model.scatter())
@@ -157,9 +157,13 @@ class LensFit:
         return self.solved.predicted - away, covariance
 
     def posterior(self, k: int) -> tuple[Floats, Floats]:
-        """(values,) of observation k by the whole session, in light as stated, and (values, values) their covariance.
+        """Estimate the values of observation k from the whole session.
 
-        Where the modes scatter from range to range, the observation's own measurement counts for its own.
+        If the laws let modes scatter from range to range, the observation's own measurement determines its share.
+
+        Returns
+        -------
+        (values,) in light of the stated wavelength, and their covariance (values, values)
         """
         model, point = self.model, self.solved.point
         slopes = model.in_stated_light(self.solved.slopes)[k : k + 1]
@@ -177,7 +181,7 @@ class LensFit:
         return value, left @ whole @ left.T + left @ np.diag(scatter)
 
     def _at(self, k: int, slopes: Floats) -> Floats:
-        """(values, values) covariance of a prediction of observation k with slopes (1, values, columns)."""
+        """Return the covariance (values, values) of a prediction of observation k with derivatives (1, values, columns)."""
         normal, own = self.solved.normal, self.solved.own_slopes[k]
         group = self.model.groups[k]
         followed = slopes[0] - own @ normal.eliminated[group]
@@ -188,7 +192,10 @@ class LensFit:
         return covariance_with_bias(noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group])
 
     def with_bias(self, shifts: Floats) -> LensFit:
-        """The same, where something would move what members measure by shifts (n, values): a bias, which widens nothing."""
+        """Add the bias due to shifts (n, values) of the measurements; the estimate stays.
+
+        chi2 becomes that of the shifted measurements: a disagreement that the shifts explain does not raise the Birge ratio.
+        """
         solved = self.solved
         bias = Point(*solved.normal.solve(*solved.pulls(shifts)))
         own = np.einsum("nvl,nl->nv", solved.own_slopes, bias.own[self.model.groups])
@@ -196,9 +203,9 @@ class LensFit:
         return replace(self, bias=bias, bias_chi2=solved.data.chi2(solved.rest + moved) - solved.data.chi2(solved.rest))
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
-        """Standard errors of a combination (columns,) of the estimate, by source: photons, calibration, geometry, model."""
+        """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
-        pull = ((self._seen @ (normal.covariance @ gradient))[:, None] @ self.solved.data.precision)[:, 0]
+        pull = ((self._eliminated_slopes @ (normal.covariance @ gradient))[:, None] @ self.solved.data.precision)[:, 0]
         calibration = quadratic(pull, measured.calibration)
         surplus = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
@@ -218,7 +225,7 @@ class LensFit:
 
     @property
     def log_evidence(self) -> float:
-        """Marginal log-likelihood of the members under the laws, but for a constant that all laws share.
+        """Log-evidence of the laws, up to a constant common to all laws: the marginal likelihood of the members.
 
         Laplace's approximation, exact for linear laws: S. F. Gull, in Maximum Entropy and Bayesian Methods (1988).
         """
@@ -229,13 +236,13 @@ class LensFit:
 
 
 def fit_lens(model: LensModel, measured: Measurements, start: Point | None = None) -> LensFit:
-    """The session's parameters of least misfit.
+    """Estimate the session's parameters by least squares.
 
     Parameters
     ----------
     model : laws and columns
-    measured : of all the model's observations
-    start : from an earlier estimate under the same columns; else from the observations' defocus
+    measured : measurements of all the model's observations
+    start : an earlier estimate of the same columns; None to start from the observations' defocus
     """
     noise = measured.covariance + np.diag(model.scatter())
     data = Data.of(measured.values, noise, measured.used)
@@ -243,7 +250,7 @@ def fit_lens(model: LensModel, measured: Measurements, start: Point | None = Non
 
 
 def first_point(model: LensModel, measured: Measurements) -> Point:
-    """Where each channel's defocus crosses zero; all else as before the session."""
+    """Return a start: best focus where each channel's defocus crosses zero, all other columns at their prior mean."""
     theta = model.centre.copy()
     channels = np.array([reading.key.channel for reading in model.readings])
     ranges = np.array([reading.range_mm for reading in model.readings])
@@ -262,14 +269,21 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
 
 
 def focus_slope(model: LensModel) -> float:
-    """Slope of defocus, waves RMS, over 1/(range - f), mm: of the image's distance and the pupil's sagitta in it."""
+    """Return the slope of a thin lens's defocus, waves RMS, over 1/(range - f), 1/mm."""
     focal_mm, f_number = model.stated.focal_length.value, model.stated.f_number.value
     reference_mm = model.stated.reference_nm * 1e-6
     return float(-(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm))
 
 
 def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:
-    """Range of zero defocus, mm: defocus is nearly a straight line over 1/(range - f)."""
+    """Return the range of zero defocus, mm, by a straight line through defocus over 1/(range - f).
+
+    Parameters
+    ----------
+    ranges_mm : (m,)
+    waves : (m,) defocus, waves RMS
+    model : has the stated focal length and f-number
+    """
     focal_mm = model.stated.focal_length.value
     inverse = np.mean(1 / (ranges_mm - focal_mm) - waves / focus_slope(model))
     if len(set(ranges_mm.tolist())) > 1:

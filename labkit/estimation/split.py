@@ -63,7 +63,7 @@ def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Sta
         for k in range(1, len(stations))
     ]
     least = min(parted)
-    changed = whole.chi2 > SETTINGS.parted_chi2 * max(least, whole.freedom)
+    changed = whole.chi2 > SETTINGS.parted_chi2 * max(least, whole.degrees_of_freedom)
     return 1 + parted.index(least) if changed else None
 
 

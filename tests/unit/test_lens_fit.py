@@ -134,7 +134,7 @@ def test_the_misfit_of_a_session_is_as_large_as_chance_makes_it() -> None:
     rng = np.random.default_rng(4)
     fits = [lens_of(drawn(rng, USUAL, 0.97)[0], USUAL) for _ in range(40)]
     # nothing was known of three best focuses and of two colours' sizes
-    assert [fit.freedom for fit in fits] == pytest.approx([15 * 3 - 5] * 40, rel=1e-6)
+    assert [fit.degrees_of_freedom for fit in fits] == pytest.approx([15 * 3 - 5] * 40, rel=1e-6)
     # the mean of 40 chi-squareds over their 40 freedoms errs by sqrt(2 / 1600); allow four of them
     assert np.mean([fit.reduced_chi2 for fit in fits]) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1600))
 
