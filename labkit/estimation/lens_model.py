@@ -1,8 +1,8 @@
-"""What the observations of a session have in common: one lens, one sensor at rest, one rail (thesis §4.5.2, Appendix E).
+"""Laws that connect the observations of a session: one lens, one sensor at rest, one rail (thesis §4.5.2, Appendix E).
 
-Every observation measures modes, numbers of the camera's parts, ln of the cone's f-number and ln of the picture's scale. All
-follow from a few named parameters of the session, some of which the plan states. A new law is a new column (`_columns`) and
-its slopes (`_linear`, or an argument of `_laws`).
+Every observation measures modes, numbers of camera parts, ln of the working f-number and ln of the picture's scale. All follow
+from a few named parameters of the session, the columns of a least-squares problem; the plan states some of them. A new law
+needs a new column (`_columns`) and its derivatives (`_linear`, or an argument of `_laws`).
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ MODE = "mode"
 
 GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE)
 OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
-"""Columns of which nothing is known beforehand: their prior is no measurement."""
+"""Columns that are unknown before the session: their prior is not a measurement."""
 
 STEP = 1e-4
-"""Relative step of the differences that give the laws' slopes: rounding and curvature err alike, by 1e-8."""
+"""Relative step of the laws' numerical derivatives: errors by rounding and by curvature are equal, 1e-8."""
 
 DEFOCUS = 4
 
@@ -52,14 +52,14 @@ Name = tuple[str | float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Where the rail stood for one observation.
+    """The rail's position for one observation.
 
     Attributes
     ----------
-    key : of the observation
-    range_mm : as the rail was read
-    station : names the place where the rail stood, whose range has one error
-    homings : of each photograph, how often the rail had been homed
+    key : identity of the observation
+    range_mm : range by the rail's scale
+    station : identity of the rail position; all observations at a station share one range error
+    homings : for each photograph, how often the rail had been homed
     """
 
     key: Key
@@ -70,14 +70,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Laws:
-    """How exactly observations follow from the session's parameters.
+    """Tolerances of the laws: standard deviations by which observations may depart from the session's parameters.
 
     Attributes
     ----------
-    mode_scatter : waves RMS of each mode but defocus from range to range
-    defocus_scatter : waves RMS of each defocus
-    cone_std : relative, of the cone that follows from the lens's conjugates
-    cone_scatter : relative, of each observation's cone
+    mode_scatter : of each mode except defocus from range to range, waves RMS
+    defocus_scatter : of each observation's defocus, waves RMS
+    cone_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
+    cone_scatter : relative, of each observation's working f-number
     size_scatter : relative, of each observation's size
     """
 
@@ -89,20 +89,20 @@ class Laws:
 
     @property
     def paraxial(self) -> bool:
-        """Whether cone and sizes follow from one lens that is focused as a whole."""
+        """Whether working f-numbers and sizes follow from one lens that is focused as a whole."""
         return self.cone_std == 0
 
     @property
     def shared(self) -> bool:
-        """Whether the modes but defocus are the same at all ranges."""
+        """Whether all modes except defocus are the same at all ranges."""
         return self.mode_scatter == 0
 
     @classmethod
     def looser(cls) -> Iterator[Laws]:
-        """Laws that do without cones and sizes, without modes that stay, or without both.
+        """Yield laws with free working f-numbers and sizes, with modes that scatter from range to range, or with both.
 
-        Modes that differ because the lens's do leave defocus to its law; those that differ because the model of the
-        frames lacks something do not.
+        If the lens's modes differ, defocus still follows its law. If the model of the frames is incomplete, defocus scatters
+        as the modes do.
         """
         free = cls(cone_std=SETTINGS.loose, size_scatter=SETTINGS.loose)
         yield free
@@ -113,12 +113,12 @@ class Laws:
 
     @classmethod
     def loosest(cls) -> Laws:
-        """All that any observation of the lens may depart by."""
+        """Return laws with the largest tolerances."""
         most = SETTINGS.mode_scatter_waves[-1]
         return cls(most, most, SETTINGS.loose, SETTINGS.loose, SETTINGS.loose)
 
     def rough(self) -> Laws:
-        """The same with errors that admit whatever is no other optimum."""
+        """Return laws tolerant of every error that is too small for another optimum."""
         return replace(
             self,
             mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough)),
@@ -134,10 +134,10 @@ class Column:
 
     Attributes
     ----------
-    kind : its group
-    name : which of the group
-    value, std : before the session
-    scale : a step of it that matters
+    kind : kind of the parameter
+    name : identity among parameters of one kind
+    value, std : mean and standard error of the prior
+    scale : a significant step of the parameter
     """
 
     kind: str
@@ -148,7 +148,7 @@ class Column:
 
     @property
     def prior_std(self) -> float:
-        """Standard error before the session, above 0."""
+        """Standard error of the prior, above 0."""
         return max(self.std, SETTINGS.exact * self.scale)
 
 
@@ -158,10 +158,10 @@ class Layout:
 
     Attributes
     ----------
-    linear : (n, values, columns) of the values by the columns, laws apart
-    local : (n, values, local columns) by the columns of the observation's own group
-    arguments, local_arguments : (6, n, columns) of the laws' arguments
-    offset : (6, n) the arguments where all columns are 0
+    linear : (n, values, columns) of the linear part of the values
+    local : (n, values, local columns) of the linear part, by the columns of the observation's own group
+    arguments, local_arguments : (6, n, columns) of the arguments of the nonlinear laws
+    offset : (6, n) arguments for columns that are all 0
     """
 
     linear: Floats
@@ -173,20 +173,24 @@ class Layout:
 
 @dataclass(frozen=True)
 class LensModel:
-    """The laws of a session, for all its observations whether they are measured yet or not.
+    """The laws of a session, for all observations, measured or not.
 
-    Values of an observation, in order: modes of `noll`, numbers of the parts, ln of the cone's f-number, ln of the scale.
-    Columns are global, one lens's; observations of tiles have columns of their own beside, one set for each channel and
-    tile, which `labkit.estimation.block_solve` eliminates.
+    Values of an observation, in order: modes of `noll`, numbers of the parts, ln of the working f-number, ln of the scale.
+    Columns are parameters of the whole session. Observations of tiles have local columns in addition, one set for each channel
+    and tile, which `labkit.estimation.block_solve` eliminates.
 
     Attributes
     ----------
-    readings : of the n observations
-    noll : modes, 4 among them
+    readings : rail positions of the n observations
+    noll : Noll's numbers of the modes, including 4
     parts : labels of the parts' numbers
-    stated : what the plan says
-    laws : how exactly they hold
-    tilt_std : relative error of all sizes by the target's tilt
+    stated : the plan's numbers
+    laws : tolerances of the laws
+    tilt_std : relative error of all sizes due to the target's tilt
+
+    Raises
+    ------
+    ValueError : two observations have the same key
     """
 
     readings: tuple[Reading, ...]
@@ -203,7 +207,7 @@ class LensModel:
 
     @property
     def values(self) -> int:
-        """Numbers of an observation."""
+        """Number of values of an observation."""
         return len(self.noll) + len(self.parts) + 2
 
     @property
@@ -213,12 +217,12 @@ class LensModel:
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Each once, in the order of the observations."""
+        """Names of the channels, in the order of the observations."""
         return tuple(dict.fromkeys(reading.key.channel for reading in self.readings))
 
     @cached_property
     def reference(self) -> str:
-        """The channel whose focus the sensor is held to: green, where there is one."""
+        """Channel whose best focus defines the sensor's position: green if present, else the first."""
         return "G" if "G" in self.channels else self.channels[0]
 
     @cached_property
@@ -228,31 +232,31 @@ class LensModel:
 
     @cached_property
     def groups(self) -> Indices:
-        """(n,) number of each observation's channel and tile."""
+        """(n,) index of each observation's group: its channel and tile."""
         names = [(r.key.channel, r.key.tile) for r in self.readings]
         places = {name: k for k, name in enumerate(dict.fromkeys(names))}
         return np.array([places[name] for name in names], dtype=np.intp)
 
     def by_group(self, rows: Floats) -> Floats:
-        """(groups, ...) sums over the observations (n, ...) of each group."""
+        """Sum rows (n, ...) over the observations of each group, (groups, ...)."""
         order, first = self._group_order
         return np.asarray(np.add.reduceat(rows if order is None else rows[order], first, axis=0))
 
     @cached_property
     def _group_order(self) -> tuple[Indices | None, Indices]:
-        """Places that bring groups together, None where they are, and where each group begins."""
+        """Order that sorts observations by group, None if they are sorted, and the place where each group begins."""
         order = np.argsort(self.groups, kind="stable")
         first = np.flatnonzero(np.diff(self.groups[order], prepend=-1))
         return None if np.array_equal(order, np.arange(len(order))) else order, first
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """Global parameters of the session."""
+        """Parameters of the whole session."""
         return tuple(self._columns())
 
     @cached_property
     def local_columns(self) -> tuple[Column, ...]:
-        """Parameters that each channel and tile has for itself: none without tiles."""
+        """Parameters of each channel and tile; empty for sessions without tiles."""
         if not self.tiled:
             return ()
         far = max(reading.range_mm for reading in self.readings)
@@ -264,17 +268,17 @@ class LensModel:
 
     @cached_property
     def centre(self) -> Floats:
-        """(columns,) values before the session."""
+        """(columns,) means of the prior."""
         return np.array([column.value for column in self.columns])
 
     @cached_property
     def prior_std(self) -> Floats:
-        """(columns,) their standard errors."""
+        """(columns,) standard errors of the prior."""
         return np.array([column.prior_std for column in self.columns])
 
     @cached_property
     def local_std(self) -> Floats:
-        """(local columns,) standard errors of those of a channel and tile, which are 0 before the session."""
+        """(local columns,) standard errors of the prior, whose mean is 0."""
         return np.array([column.prior_std for column in self.local_columns])
 
     @cached_property
@@ -282,11 +286,11 @@ class LensModel:
         return {(column.kind, column.name): k for k, column in enumerate(self.columns)}
 
     def index(self, kind: str, *name: str | float) -> int:
-        """Place of a column. Raises KeyError for one that is not estimated."""
+        """Return the place of a column; raise KeyError for a column that the session does not have."""
         return self._places[kind, name]
 
     def best_focus(self, channel: str) -> Floats:
-        """(columns,) combination of the columns that is a channel's best focus."""
+        """Return best focus of a channel as a linear combination (columns,)."""
         combination = np.zeros(len(self.columns))
         combination[self.index(FOCUS)] = 1.0
         if channel != self.reference:
@@ -294,11 +298,11 @@ class LensModel:
         return combination
 
     def of_channel(self, label: str, channel: str) -> Name:
-        """Name of the column of a part's number: one camera's, or each channel's own."""
+        """Return the column name of a part's number: common to all channels, or of one channel."""
         return (label, channel) if ESTIMATED[label.split(".")[0]].per_channel else (label,)
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """(columns,) each: least and largest values."""
+        """Return least and largest values, (columns,) each."""
         low = np.full(len(self.columns), -np.inf)
         high = np.full(len(self.columns), np.inf)
         for at in (self.index(FOCAL_LENGTH), self.index(F_NUMBER)):
@@ -309,7 +313,7 @@ class LensModel:
         return low, high
 
     def scatter(self) -> Floats:
-        """(values,) variances of an observation's values about what the laws give."""
+        """Return variances (values,) of an observation about the laws."""
         variance = np.zeros(self.values)
         variance[: len(self.noll)] = self.laws.mode_scatter**2
         variance[self.defocus] = self.laws.defocus_scatter**2
@@ -318,12 +322,18 @@ class LensModel:
         return variance
 
     def lens(self, theta: Floats) -> ThinLens:
-        """The lens at a point (columns,)."""
+        """Return the lens for parameters (columns,)."""
         focal_mm, f_number, pupils = (float(theta[self.index(kind)]) for kind in GEOMETRY[:3])
         return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
 
     def true(self, theta: Floats, local: Floats) -> Floats:
-        """(n, values) values in light as stated. theta: (columns,); local: (groups, local columns)."""
+        """Compute values (n, values) in light of the stated wavelength.
+
+        Parameters
+        ----------
+        theta : (columns,)
+        local : (groups, local columns)
+        """
         layout = self._layout
         own = local[self.groups]
         true = layout.linear @ theta + np.einsum("nvl,nl->nv", layout.local, own)
@@ -331,16 +341,16 @@ class LensModel:
         return np.asarray(true)
 
     def predicted(self, theta: Floats, local: Floats) -> Floats:
-        """(n, values) that the observations should measure.
+        """Predict the measurements (n, values), for parameters as in `true`.
 
-        Light of another wavelength than stated makes the same picture through a cone narrower by as much, with paths
-        shorter by as much: N grows with the wavelength's error, the modes shrink.
+        Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
+        ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink.
         """
         true = self.true(theta, local)
         return np.asarray(true + self._by_wavelength(true) * theta[self._wavelengths, None])
 
     def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
-        """(n, values, columns) of `predicted`, and (n, values, local columns)."""
+        """Return derivatives of `predicted`: (n, values, columns), and (n, values, local columns)."""
         layout = self._layout
         by_argument = self._law_slopes(self._arguments(theta, local[self.groups]))
         whole = layout.linear.copy()
@@ -356,7 +366,7 @@ class LensModel:
         return whole, own
 
     def in_stated_light(self, slopes: Floats) -> Floats:
-        """(n, values, columns) slopes of `true`: without those by the wavelength."""
+        """Return slopes (n, values, columns) without the derivatives by the wavelengths: slopes of `true`."""
         slopes = slopes.copy()
         slopes[np.arange(len(slopes)), :, self._wavelengths] = 0.0
         return slopes
@@ -367,16 +377,16 @@ class LensModel:
 
     @property
     def _law_rows(self) -> list[int]:
-        """Places of defocus, ln of the cone and ln of the scale."""
+        """Places of defocus, ln of the f-number and ln of the scale, which follow nonlinear laws."""
         return [self.defocus, self.values - 2, self.values - 1]
 
     @cached_property
     def _wavelengths(self) -> Indices:
-        """(n,) column of each observation's wavelength."""
+        """(n,) place of each observation's wavelength column."""
         return np.array([self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp)
 
     def _by_wavelength(self, true: Floats) -> Floats:
-        """(n, values) slopes by the relative error of the light's wavelength."""
+        """Return derivatives (n, values) by the relative error of the light's wavelength."""
         slope = np.zeros_like(true)
         slope[:, : len(self.noll)] = -true[:, : len(self.noll)]
         slope[:, -2] = 1.0
@@ -440,7 +450,7 @@ class LensModel:
         return layout
 
     def _linear(self, channel: str) -> Floats:
-        """(values, columns) of a channel's observations, laws apart."""
+        """Return derivatives (values, columns) of the linear part of a channel's observations."""
         rows = np.zeros((self.values, len(self.columns)))
         rows[-2, self.index(CONE)] = 1.0
         rows[-1, self.index(SIZE)] = 1.0
@@ -455,7 +465,10 @@ class LensModel:
         return rows
 
     def _argument_slopes(self, reading: Reading) -> Floats:
-        """(6, columns) of the laws' arguments: f, N, ln mp, true range, best focus of the channel, of the reference."""
+        """Return derivatives (6, columns) of the laws' arguments.
+
+        The arguments are f, N, ln mp, true range, best focus of the channel, and best focus of the reference channel.
+        """
         slopes = np.zeros((6, len(self.columns)))
         for row, kind in enumerate(GEOMETRY[:3]):
             slopes[row, self.index(kind)] = 1.0
@@ -469,13 +482,13 @@ class LensModel:
         return slopes
 
     def _arguments(self, theta: Floats, own: Floats) -> Floats:
-        """(6, n) of the laws. own: (n, local columns)."""
+        """Return the laws' arguments (6, n). own: (n, local columns)."""
         layout = self._layout
         local = np.einsum("anl,nl->an", layout.local_arguments, own)
         return np.asarray(layout.offset + layout.arguments @ theta + local)
 
     def _laws(self, arguments: Floats) -> Floats:
-        """(3, ...) defocus in waves RMS, ln of the cone's f-number, ln of the picture's scale. arguments: (6, ...)."""
+        """Return defocus in waves RMS, ln of the working f-number and ln of the scale, (3, ...), for arguments (6, ...)."""
         f, n, pupils = arguments[:3]
         lens = ThinLens(*cast(tuple[float, float, float], (f, n, np.exp(pupils))))  # arrays of lenses
         ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
@@ -490,7 +503,7 @@ class LensModel:
         )
 
     def _law_slopes(self, arguments: Floats) -> Floats:
-        """(3, 6, n) derivatives of the laws by their arguments, by central differences."""
+        """Differentiate the laws by their arguments, (3, 6, n), by central differences."""
         steps = STEP * np.maximum(np.abs(arguments), 0.1)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
         ahead = self._laws(arguments[:, None] + moves)
