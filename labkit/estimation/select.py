@@ -1,7 +1,7 @@
-"""Which optimum of each observation is right, with which sign, and whether the observation belongs to the session.
+"""Select the right optimum of each observation, its sign, and the observations that belong to the session.
 
-One discrete choice for each observation, the session's parameters given; the parameters are least squares, the choices
-given. Coordinate ascent alternates between the two: the penalised log-likelihood never falls.
+Given the session's parameters, each observation is one discrete choice; given the choices, the parameters follow by least
+squares. Coordinate ascent alternates between the two: the penalised log-likelihood never falls.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Options:
     ----------
     values : (n, options, values)
     covariance : (n, options, values, values)
-    gain : (n, options) log-likelihood beside the observation's best, -inf where there is no such option
-    cost : (n,) log-likelihood that leaving an observation out costs
-    foreshortening : (n, options, 2)
+    gain : (n, options) log-likelihood relative to the observation's best candidate; -inf for padding
+    cost : (n,) penalty, in log-likelihood, for leaving an observation out
+    foreshortening : (n, options, 2), see `Measured`
     """
 
     values: Floats
@@ -50,7 +50,7 @@ class Options:
 
     @classmethod
     def of(cls, observed: Sequence[Observed], model: LensModel) -> Options:
-        """All candidates, as the model's observations have their values."""
+        """Stack all candidates, with the values of the model's observations."""
         size = model.values
         most = 2 * max(len(one.candidates) for one in observed)
         n = len(observed)
@@ -77,17 +77,16 @@ class Options:
 
 @dataclass(frozen=True)
 class Selection:
-    """The choice for every observation, and the lens that follows.
+    """The choice for every observation, and the resulting lens.
 
     Attributes
     ----------
     observed : all observations
-    choice : (n,) place among the observation's candidates and their twins, 2 k for candidate k, 2 k + 1 for its twin;
-        -1 where there is none
+    choice : (n,) 2 k for candidate k of an observation, 2 k + 1 for its twin, -1 without a candidate
     members : (n,) whether the observation belongs to the session
     lens : the session's estimate from the members
     objective : penalised log-likelihood of the choice
-    open_channels : whose signs the ranges leave open
+    open_channels : channels whose signs the ranges leave open
     """
 
     observed: tuple[Observed, ...]
@@ -99,19 +98,19 @@ class Selection:
 
     @property
     def outliers(self) -> list[Key]:
-        """Keys of observations that were fitted and do not belong."""
+        """Keys of fitted observations that do not belong to the session."""
         fitted = self.choice != OUT
         return [self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)]
 
     def candidate(self, k: int) -> tuple[Candidate, int]:
-        """The chosen candidate of observation k, and its sign."""
+        """Return the chosen candidate of observation k, and its sign: -1 for the twin."""
         place, twin = divmod(int(self.choice[k]), 2)
         return self.observed[k].candidates[place], 1 - 2 * twin
 
 
 @dataclass(frozen=True)
 class _Choices:
-    """The problem of one set of laws: options, and what a choice comes to."""
+    """The choice problem under one set of laws."""
 
     observed: tuple[Observed, ...]
     options: Options
@@ -119,7 +118,7 @@ class _Choices:
     groups: Indices
 
     def measured(self, choice: Indices, members: Bools) -> Measurements:
-        """As chosen, without calibration's and model's shares, which no choice hangs on."""
+        """Return the chosen measurements; the parts of their covariances are left out, for no choice depends on them."""
         n = np.arange(len(choice))
         at = np.maximum(choice, 0)
         none = np.zeros_like(self.options.covariance[n, at])
@@ -128,7 +127,7 @@ class _Choices:
         return Measurements(values, self.options.covariance[n, at], none, none, members)
 
     def fit(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[LensFit, float]:
-        """The lens of a choice, and the penalised log-likelihood."""
+        """Estimate the lens of a choice; return the lens and the penalised log-likelihood."""
         lens = fit_lens(self.model, self.measured(choice, members), start)
         n = np.flatnonzero(members)
         gained = float(self.options.gain[n, choice[n]].sum()) + 0.5 * self.model.values * len(n)
@@ -136,7 +135,7 @@ class _Choices:
         return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[left_out].sum())
 
     def occam(self, choice: Indices, members: Bools) -> float:
-        """Log-likelihood that members lose by what looser laws than the strictest would let them scatter."""
+        """Return the Occam factor: log-likelihood that members lose because the laws are looser than the strictest."""
         noise = self.options.covariance[np.flatnonzero(members), choice[members]]
         strict = replace(self.model, laws=Laws().rough()).scatter()
         spread = np.linalg.slogdet(noise + np.diag(self.model.scatter()))[1]
@@ -145,10 +144,10 @@ class _Choices:
     def ascend(
         self, choice: Indices, members: Bools, start: Point | None = None
     ) -> tuple[Indices, Bools, LensFit, float]:
-        """Change choices while that raises the penalised log-likelihood.
+        """Change choices while the penalised log-likelihood rises.
 
-        In each round every group of observations changes its most promising member; if all changes together do not
-        raise the objective, the most promising one alone is tried.
+        In each round every group of observations changes its most promising choice. If all changes together do not raise the
+        objective, the most promising changes are tried alone.
         """
         lens, value = self.fit(choice, members, start)
         while True:
@@ -168,7 +167,7 @@ class _Choices:
         return choice, members, lens, value
 
     def _batches(self, promise: Floats) -> Iterator[Indices]:
-        """Observations to change: the most promising of each group at once, then alone, one after the other."""
+        """Yield observations to change: the most promising of each group at once, then single ones by promise."""
         order = np.argsort(-promise)
         order = order[promise[order] > 0]
         _, first = np.unique(self.groups[order], return_index=True)
@@ -178,7 +177,7 @@ class _Choices:
         yield from (order[k : k + 1] for k in range(min(len(order), 8)))
 
     def _proposals(self, lens: LensFit, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
-        """(n,) the best option of each observation by what all others predict, and what it promises to gain."""
+        """Return the best option of each observation, (n,), by leave-one-out prediction, and its promised gain, (n,)."""
         predicted, covariance = lens.predictions
         rest = self.options.values - predicted[:, None]
         rest[..., -1] += self.options.foreshortening[..., 0]
@@ -186,20 +185,20 @@ class _Choices:
         for at in range(chi2.shape[1]):
             noise = self.options.covariance[:, at] + covariance
             chi2[:, at] = np.einsum("nv,nv->n", rest[:, at], np.linalg.solve(noise, rest[:, at, :, None])[..., 0])
-        worth = self.options.gain - 0.5 * (chi2 - self.model.values)
-        best = np.argmax(worth, axis=1)
+        net_gain = self.options.gain - 0.5 * (chi2 - self.model.values)
+        best = np.argmax(net_gain, axis=1)
         n = np.arange(len(best))
-        stays = np.where(members, worth[n, np.maximum(choice, 0)], -self.options.cost)
-        inside = worth[n, best] >= -self.options.cost
+        stays = np.where(members, net_gain[n, np.maximum(choice, 0)], -self.options.cost)
+        inside = net_gain[n, best] >= -self.options.cost
         wanted = np.where(inside, best, OUT)
-        promise = np.maximum(worth[n, best], -self.options.cost) - stays
+        promise = np.maximum(net_gain[n, best], -self.options.cost) - stays
         promise[~self.options.fitted] = 0.0
         same = np.where(members, wanted == choice, wanted == OUT)
         return wanted, np.where(same, 0.0, promise)
 
 
 def poor_model(observed: Sequence[Observed]) -> bool:
-    """Whether the model leaves more than noise in so many observations that it lacks something for all."""
+    """Whether the model is incomplete for all: the residuals of most observations are not noise alone."""
     fitted = [one for one in observed if one.candidates]
     poor = [one for one in fitted if not any(candidate.explained for candidate in one.candidates)]
     return 2 * len(poor) > len(fitted)
@@ -212,18 +211,18 @@ def select(
 
     Parameters
     ----------
-    observed : observations of known range with their candidates; those without any are predicted
+    observed : observations of known range with their candidates; observations without candidates are predicted
     stated : the plan's numbers
-    before : an earlier selection of the same observations in the same order, whose choices are where this one starts
-    everyone : whether all observations belong, and all laws hold, whatever that costs; no sign is called open then
+    before : an earlier selection of the same observations in the same order, to start from
+    everyone : whether all observations belong under the strictest laws, at any cost; then no sign is reported as open
 
     Returns
     -------
-    The likeliest choice. Laws that members contradict beyond chance are loosened as far as the evidence asks.
+    The likeliest choice. Laws that members contradict beyond chance are loosened if the evidence favours looser laws.
 
     Raises
     ------
-    ValueError : no observation has a candidate, or a key is there twice
+    ValueError : no observation has a candidate, or two observations have the same key
     """
     observed = tuple(observed)
     first = next((one.candidates[0].measured for one in observed if one.candidates), None)
@@ -248,7 +247,7 @@ def select(
 
 
 def _looser(observed: Sequence[Observed]) -> list[Laws]:
-    """Laws that observations may follow in place of the strictest: only where the model is poor without defocus's own."""
+    """Return laws to try in place of the strictest; defocus leaves its law only if the model is incomplete for all."""
     if poor_model(observed):
         return [*Laws.looser(), Laws.loosest()]
     return [laws for laws in Laws.looser() if laws.defocus_scatter == Laws().defocus_scatter]
@@ -257,7 +256,7 @@ def _looser(observed: Sequence[Observed]) -> list[Laws]:
 def exact_lens(
     observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated, *, laws: Laws | None = None
 ) -> LensFit:
-    """The lens of chosen candidates under the strictest laws that they do not contradict, or under given ones."""
+    """Estimate the lens from chosen candidates, under given laws or the strictest laws that they do not contradict."""
     first = next(one.candidates[0].measured for one in observed if one.candidates)
     readings = tuple(one.reading for one in observed)
     model = LensModel(readings, first.noll, _labels(observed), stated, laws or Laws())
@@ -276,7 +275,7 @@ def exact_lens(
 def _measurements(
     observed: Sequence[Observed], choice: Indices, members: Bools, model: LensModel
 ) -> tuple[Measurements, float, Floats]:
-    """Chosen candidates, the common error of all sizes by the target's tilt, and (n,) each one's own where it has one."""
+    """Return the chosen measurements and errors of size due to the target's tilt: common to all, and (n,) of each."""
     size, n = model.values, len(observed)
     values, tilts = np.zeros((n, size)), np.zeros((n, 2))
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
@@ -299,20 +298,20 @@ def _measurements(
 
 
 def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
-    """Labels of all parts' numbers that some candidate has."""
+    """Return the labels of all parts' numbers that any candidate has."""
     every = (label for one in observed for candidate in one.candidates for label in candidate.measured.parts)
     return tuple(dict.fromkeys(every))
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
-    """The tilt of the observation that knows it best, where all agree; None where they do not. tilts: (m, 2)."""
+    """Return the most precise of m foreshortenings, (m, 2), if all agree, else None."""
     best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
     misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)))
     return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
 
 
 def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
-    """Choices to start from: earlier ones, or each observation's likeliest candidate with the sign that ranges tell."""
+    """Return a start: earlier choices, or each observation's likeliest candidate with the sign that the ranges favour."""
     fitted = choices.options.fitted
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
     members = fitted.copy()
@@ -327,7 +326,7 @@ def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bool
 
 
 def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:
-    """Observations of each channel and tile, those seen at most ranges first."""
+    """Return the places of each channel and tile's observations, the largest group first."""
     places = np.flatnonzero(wanted)
     order = places[np.argsort(choices.groups[places], kind="stable")]
     parts = np.split(order, np.flatnonzero(np.diff(choices.groups[order])) + 1)
@@ -335,10 +334,10 @@ def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:
 
 
 def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) -> Indices:
-    """(m,) 0 for the candidate, 1 for its twin, of one group's observations.
+    """Choose signs, (m,), of one group's observations: 0 for the candidate, 1 for its twin.
 
-    With the range defocus passes from negative to positive once: of m ranges the first k are negative. Each k is tried
-    with the slope of defocus over range, with modes that stay, and with the modes of what is known.
+    Over range, defocus changes from negative to positive once: the first k of m ranges are negative. Every k is compared
+    with the slope of defocus over range, with constancy of the other modes, and with the modes of known observations.
     """
     model = choices.model
     ranges = np.array([choices.observed[k].reading.range_mm for k in places])
@@ -362,7 +361,7 @@ def _modes(choices: _Choices, choice: Indices, places: Indices) -> Floats:
 
 
 def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | None) -> float:
-    """chi2, about, of a group's values (m, values) beside the law of defocus and modes that stay.
+    """Return an approximate chi2 of a group's values (m, values) under the law of defocus and constant other modes.
 
     Large misfits count by their logarithm, as in Student's t (K. L. Lange et al., J. Am. Stat. Assoc. 84, 881 (1989)): one
     wrong optimum must not decide the signs of all others.
@@ -381,7 +380,7 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
 
 
 def _open_channels(choices: _Choices, choice: Indices, members: Bools, value: float) -> tuple[str, ...]:
-    """Channels whose next choice of signs is hardly less likely. Of tiles none is asked: the field knows them together."""
+    """Return channels whose next best signs are hardly less likely. Tiles are not tested: the field determines their signs."""
     if choices.model.tiled:
         return ()
     found = []
