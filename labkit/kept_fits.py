@@ -1,7 +1,7 @@
-"""Each fit kept on the disk as it ends: one that was killed, or found the disk full in the end, goes on where it was.
+"""Keep completed fits on disk, so that an interrupted fit of a session continues.
 
-What is kept is found by all that went in, task, function and labkit's own source: a fit is the same each time, so what
-another one asks for is never taken for it.
+A fit is deterministic. Its file is named by a hash of all inputs: task, function and labkit's own source. A fit with other
+inputs never takes it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ FOLDER = ".fits"
 
 
 class KeptFits:
-    """A `Run` that keeps what another one makes, in a folder, and takes from there what is kept.
+    """A `Run` that stores the results of another run in a folder, and reads stored results instead of computing them again.
 
-    A folder that cannot be written to costs no fit: `problem` is None as long as all are kept, or says why not.
+    If the folder cannot be written, fits continue, and `problem` states the reason; it is None otherwise.
     """
 
     def __init__(self, run: Run, folder: Path) -> None:
@@ -38,7 +38,7 @@ class KeptFits:
         self.problem: str | None = None
 
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
-        """As of `Run`; what is kept comes first."""
+        """Map tasks, see `Run`; stored results come first."""
         places = [self._folder / _key(function, task) for task in tasks]
         missing = []
         for index, place in enumerate(places):
@@ -52,11 +52,11 @@ class KeptFits:
             yield missing[index], result
 
     def share(self, value: Value) -> Shared[Value]:
-        """A handle for tasks to a value, as the other run has it."""
+        """Return the other run's handle to a value."""
         return share(self._run, value)
 
     def clear(self) -> None:
-        """Remove what is kept: the results are written."""
+        """Remove all stored results, for the session's results are written."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _keep(self, place: Path, result: object) -> None:
@@ -69,7 +69,7 @@ class KeptFits:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Of labkit's own data classes and NumPy's arrays: a session from elsewhere may hold any file, but runs nothing."""
+    """An unpickler for labkit's data classes and NumPy's arrays only: a file of a foreign session cannot run code."""
 
     NUMPY = ("ndarray", "dtype", "_reconstruct", "_frombuffer", "scalar")
 
@@ -84,21 +84,21 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _read(place: Path) -> Any:
-    """What is kept there; None if nothing is that can be read."""
+    """Read a stored result; None if there is none, or if it cannot be read."""
     with suppress(Exception):  # unpickling what is damaged raises what it likes; such a fit is made again
         return _Unpickler(io.BytesIO(place.read_bytes())).load()
     return None
 
 
 def _key(function: Callable[..., object], task: object) -> str:
-    """The same for equal tasks, whatever objects they have in common."""
+    """Return a hash that is the same for equal tasks, whatever objects they share."""
     name = f"{_source()} {function.__module__}.{function.__qualname__}\n".encode()
     return hashlib.sha256(name + packed(task)).hexdigest()
 
 
 @cache
 def _source() -> str:
-    """Of labkit as it is installed."""
+    """Return a hash of labkit's installed source."""
     digest = hashlib.sha256()
     for path in sorted(Path(str(labkit.__file__)).parent.rglob("*.py")):
         digest.update(path.read_bytes())

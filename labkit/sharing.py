@@ -1,4 +1,4 @@
-"""Values that many tasks need: each travels once to a process, however many tasks take it."""
+"""Share values among tasks: a value travels once to each process, for any number of tasks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Shared(Protocol[Kept]):
 
 @dataclass(frozen=True)
 class Carried(Generic[Value]):
-    """A value that travels with each task: for runs that offer nothing better."""
+    """A value that travels with each task, for runs without shared values."""
 
     value: Value
 
@@ -39,7 +39,7 @@ class Stored(Generic[Value]):
 
     @property
     def value(self) -> Value:
-        """The value. Raises LookupError outside of a task."""
+        """The value; LookupError outside a task."""
         found: Value = _lookup.get()(self.digest)
         return found
 
@@ -53,7 +53,7 @@ _lookup: ContextVar[Callable[[str], Any]] = ContextVar("lookup", default=_nowher
 
 @contextmanager
 def looked_up_by(lookup: Callable[[str], Any]) -> Iterator[None]:
-    """Look shared values up by a function of their digests, until the end."""
+    """Look up shared values by a function of their digests, within a `with` block."""
     token = _lookup.set(lookup)
     try:
         yield
@@ -62,13 +62,13 @@ def looked_up_by(lookup: Callable[[str], Any]) -> Iterator[None]:
 
 
 def share(run: object, value: Value) -> Shared[Value]:
-    """A handle to a value for the tasks of a run: the run's own, where it has `share`, else one that carries the value."""
+    """Return a handle to a value for a run's tasks: the run's own if it has `share`, else a handle that carries the value."""
     own: Callable[[Value], Shared[Value]] = getattr(run, "share", Carried)
     return own(value)
 
 
 def packed(value: object) -> bytes:
-    """A pickle that is the same for equal values, whatever objects they have in common."""
+    """Return a pickle that is the same for equal values, whatever objects they share."""
     buffer = io.BytesIO()
     pickler = pickle.Pickler(buffer)
     pickler.fast = True  # no references back
@@ -77,5 +77,5 @@ def packed(value: object) -> bytes:
 
 
 def digest_of(value: object) -> str:
-    """SHA-256 of a value's content."""
+    """Return the SHA-256 of a value's content."""
     return hashlib.sha256(packed(value)).hexdigest()

@@ -1,4 +1,4 @@
-"""A session to its results: calibrated, the target located, wavefronts and focus estimated, all written."""
+"""Fit a session: calibrate, find the target, estimate wavefronts and best focus, and write the results."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
 
 USUAL_CHI2 = (0.9, 1.5)
-"""Per pixel, of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
+"""Usual chi2 per pixel of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
 MANY = 0.5
-"""Share of the wavefronts whose model is poor, above which that is one finding of the session."""
+"""Share of wavefronts with an incomplete model, above which one finding of the session replaces theirs."""
 
 GO_ON = "fit again: that goes on where this one ended"
-"""Fits that are done are kept."""
+"""Advice after an interrupted fit: completed fits are kept."""
 
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
@@ -79,20 +79,20 @@ def fit(
     ----------
     session : the session, or its folder
     plan : a plan, or its path, instead of the session's own
-    ranges_mm, channels : fit only these
+    ranges_mm, channels : ranges and channels to fit; None for all
     noll : first and last mode, instead of the plan's
-    workers : processes at once, by default one for each core; results do not depend on it
+    workers : number of processes, by default one for each core; results do not depend on the number
     run : maps the fits' tasks, in place of `workers` processes of this machine: see `labkit.execute.Run`
-    name : of the results; "latest", or for some ranges or channels their names
+    name : name of the results; by default "latest", or for some ranges or channels their names
     patience_s : processor time after which the search for one wavefront makes no further start
-    joint : climb over all frames at once in the end
-    split : where the lens was changed half-way, write NAME-before and NAME-after besides
-    plain : keep to the camera of the plan, whatever it lacks
-    progress : called with what is under way
+    joint : whether to climb over all frames at once in the end
+    split : whether to write NAME-before and NAME-after in addition if the lens changed during the session
+    plain : whether to keep to the plan's camera although the photographs show more parts
+    progress : called with the step under way
 
     Returns
     -------
-    The results, which are written too. Too few ranges for a best focus are no error: `Results.unanswered`.
+    The results, as written. Too few ranges for a best focus are no error: see `Results.unanswered`.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def fit(
 
 @contextmanager
 def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
-    """What maps the fits: a caller's run, or processes of this machine; this process where one is enough."""
+    """Yield a map for the fits' tasks: a caller's run, or processes of this machine; this process if one is enough."""
     if run is not None:
         yield run
         return
@@ -137,9 +137,16 @@ def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
 
 
 def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]) -> Results:
-    """The results of the whole session, in their folder. every: by what is to stand behind the folder's name.
+    """Write results, and return the results of the whole session with their folder.
 
-    Fits are kept as long as some are missing or not written.
+    Completed fits are kept until all fits are made and written.
+
+    Parameters
+    ----------
+    folder : folder of the whole session's results
+    every : results by the suffix of their folder's name; "" for the whole session
+    kept : completed fits
+    lost : reasons why fits are missing
     """
     made = {wavefront.key for wavefront in every[""].wavefronts}
     if lost and kept_keys(folder) - made:
@@ -159,9 +166,12 @@ def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: S
 
 
 def _panel_findings(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[Finding]:
-    """The photographs may show a panel's pixels where the plan has none.
+    """Report pixels of a panel that photographs show and the plan does not state.
 
-    Raises DataError where they show them so plainly that no fit could be right, PlanError where they show another panel's.
+    Raises
+    ------
+    DataError : the pixels are so clear that every fit would be wrong
+    PlanError : the pixels contradict the panel of the plan
     """
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
     if seen is None:
@@ -175,18 +185,18 @@ def _panel_findings(plan: Plan, target: Target, observations: Sequence[Observati
 
 
 def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Finding]:
-    """What the session's files say against the plan, of programs that altered them, of their damage; and `others`."""
+    """Report contradictions between files and plan, altered pictures and damage to the session, together with `others`."""
     stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
     notes = [note for frame in session.frames for note in frame.meta.get("altered", ())]
     altered = [found("picture-altered", note=note) for note in notes]
-    mended = [found("session-mended", note=note) for note in session.warnings]  # an import repeats the others here
-    return each_once([*stated, *altered, *others, *mended])
+    repairs = [found("session-mended", note=note) for note in session.warnings]  # an import repeats the others here
+    return each_once([*stated, *altered, *others, *repairs])
 
 
 def _joint_results(
     fits: Estimate, joint: Joint, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float
 ) -> Results:
-    """Of fits whose lens a joint climb has settled."""
+    """Make results of fits with the lens of a joint climb."""
     results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, patience_s, wanted=True)
     return replace(results, joint=joint.differences)
 
@@ -194,7 +204,7 @@ def _joint_results(
 def _results(
     fits: Estimate, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float, wanted: bool
 ) -> Results:
-    """Of fits, all or a part of a session's. wanted: whether they were to determine best focus."""
+    """Make results of all or some of a session's fits. wanted: whether the fits should determine best focus."""
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     findings = [
@@ -222,14 +232,14 @@ def _results(
 
 
 def _changes(change: Change | None) -> list[Finding]:
-    """What a session that is fitted as one reports of its change, where there is one."""
+    """Report a change of the lens during a session that is fitted as one."""
     return [] if change is None else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
 
 
 def _opened(
     session: Session | Path | str, plan: Plan | Path | str | None, noll: tuple[int, int] | None
 ) -> tuple[Session, Plan, str]:
-    """The session, the plan to fit it with, and its text's checksum. Raises SessionError for altered photographs or plans."""
+    """Open the session; return session, plan and the plan's checksum. Raise SessionError for altered photographs or plans."""
     session = session if isinstance(session, Session) else Session.open(session)
     chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
     if damage := altered_files(session):
@@ -239,13 +249,13 @@ def _opened(
 
 
 def _checksum(session: Session, plan: Plan) -> str:
-    """SHA-256 of the session's plan.toml, or of the TOML of the plan that took its place."""
+    """Return the SHA-256 of the session's plan.toml, or of the TOML of a plan given instead."""
     text = (session.folder / "plan.toml").read_bytes() if plan == session.plan else plan.to_toml().encode()
     return hashlib.sha256(text).hexdigest()
 
 
 def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None) -> Path:
-    """Where the results go. Raises DataError where they would take the place of more than they are."""
+    """Return the folder of the results. Raise DataError if it holds results that this fit would not replace."""
     keys = _wanted_keys(session, plan, ranges_mm, channels)
     whole = keys == _wanted_keys(session, plan, None, None)
     folder = session.results_folder(name or ("latest" if whole else _partial_name(ranges_mm, channels)))
@@ -256,7 +266,7 @@ def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels,
 
 
 def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[Key]:
-    """Keys of the wavefronts that a fit of these ranges and channels makes."""
+    """Return the keys of all wavefronts at these ranges and channels."""
     ranges = {frame.range_mm for frame in session.frames if frame.kind == "target"}
     wanted = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm
     names = [channels] if isinstance(channels, str) else channels
@@ -270,14 +280,14 @@ def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Chan
 
 
 def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
-    """A name for results of some ranges and channels: 3300mm-R."""
+    """Return a name for results of some ranges and channels, such as 3300mm-R."""
     ranges = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm or ()
     names = [channels] if isinstance(channels, str) else channels or ()
     return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
 
 
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
-    """What to beware of in the wavefronts. A poor model of all of them is one finding."""
+    """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
     poor = [w for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains]
     if len(poor) > MANY * len(wavefronts) and len(poor) > 1 and not any(w.missing for w in poor):
         chi2 = {w.key.array_name: w.chi2_per_pixel for w in poor}

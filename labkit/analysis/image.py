@@ -1,4 +1,4 @@
-"""A wavefront from photographs in memory: no session, no folder."""
+"""Fit a wavefront to photographs in memory, without session or folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from labkit.results import Wavefront
 from labkit.target import Target
 from labkit.types import Bools, Floats
 
-GIVEN_NOISE_STD = 0.05  # relative, of a gain and a read variance that the caller gives: both are fitted from there
+GIVEN_NOISE_STD = 0.05  # relative error of a gain and a read variance that the caller gives: priors of the fit
 
 
 def fit_image(
@@ -44,19 +44,19 @@ def fit_image(
 ) -> Wavefront:
     """Fit the wavefront of one colour to photographs in memory, of a target at one range.
 
-    Uneven light is estimated, for there are no flats. Of twins the one is returned whose largest even mode is positive.
+    Uneven illumination is estimated, for there are no flats. Of two twins, the returned one has a positive largest even mode.
 
     Parameters
     ----------
     counts : (rows, columns) or (frames, rows, columns), black level removed, nothing demosaiced
-    target : what the photographs show
+    target : the target that the photographs show
     optics : lens, light and sensor; the f-number is held
     cfa_pattern : "mono", or the 2 × 2 cell row by row, such as "RGGB"
-    channel : the colour that is fitted
-    mask : of the shape of `counts`, True where a pixel is good
-    corners_px : (4, 2) or (frames, 4, 2) [row, column] of the target's corners, to spare the search for the target
-    mm_per_pixel : about, on the target
-    gain, read_noise : counts per electron, and counts; estimated from these photographs where not given
+    channel : the colour to fit
+    mask : of the shape of `counts`, True for good pixels
+    corners_px : (4, 2) or (frames, 4, 2) [row, column] of the target's corners; None to search for the target
+    mm_per_pixel : approximate size of a pixel on the target
+    gain, read_noise : counts per electron, and counts; estimated from the photographs if None
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _fitted(observation: Observation, target: Target, optics: Optics) -> Wavefro
 
 
 def _good(mask: ArrayLike | None, images: Floats) -> Bools:
-    """(frames, rows, columns) True where a pixel is good."""
+    """Return masks (frames, rows, columns), True for good pixels."""
     if mask is None:
         return np.ones(images.shape, bool)
     return mask_array("mask", np.reshape(mask, images.shape), images.shape)
@@ -99,7 +99,7 @@ def _observation(
     pixels: ChannelPixels,
     noise: NoisePrior,
 ) -> Observation:
-    """The frames, cut to the target."""
+    """Return the frames, cut to the target."""
     rows, columns = cut_around(corners, images.shape[1:])
     cut = images[:, rows, columns]
     usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])
@@ -119,7 +119,7 @@ def _observation(
 
 
 def _frames(name: str, counts: ArrayLike) -> Floats:
-    """(frames, rows, columns) of one frame or several."""
+    """Return one frame or several as (frames, rows, columns)."""
     shape = np.shape(counts)
     if len(shape) not in (2, 3):
         raise ValueError(f"{name} has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)")
@@ -134,7 +134,7 @@ def _corners(
     given: ArrayLike | None,
     mm_per_pixel: float | None,
 ) -> list[Floats]:
-    """(4, 2) in each frame, as given or searched for."""
+    """Return the target's corners (4, 2) in each frame, given or found by a search."""
     if given is not None:
         corners = np.asarray(given, float)
         corners = np.broadcast_to(corners, (len(images), *corners.shape[-2:]))
@@ -152,7 +152,7 @@ def _frame(image: Floats, used: Bools, pose: Pose, target: Target) -> FrameData:
 
 
 def _noise(images: Floats, gain: float | None, read_noise: float | None) -> NoisePrior:
-    """What the caller knows of the noise, wide open where it is nothing."""
+    """Return a prior for the noise from the caller's numbers, or a wide prior without them."""
     white = float(np.percentile(images, 99.5))
     if white <= 0:
         raise DataError(f"counts up to {white:g} are no photograph: give them with the black level removed")

@@ -1,4 +1,4 @@
-"""A session's frames, ready to be fitted: corrected, the target found, cut to what matters."""
+"""Prepare a session's frames for fits: calibrate, find the target, and cut to the target."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ LEAST_PIXELS = 100  # usable ones on the target
 
 @dataclass(frozen=True)
 class _Shot:
-    """A photograph of the target, decoded, and the target's corners (4, 2) in it, in pixels."""
+    """A decoded photograph of the target, with the target's corners (4, 2) in pixels."""
 
     frame: Frame
     mosaic: Mosaic
@@ -50,12 +50,27 @@ def observe(
     channel: str | Sequence[str] | None = None,
     progress: Progress = no_progress,
 ) -> tuple[list[Observation], list[Finding]]:
-    """All observations of a session, or only those of some ranges and channels; and what was assumed.
+    """Prepare observations of a session.
 
-    plan: of lens, sensor and channels, the session's or another. range_mm, channel: one, several, or None for all.
-    Each photograph is decoded once; those of one range are in memory at a time.
-    Raises SessionError for a photograph that stands for two, DataError where there is nothing to fit or the target's sizes
-    contradict plan and ranges, TargetError where a frame does not show the target.
+    Each photograph is decoded once; photographs of one range are in memory at a time.
+
+    Parameters
+    ----------
+    session : the session
+    plan : lens, sensor and channels: the session's plan or another one
+    target : the target of the plan
+    range_mm, channel : one, several, or None for all
+    progress : called with the step under way
+
+    Returns
+    -------
+    observations, range by range, and findings about assumptions
+
+    Raises
+    ------
+    SessionError : one photograph counts as two frames
+    DataError : nothing to fit, or the target's sizes contradict plan and ranges
+    TargetError : a frame does not show the target
     """
     photographs, again = distinct(session.frames)
     frames = _chosen(session, photographs, range_mm)
@@ -97,7 +112,7 @@ def _chosen(session: Session, photographs: Sequence[Frame], range_mm: float | Se
 
 
 def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
-    """Names, in the plan's order."""
+    """Return the names of the requested channels, in the plan's order."""
     known = [c.name for c in plan.channel]
     wanted = known if channel is None else [channel] if isinstance(channel, str) else channel
     if not wanted or any(name not in known for name in wanted):
@@ -118,7 +133,7 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
 
 
 def _stated_scale(frame: Frame, plan: Plan) -> float | None:
-    """Millimetres of the target to a pixel, as plan and range have it; None where they have none."""
+    """Return the size of a pixel on the target, mm, by plan and range; None if they do not state it."""
     if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
         return None
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
@@ -126,10 +141,10 @@ def _stated_scale(frame: Frame, plan: Plan) -> float | None:
 
 
 def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
-    """The target's corners, at the scale stated or at any: what is wrong with a statement then shows in the size.
+    """Find the target's corners at the stated scale or at any scale; a wrong statement then shows in the target's size.
 
-    A carpet is looked for at any scale first, for a wrong one would find a smaller carpet in it; other targets are found
-    sooner at the right one.
+    A carpet is searched for at any scale first, for a wrong scale would match a smaller carpet inside. Other targets are
+    found sooner at the right scale.
     """
     scales = [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
     failures: list[TargetError] = []
@@ -144,7 +159,7 @@ def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
 def _observation(
     calibration: Calibration, target: Target, shots: Sequence[_Shot], channel: str
 ) -> tuple[Observation, tuple[Finding, ...]]:
-    """Of one range and channel; and what was assumed."""
+    """Return the observation of one range and channel, and findings about assumptions."""
     first, group = shots[0].mosaic, [shot.frame for shot in shots]
     rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
     outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
@@ -189,7 +204,7 @@ def _measured(group: Sequence[Frame]) -> float | None:
 
 
 def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:
-    """The noise as flats and darks show it; wide open where they do not."""
+    """Return a prior for the noise from flats and darks, or a wide prior without them."""
     noise = data.noise
     gain, read = noise.gain, noise.read_noise
     white = mosaic.white - float(np.mean(mosaic.black))

@@ -1,7 +1,7 @@
-"""Do the target's sizes in the pictures agree with what plan and ranges state? Looked at before any fit, which would
-search for long and then reject, and could not say why.
+"""Check whether the target's sizes in the pictures agree with plan and ranges.
 
-A number off by a factor is reported, an uncertain one is not: what a fit can live with, it estimates.
+The check comes before any fit: a fit would search for long, then reject, and could not name the reason. Numbers wrong by a
+factor are reported. Uncertain numbers are not, for a fit estimates them.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from labkit.plan import Plan
 from labkit.types import Floats
 
 SHORTENED = 0.7
-"""A lens that focuses inside may have so much of its engraved focal length left at close range; a tilt of the target takes
-less of its size."""
+"""Share of its engraved focal length that an internally focusing lens may keep at close range; a tilt of the target reduces
+sizes less."""
 
 REFOCUSED = 0.03
-"""Relative, by which a size may change between ranges beside what the ranges say: tilts of a few degrees, a touched lens."""
+"""Relative change of size between ranges that the ranges do not explain: tilts of a few degrees, a touched lens."""
 
 CORNERS_PX = 2.0
-"""How far off the sides of a target that was found may be, before a fit refines them."""
+"""Error of the sides of a found target, pixels, before a fit refines them."""
 
 STDS = 3.0
-"""Of what the plan states to be uncertain."""
+"""Standard errors of stated numbers that are allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Where the target was found in a picture. range_mm: as stated; corners_px: (4, 2), (row, column)."""
+    """The target in a picture: stated range, and corners (4, 2) as (row, column)."""
 
     range_mm: float
     corners_px: Floats
@@ -43,7 +43,7 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """At a range: distance from about the entrance pupil, and the side of the target in the picture."""
+    """Size at a range: approximate distance from the entrance pupil, and side of the target in the picture."""
 
     range_mm: float
     away_mm: float
@@ -51,14 +51,22 @@ class _Size:
 
     @property
     def constant(self) -> float:
-        """The same at every range, but for small errors."""
+        """Distance times size: the same at every range, except for small errors."""
         return self.away_mm * self.side_px
 
 
 def refuse_contradictions(sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]) -> None:
-    """Raise DataError, one line, where sizes in the pictures contradict each other's ranges, or the plan's numbers.
+    """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers.
 
-    size_mm: (height, width) of the target. A session without ranges contradicts nothing.
+    Parameters
+    ----------
+    sights : the target in all pictures with a known range
+    plan : lens, sensor, target and rail
+    size_mm : (height, width) of the target
+
+    Raises
+    ------
+    DataError : one line about the contradiction
     """
     ranges = sorted({sight.range_mm for sight in sights})
     if ranges and ranges[0] <= plan.lens.focal_length_mm:
@@ -73,14 +81,14 @@ def refuse_contradictions(sights: Sequence[Sight], plan: Plan, size_mm: tuple[fl
 
 
 def _size(range_mm: float, sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]) -> _Size:
-    """Of all pictures at a range; the side is that of the target's first axis, whatever its proportions."""
+    """Average the size over all pictures at a range; the side is along the target's first axis, whatever its proportions."""
     areas = [cv2.contourArea(sight.corners_px.astype(np.float32)) for sight in sights if sight.range_mm == range_mm]
     side_px = sqrt(fmean(areas) * size_mm[0] / size_mm[1])
     return _Size(range_mm, range_mm - plan.lens.focal_length_mm, side_px)
 
 
 def _among_ranges(sizes: Sequence[_Size], plan: Plan) -> str | None:
-    """Which range the others contradict, whatever lens, sensor and target may be."""
+    """Describe a range that the others contradict, for any lens, sensor and target; None without contradiction."""
     pairs = [set(pair) for pair in combinations(sizes, 2) if not _agree(*pair, plan)]
     if not pairs:
         return None
@@ -100,7 +108,7 @@ def _among_ranges(sizes: Sequence[_Size], plan: Plan) -> str | None:
 
 
 def _agree(one: _Size, other: _Size, plan: Plan) -> bool:
-    """Whether sizes at two ranges go by the inverse of the distance, whose zero point may be off by tape and pupil."""
+    """Whether sizes at two ranges are inverse to distances, within errors of the range zero and of the pupil's place."""
     zero_mm = STDS * plan.fit.range_zero_std_mm + plan.lens.focal_length_mm
     allowed = REFOCUSED + zero_mm * abs(1 / one.away_mm - 1 / other.away_mm)
     allowed += CORNERS_PX * (1 / one.side_px + 1 / other.side_px)
@@ -109,7 +117,7 @@ def _agree(one: _Size, other: _Size, plan: Plan) -> bool:
 
 
 def _with_the_plan(sizes: Sequence[_Size], plan: Plan) -> str | None:
-    """What the plan's numbers make of the size at a typical range, where that is far from what it is."""
+    """Describe a size at a typical range that contradicts the plan's numbers; None without contradiction."""
     if not sizes:
         return None
     focal, size = plan.lens.stated_focal_length, plan.target.stated_size
@@ -129,7 +137,7 @@ def _with_the_plan(sizes: Sequence[_Size], plan: Plan) -> str | None:
 
 
 def _where_ranges(plan: Plan) -> str:
-    """Where ranges are stated, and corners where those are."""
+    """Name the plan's keys that state ranges, and corners if stated."""
     corners = "" if plan.target.corners_px is None else ", target.corners_px"
     if plan.rail is None:
         return f"range_mm in the imported CSV{corners}"

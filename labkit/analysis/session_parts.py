@@ -1,4 +1,4 @@
-"""What a session found of its camera, in the units of a data sheet, and as findings."""
+"""Camera parts that a session estimated, in data-sheet units, and findings about them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from labkit.uncertain import Uncertain
 
 
 def model_parts(session: Estimate, plan: Plan) -> dict[str, Uncertain]:
-    """Return the data-sheet quantities of all parts of the camera, and of a panel, that were fitted, by key."""
+    """Return the data-sheet quantities of all fitted parts of camera and panel, by key."""
     numbers = _of_lens(session.lens) if session.lens is not None else _of_fits(session)
     groups = dict[tuple[str, ...], list[Uncertain]]()
     for (label, *channel), number in numbers.items():
@@ -47,13 +47,14 @@ def camera_findings(
     numbers: Mapping[str, Uncertain],
     wanted: Collection[str] = (),
 ) -> list[Finding]:
-    """What the photographs show of the camera, and how far that moves the results.
+    """Report camera parts that the photographs show, and changes of the results due to these parts.
 
     Parameters
     ----------
-    wavefronts : of all the session's fits
-    numbers : as `model_parts` returns them
-    wanted : names of the parts that the plan wants fitted, which are no news
+    session : the estimate
+    wavefronts : wavefronts of all the session's fits
+    numbers : estimated quantities, see `model_parts`
+    wanted : names of parts that the plan requests to fit, which are not reported
     """
     findings = list[Finding]()
     if session.missing and session.lens is not None:
@@ -68,7 +69,13 @@ def camera_findings(
 def part_findings(
     session: Estimate, numbers: Mapping[str, Uncertain], wanted: Collection[str] = (), moves: Moves | None = None
 ) -> Iterator[Finding]:
-    """Every part that was found. moves: how far the results would move without all that the plan does not state."""
+    """Report every added part.
+
+    Parameters
+    ----------
+    session, numbers, wanted : see `camera_findings`
+    moves : changes of the results without the parts that the plan does not state
+    """
     gains = {part.name: part.gain for part in session.tried if part.adopted}
     for name in dict.fromkeys(label.split(".")[0] for label in numbers):
         values = {label.split(".")[1]: value for label, value in numbers.items() if label.startswith(f"{name}.")}
@@ -81,7 +88,7 @@ def part_findings(
 
 
 def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Moves:
-    """How far the parts that the model lacks would move the session's results."""
+    """Return changes of the session's results due to parts that the model lacks."""
     pairs = list[tuple[FittedWavefront, FittedWavefront]]()
     for k in session.trusted:
         modes, cone = shift(session.fits[k].optimum, session.with_all_parts(k))
@@ -92,7 +99,7 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
 
 
 def _focus_bias(lens: LensFit) -> dict[str, float]:
-    """By how much what the model lacks would move each best focus, mm."""
+    """Return the change of each best focus, mm, due to parts that the model lacks."""
     focus = as_focus(lens)
     if focus is None or lens.bias is None:
         return {}
@@ -100,9 +107,11 @@ def _focus_bias(lens: LensFit) -> dict[str, float]:
 
 
 def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:
-    """How far results would move without the parts that were found, how many optima would be rejected then, and of how many.
+    """Compare with the stated camera, without the added parts; None if no part was added.
 
-    None where no part was found.
+    Returns
+    -------
+    changes of all results, number of optima that would be rejected, number of all optima
     """
     plain = session.stated_camera
     if plain is None or session.with_stated_camera(0) is None:
@@ -114,14 +123,14 @@ def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, 
 
 
 def _moves(pairs: Sequence[tuple[FittedWavefront, FittedWavefront]], focus_mm: Mapping[str, float]) -> Moves:
-    """The largest moves from the first of each pair to the second."""
+    """Return the largest changes from the first of each pair to the second."""
     waves = max(_waves_difference(here, there) for here, there in pairs)
     psfs = max(psf_difference(here, there) for here, there in pairs)
     return Moves(focus_mm, waves, float(psfs))
 
 
 def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, float]:
-    """Of best focus, mm, by channel, where both have one."""
+    """Return differences of best focus, mm, for channels with a best focus in both lenses."""
     here, there = (None if of is None else as_focus(of) for of in (lens, other))
     if here is None or there is None:
         return {}
@@ -129,13 +138,13 @@ def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, 
 
 
 def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
-    """Waves RMS. Of two twins the nearer counts."""
+    """Return the distance of two wavefronts, waves RMS. Of two twins the nearer counts."""
     twin = other.waves * twin_signs(other.noll)
     return min(float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin))
 
 
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
-    """By label, and channel where each has its own: values and standard errors of all parts."""
+    """Return numbers of all parts with standard errors, by label, and by channel for parts of single channels."""
     return {
         tuple(map(str, column.name)): Uncertain(lens.value(PART, *column.name), lens.std(PART, *column.name))
         for column in lens.model.columns
@@ -144,7 +153,7 @@ def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
 
 
 def _of_fits(session: Estimate) -> dict[tuple[str, ...], Uncertain]:
-    """The same of fits without a lens in common: means weighted by their errors."""
+    """Return numbers of all parts of fits without a common lens: means weighted by their errors, keys as in `_of_lens`."""
     seen = dict[tuple[str, ...], list[tuple[float, float]]]()
     for local in session.fits:
         measured, modes = local.optimum.measured, len(local.optimum.noll)
@@ -156,7 +165,7 @@ def _of_fits(session: Estimate) -> dict[tuple[str, ...], Uncertain]:
 
 
 def _weighted(pairs: Floats) -> Uncertain:
-    """Mean of values and variances (n, 2), weighted."""
+    """Return the weighted mean of values and variances (n, 2)."""
     values, variances = pairs.T
     whole = float(np.sum(1 / variances))
     return Uncertain(float(np.sum(values / variances)) / whole, whole**-0.5)

@@ -1,4 +1,4 @@
-"""An estimate, as results keep it: wavefronts, best focus, the lens, where the errors come from, and what is to report."""
+"""Convert an estimate to results: wavefronts, best focus, lens, error budget and findings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from labkit.uncertain import Uncertain
 
 
 def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
-    """Every fit as results keep it. Members are as the whole session has them."""
+    """Convert every fit to a result. Members get the values estimated from the whole session."""
     wavefronts = []
     for k in range(len(session.fits)):
         wavefront = _with_what_is_missing(session, k)
@@ -38,7 +38,7 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
 
 
 def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
-    """Fit k, with errors that hold what a missing part may move it by."""
+    """Convert fit k, with errors that include the bias due to missing parts."""
     local, complete = session.fits[k], session.with_all_parts(k)
     w = as_wavefront(local, session.with_stated_camera(k))
     if local.optimum is complete:
@@ -51,7 +51,8 @@ def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
 def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
     """Classify a fit: the session decides whether the optimum is right, the residuals whether the model is complete.
 
-    Without other ranges many starts that came back decide; where the model lacks a part, the same fit with it.
+    Without other ranges, an optimum is right if many starts returned to it. If the model lacks a part, the same fit with the
+    part may confirm the optimum.
     """
     if w.test is None:
         return w
@@ -69,7 +70,7 @@ def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
 
 
 def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
-    """Member k with the session's values for it."""
+    """Replace the values of member k by the session's."""
     lens, row = session.lens, session.rows[k]
     assert lens is not None
     assert row is not None
@@ -96,7 +97,7 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
 
 
 def as_focus(lens: LensFit) -> Focus | None:
-    """Best focus of the channels that were seen at two ranges or more; None where there is none."""
+    """Return best focus of all channels with two stations or more; None without such a channel."""
     model = lens.model
     stations = _stations(lens)
     channels = [channel for channel in model.channels if len(stations.get(channel, ())) > 1]
@@ -126,7 +127,7 @@ def as_focus(lens: LensFit) -> Focus | None:
 
 
 def as_lens(lens: LensFit) -> Lens:
-    """Focal length, f-number at infinity, pupil magnification, and the true range less the stated one."""
+    """Return focal length, f-number at infinity, pupil magnification, and true less stated range."""
     return Lens(
         Uncertain(lens.value(FOCAL_LENGTH), lens.std(FOCAL_LENGTH), "mm"),
         Uncertain(lens.value(F_NUMBER), lens.std(F_NUMBER)),
@@ -136,7 +137,7 @@ def as_lens(lens: LensFit) -> Lens:
 
 
 def budget(lens: LensFit) -> dict[str, dict[str, float]]:
-    """Standard error of every headline number by source: photons, calibration, geometry, model."""
+    """Return the error budget of every headline number: standard errors by photons, calibration, geometry, model."""
     model = lens.model
     unit = np.eye(len(model.columns))
     seen = _stations(lens)
@@ -149,7 +150,13 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
 
 
 def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
-    """What the search and the session's lens have to report."""
+    """Report findings about searches and the session's lens.
+
+    Parameters
+    ----------
+    session : the estimate
+    patience_s : processor time of one search
+    """
     lens = session.lens
     findings = _search_findings(session, patience_s)
     if lens is None:
@@ -159,7 +166,7 @@ def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
 
 
 def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
-    """Fits that ended early, were mended, or contradict the others."""
+    """Report fits that ended early, were refitted, or contradict the others."""
     keys = [local.observation.key for local in session.fits]
     findings = [
         found("search-cut-short", key, patience_s=patience_s, starts=local.found.starts)
@@ -198,7 +205,7 @@ def _lens_findings(lens: LensFit) -> Iterator[Finding]:
 
 
 def _stations(lens: LensFit) -> dict[str, set[float]]:
-    """Stations of the rail that members of each channel were seen at."""
+    """Return the rail stations of each channel's members."""
     seen = dict[str, set[float]]()
     for reading, used in zip(lens.model.readings, lens.measured.used, strict=True):
         if used:
@@ -212,7 +219,7 @@ def _magnification(lens: LensFit) -> Uncertain:
 
 
 def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) -> Wavefront:
-    """A local fit as results keep it. with_stated_camera: the same without the parts that were found, if any were."""
+    """Convert a local fit to a result. with_stated_camera: the fit without the added camera parts, if any were added."""
     optics: Optics = local.optics
     observation, optimum = local.observation, local.optimum
     poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in optimum.state.poses]
@@ -246,7 +253,7 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
 
 
 def _test_of(local: LocalFit) -> OptimumTest:
-    """The test of an optimum by its own residuals."""
+    """Return the test of an optimum by its own residuals."""
     verdict = local.optimum.verdict
     return OptimumTest(
         verdict.name,
@@ -260,7 +267,7 @@ def _test_of(local: LocalFit) -> OptimumTest:
 
 
 def _residuals(local: LocalFit) -> Residuals:
-    """Counts, model and noise of each Bayer plane of each frame; nan where a pixel was not used."""
+    """Return counts, model and noise of each Bayer plane of each frame; nan for unused pixels."""
     observation = local.observation
     planes = []
     for frame, (mean, std) in zip(observation.frames, residuals(local.optimum, observation.frames), strict=True):

@@ -1,4 +1,4 @@
-"""What a fit of a session is doing, in words: which fits are under way, and where each search is."""
+"""Progress of a session's fit in words: fits under way, and the step of each search."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labkit.types import Progress
 
 @dataclass
 class Steps:
-    """A `Progress` whose step names what is under way, "DOING: LABEL, LABEL", and says of each what was heard of it last."""
+    """A `Progress` for steps "DOING: LABEL, LABEL" that adds the last message of each label under way."""
 
     progress: Progress
     done: int = 0
@@ -18,14 +18,14 @@ class Steps:
     said: dict[str, str] = field(default_factory=dict)
 
     def __call__(self, done: int, total: int, step: str) -> None:
-        """As `Progress`. What was heard of earlier work is forgotten."""
+        """Report progress, see `Progress`, and forget messages of earlier work."""
         if step.partition(": ")[0] != self.step.partition(": ")[0]:
             self.said = {}
         self.done, self.total, self.step = done, total, step
         self._report()
 
     def heard(self, words: str) -> None:
-        """Something of work under way, "LABEL: STEP"."""
+        """Receive a message "LABEL: STEP" from work under way."""
         label, _, step = words.partition(": ")
         self.said[label] = step
         self._report()

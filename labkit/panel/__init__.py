@@ -1,1 +1,1 @@
-"""A display's own pixels: how a target looks in them, and whether photographs show them."""
+"""A display's own pixels: targets drawn in pixels, and pixels detected in photographs."""

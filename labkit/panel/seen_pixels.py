@@ -1,7 +1,7 @@
-"""Whether photographs show the own pixels of a panel, how large they are, and how their colours lie.
+"""Detect a panel's own pixels in photographs, with their pitch and the layout of their colours.
 
-A target's cell is a whole number of panel pixels, and a pixel's pattern repeats from one to the next: in the white at the
-target's middle each such number has a frequency of its own, which is looked for there, aliased as it may be.
+A target's cell is a whole number of panel pixels, and the pattern of a pixel repeats at the pixels' pitch. Each number of
+pixels per cell has a frequency of its own, which is searched for, aliased if need be, in the white at the target's middle.
 """
 
 from __future__ import annotations
@@ -24,37 +24,45 @@ from labkit.target import CellTarget, Target
 from labkit.types import Bools, Complexes, Floats
 
 MIDDLE = 0.4
-"""Of the target's half side: as far from its middle white is looked at."""
+"""Extent of the searched white from the target's middle, as a share of the target's half side."""
 
 RIM_PX = 4
-"""What is left out of white along its edges, which are blurred."""
+"""Width of the rim of white areas that is left out, for edges are blurred."""
 
 LEAST_PIXELS = 100
-"""Of a channel, in that white."""
+"""Least number of a channel's pixels in the white."""
 
 STRAY = 0.01
-"""Relative: as much a frequency may be off, the target's corners being known to a pixel."""
+"""Relative error of a frequency, for the target's corners are known to a pixel."""
 
 FASTEST = 1.1
-"""Cycles a pixel: what is faster the pixels themselves do not pass."""
+"""Highest frequency, cycles per pixel, that the camera's pixels pass."""
 
 PLAIN_CONTRAST = 0.03
-"""From where on a pattern contradicts what a plan states, and no fit without it could be right."""
+"""Contrast above which a pattern contradicts the plan, and every fit without the pattern would be wrong."""
 
 BEYOND_NOISE = 8.0
-"""Standard errors of an amplitude."""
+"""Least amplitude of a pattern, in standard errors."""
 
 NEARLY = 0.85
-"""Of the strongest pattern: one as strong with fewer pixels to a cell is the true one, the sensor aliases the other to it."""
+"""Share of the strongest amplitude: a pattern as strong with fewer pixels per cell is the true one, the other its alias."""
 
 ABSENT = 0.5
-"""Of the strongest: what a plan states is contradicted where it has less."""
+"""Share of the strongest amplitude below which the plan's pattern is absent."""
 
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """A panel's pixels as photographs show them. per_cell: to a cell of the target; layout: of `TargetPixels`, None where the
-    colours do not say; contrast: amplitude of the pattern, of white; others: the same by (axis, pixels to a cell less 1)."""
+    """A panel's pixels detected in photographs.
+
+    Attributes
+    ----------
+    pitch_mm : pitch of the pixels
+    per_cell : pixels per cell of the target
+    layout : layout as in `TargetPixels`; None if the colours do not determine it
+    contrast : amplitude of the pattern relative to white
+    others : (2, n) amplitudes of all tested patterns, by axis and pixels per cell less 1
+    """
 
     pitch_mm: float
     per_cell: int
@@ -68,7 +76,7 @@ class SeenPixels:
 
     @property
     def finding(self) -> Finding:
-        """What a plan that lacks these pixels should state."""
+        """Finding for a plan that does not state the pixels."""
         return found(
             "panel-pixels-seen",
             None,
@@ -81,9 +89,17 @@ class SeenPixels:
 
 
 def refuse_other_pixels(stated: TargetPixels, per_cell: int, seen: SeenPixels) -> None:
-    """Raise PlanError where photographs plainly show a panel of another pitch or layout than the plan states.
+    """Refuse a plan whose panel contradicts the photographs.
 
-    per_cell: as many pixels as a cell has by the plan.
+    Parameters
+    ----------
+    stated : the plan's panel
+    per_cell : pixels per cell by the plan
+    seen : the detected panel
+
+    Raises
+    ------
+    PlanError : the photographs clearly show another pitch or layout
     """
     along = seen.others[0 if stated.layout.endswith("rows") else 1]
     there = float(along[per_cell - 1]) if per_cell <= along.size else 0.0
@@ -98,7 +114,12 @@ def refuse_other_pixels(stated: TargetPixels, per_cell: int, seen: SeenPixels) -
 
 
 def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixels | None:
-    """What all observations together show of the pixels of a panel; None where none are seen, or the target has no cells."""
+    """Detect a panel's pixels in all observations together.
+
+    Returns
+    -------
+    None if no pixels are detected, or if the target has no cells
+    """
     if not isinstance(target, CellTarget):
         return None
     found = [_waves(o, target) for o in observations]
@@ -117,7 +138,7 @@ def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixe
 
 
 def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> str | None:
-    """From how far one colour's pattern lies from the next one's, at the same ranges: a third of a pixel, either way."""
+    """Return the layout by the shift between the patterns of two colours at the same range: a third of a pixel, either way."""
     turn = 0j
     for _, group in groupby(waves, key=lambda of: of[0]):
         colours = {COLOUR_WORDS.get(name.lower()): wave for _, name, wave in group}
@@ -130,8 +151,12 @@ def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> st
 
 
 def _waves(o: Observation, target: CellTarget) -> tuple[Complexes, float]:
-    """Amplitudes (2, n) of the patterns of 1 to n pixels to a cell, along rows and columns of the target, in an observation's
-    first frame, relative to white; and the standard error of one."""
+    """Measure patterns of 1 to n pixels per cell, along rows and columns of the target, in an observation's first frame.
+
+    Returns
+    -------
+    amplitudes (2, n) relative to white; standard error of an amplitude
+    """
     frame, pose = o.frames[0], o.poses[0]
     down, right = (np.asarray(index, float) for index in np.indices(frame.counts.shape))
     white = _white(target, *pose.to_target(down, right)) & frame.used
@@ -162,7 +187,7 @@ def _waves(o: Observation, target: CellTarget) -> tuple[Complexes, float]:
 
 
 def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
-    """Pixels at unit coordinates in the middle of the target that see nothing but white."""
+    """Mark pixels, by their unit coordinates, that lie in white areas in the middle of the target."""
     half = np.array(target.size_mm) / 2
     inside = (np.abs(y) < MIDDLE) & (np.abs(x) < MIDDLE)
     white = (target.radiance(y * half[0], x * half[1]) > 0.99 * target.cells.max()) & inside
@@ -170,7 +195,7 @@ def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
 
 
 def _strongest(picture: Floats, frequency: Floats, extent: float, pixels: int) -> complex:
-    """The largest amplitude near a frequency (2,), cycles a pixel."""
+    """Return the largest amplitude near a frequency (2,), cycles per pixel."""
     reach = STRAY * float(np.hypot(*frequency))
     near = np.linspace(-reach, reach, 2 * int(np.ceil(2 * extent * reach)) + 1)
     down, right = (

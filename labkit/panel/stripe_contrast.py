@@ -1,4 +1,4 @@
-"""How plainly a panel's own stripes will be seen in photographs, before any is taken."""
+"""Predict the contrast of a panel's own stripes in photographs."""
 
 from __future__ import annotations
 
@@ -13,19 +13,24 @@ from labkit.panel_target import USUAL_APERTURE
 from labkit.plan import Plan
 
 LEAST_CONTRAST = 0.01
-"""Amplitude, of white, of a pattern that spoils a fit: more than the noise of a pixel that holds 10 000 electrons."""
+"""Amplitude, relative to white, of a pattern that spoils a fit: more than the noise of a pixel of 10 000 electrons."""
 
 LIT = USUAL_APERTURE / 3
-"""Of a pixel's width, that a colour's stripe is lit over."""
+"""Lit width of a colour's stripe, as a share of the pixel's width."""
 
 HARMONIC = 2 * sin(pi * LIT) / (pi * LIT)
-"""Amplitude of a white panel's stripes in one colour, of their mean: the first term of their Fourier series."""
+"""Amplitude of a white panel's stripes in one colour, relative to their mean: the first term of their Fourier series."""
 
 
 def stripe_contrast(plan: Plan, pitch_mm: float, range_mm: float, defocus_waves: float) -> float:
-    """Amplitude in the photograph of stripes so far apart, of white; of the channel that shows them most.
+    """Return the amplitude of a panel's stripes in a photograph, relative to white, for the channel that shows most contrast.
 
-    defocus_waves: RMS at the plan's reference wavelength; the lens is otherwise perfect.
+    Parameters
+    ----------
+    plan : lens, sensor and channels
+    pitch_mm : pitch of the stripes
+    range_mm : range of the panel
+    defocus_waves : waves RMS at the plan's reference wavelength; the lens is otherwise perfect
     """
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     per_mm = float(ground_sample_mm(lens, range_mm, 1e3)) / pitch_mm  # on the sensor: 1e3 um of it see so many mm

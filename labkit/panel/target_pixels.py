@@ -1,4 +1,4 @@
-"""The target as a plan's panel shows it, pixel by pixel, to each colour of the camera."""
+"""The target on a plan's panel, pixel by pixel, for each colour of the camera."""
 
 from __future__ import annotations
 
@@ -12,9 +12,15 @@ from labkit.target import CellTarget, Target
 
 
 def as_shown(plan: Plan, target: Target, channel: str) -> Target:
-    """A plan's target in the stripes that a channel sees of its panel; itself where the plan wants no pixels drawn.
+    """Draw a plan's target in the stripes of its panel that a channel records.
 
-    Raises PlanError for a channel without a colour and as `panel_pixels` does.
+    Returns
+    -------
+    the target itself if the plan states no panel pixels
+
+    Raises
+    ------
+    PlanError : the channel is not a colour, or see `panel_pixels`
     """
     spec, pixels = plan.target.pixels, panel_pixels(plan, target)
     if spec is None or pixels is None:
@@ -31,7 +37,12 @@ def as_shown(plan: Plan, target: Target, channel: str) -> Target:
 
 
 def pixels_per_cell(plan: Plan, target: Target) -> int | None:
-    """Along a side of a target's cell; None where the plan wants no pixels drawn. Raises PlanError as `panel_pixels` does."""
+    """Return the number of panel pixels along a side of a target's cell; None if the plan states no panel pixels.
+
+    Raises
+    ------
+    PlanError : see `panel_pixels`
+    """
     pixels = panel_pixels(plan, target)
     if pixels is None:
         return None
@@ -39,9 +50,11 @@ def pixels_per_cell(plan: Plan, target: Target) -> int | None:
 
 
 def panel_pixels(plan: Plan, target: Target) -> tuple[int, int] | None:
-    """(rows, columns) of its panel's pixels that a plan's target takes; None where the plan wants none drawn.
+    """Return the (rows, columns) of panel pixels that a plan's target covers; None if the plan states no panel pixels.
 
-    Raises PlanError where the pitch is not known, contradicts the display's, or the target is no whole number of such pixels.
+    Raises
+    ------
+    PlanError : the pitch is unknown or contradicts the display's, or the target is not a whole number of pixels
     """
     pitch_mm = panel_pitch_mm(plan)
     if pitch_mm is None:
