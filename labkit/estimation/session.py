@@ -71,6 +71,7 @@ class _Loop:
     patience_s : processor time of one search
     found : by place of the observation, optima with the present parts in the model
     parts : camera parts in the model beside the plan's
+    anchors : places that were searched from nothing
     starts : by place, predictions that were climbed from
     deep : places that were searched without limit
     again : places that were fitted again from a prediction because they were doubted
@@ -82,6 +83,7 @@ class _Loop:
     patience_s: float
     found: dict[int, Found] = field(default_factory=dict)
     parts: Parts = field(default_factory=Parts)
+    anchors: list[int] = field(default_factory=list)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
     deep: set[int] = field(default_factory=set)
     again: set[int] = field(default_factory=set)
@@ -114,7 +116,8 @@ class _Loop:
         places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.search.lost]
         left = [k for k in places if k not in self.found]
         if not self.found:
-            return dict.fromkeys(self._anchors(left), self._from_nothing(deep=False)) if left else {}
+            self.anchors = self._anchors(left) if left else []
+            return dict.fromkeys(self.anchors, self._from_nothing(deep=False))
         if doubtful := self._undecided():
             return dict.fromkeys(doubtful, self._from_nothing(deep=True))
         selection = self.selection()
@@ -138,7 +141,11 @@ class _Loop:
         Fits confirm each other where several starts came back to each one's optimum, and all belong to one lens: then the
         model is poor for all, and nothing is searched further; neither is it after a search without limit.
         """
-        if self.deep or any(found.best.verdict.accepted for found in self.found.values()):
+        if (
+            self.deep
+            or len(self.found) > len(self.anchors)
+            or any(found.best.verdict.accepted for found in self.found.values())
+        ):
             return []
         selection = self.selection()
         if selection is not None:
@@ -297,7 +304,7 @@ class _Loop:
 
     def _choose_parts(self) -> None:
         """Take in the camera parts that the fits show, once those from nothing are made and once all are."""
-        if not self.found or not (len(self.found) <= 2 or len(self.found) == len(self.observations)):
+        if len(self.found) not in (len(self.anchors), len(self.observations)) or not self.found:
             return
         fits = {k: (self.observations[k].channel, self.chosen(k)) for k in self.found}
         if len(self.found) < len(self.observations):

@@ -103,6 +103,7 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
         ends.append(searched_from(sketches.problem(state, sketches.band), state))
         log.starts += 1
     best = max(ends, key=lambda one: one.objective).state
+    log.returns = max(log.returns, sum(_near(one.state, best) for one in ends) - 1)
     if best is not end.state or not plausible:
         yield best
     if log.over:
@@ -139,7 +140,7 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     problem = sketches.problem(state, 1.0)
     best = maximize(problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
     log.met(best)
-    origin, made = best.state, 0
+    origin, made, log.returns = best.state, 0, 0
     rng = np.random.default_rng(sketches.seed)
     while not log.over:
         end = searched_from(problem, further_start(origin, made, sketches.optics, rng))
@@ -178,6 +179,11 @@ def further_start(origin: State, made: int, optics: Optics, rng: np.random.Gener
     if defocus and rng.random() < 0.5:
         waves[0] = origin.waves[0]
     return replace(origin, waves=waves)
+
+
+def _near(state: State, other: State) -> bool:
+    """Whether two states have one wavefront."""
+    return bool(np.linalg.norm(state.waves - other.waves) < SETTINGS.other_optimum_waves)
 
 
 def _excess(sketches: Sketches, state: State) -> float:
