@@ -1,4 +1,4 @@
-"""Independent normal counts whose variance follows their mean (thesis 3.2-3.28), as every likelihood in labkit has them."""
+"""Independent normal counts whose variance follows their mean (thesis 3.2-3.28), the basis of every likelihood in labkit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class NormalCounts:
 
     Attributes
     ----------
-    mean : counts, any shape; all other arrays have the same
+    mean : counts, any shape; all other arrays have the same shape
     gain : counts per electron
     read_variance : counts^2
     relative_std : standard deviation of the illumination, relative
@@ -52,28 +52,28 @@ class NormalCounts:
         return np.stack([self.gain * np.maximum(self.mean, 0.0), np.full_like(self.mean, self.read_variance)])
 
     def chi2(self, counts: Floats) -> float:
-        """Sum of squared residuals over their variance."""
+        """Return the sum of squared residuals over their variance."""
         return float(np.sum((counts - self.mean) ** 2 / self.variance))
 
     def log_likelihood(self, counts: Floats) -> float:
-        """Thesis (3.5), without its constant."""
+        """Return the log-likelihood, thesis (3.5), without its constant."""
         return float(-0.5 * np.sum((counts - self.mean) ** 2 / self.variance + np.log(self.variance)))
 
     def pulls(self, counts: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of each pixel's log-likelihood with respect to its mean and to its variance, thesis (3.9).
+        """Return derivatives of each pixel's log-likelihood by its mean and by its variance, thesis (3.9).
 
-        The variance's dependence on the mean is included in the first.
+        The derivative by the mean includes the variance's dependence on the mean.
         """
         normalised = (counts - self.mean) / self.variance
         rise = 0.5 * (normalised**2 - 1 / self.variance)
         return normalised + self.bend * rise, rise
 
     def weights(self) -> tuple[Floats, Floats, Floats]:
-        """What products of derivatives add to the Fisher information at each pixel, thesis (3.15), (3.19).
+        """Return weights of products of derivatives in the Fisher information of each pixel, thesis (3.15), (3.19).
 
         Returns
         -------
-        of two derivatives of the mean; of one of the mean and one of the variance; of two of the variance
+        weights for mean times mean, mean times variance, variance times variance
         """
         square = 0.5 / self.variance**2
         cross = self.bend * square
@@ -86,19 +86,19 @@ class Slopes(NormalCounts):
 
     Attributes
     ----------
-    of_mean : (parameters, pixels), counts per unit of the parameter; the logarithms of gain and read variance, by which
-        the mean does not change, come behind these parameters
+    of_mean : (parameters, pixels), counts per unit of the parameter; the logarithms of gain and read variance, which do not
+        affect the mean, follow these parameters
     """
 
     of_mean: Floats
 
     def gradient(self, counts: Floats) -> Floats:
-        """(parameters + 2,) of the log-likelihood. Thesis (3.9)."""
+        """Return the gradient (parameters + 2,) of the log-likelihood, thesis (3.9)."""
         by_mean, by_variance = self.pulls(counts)
         return np.concatenate([self.of_mean @ by_mean, self.of_variance @ by_variance])
 
     def information(self) -> Floats:
-        """(parameters + 2, same) Fisher information. Thesis (3.15), (3.19)."""
+        """Return the Fisher information (parameters + 2, parameters + 2), thesis (3.15), (3.19)."""
         both, cross, square = self.weights()
         across = self.of_mean @ (self.of_variance * cross).T
         weighted = self.of_mean * np.sqrt(both)

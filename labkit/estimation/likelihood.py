@@ -4,8 +4,8 @@ The counts are `NormalCounts` with the mean
 
     mu = V (1 + sum_k c_k P_k) (scale u + ambient),
 
-u the relative image of `labkit.imaging` and V the relative illumination; the low orders P_k with their unknown c_k stand for
-what no flat frame determined of the illumination. Of the five detector numbers of thesis (3.4) only four can be estimated
+where u is the relative image of `labkit.imaging` and V the relative illumination. Low orders P_k with unknown coefficients c_k
+describe illumination that no flat frame determined. Of the five detector numbers of thesis (3.4) only four can be estimated
 from frames (the information matrix over all five is exactly singular), so the black level is fixed from the raw file and
 dark frames, and scale = c1 c3, ambient = c2 c3, gain = c3.
 """
@@ -25,11 +25,19 @@ from labkit.types import Bools, Floats
 class FrameData:
     """One frame's data of one channel.
 
-    counts: (rows, columns) with black removed; used: the pixels that count; illumination: V; relative_std: s;
-    departures: (k, rows, columns) P, see `low_orders`; none where flats determine V. rounding: (rows, columns) q, counts^2;
-    none where the read noise holds it. shine: the part of V that is the
-    target's own, blurred with it; none where it is not known.
-    Raises ValueError where shapes differ, where nothing is used, or where a used pixel is not finite.
+    Attributes
+    ----------
+    counts : (rows, columns), black level removed
+    used : (rows, columns) mask of the pixels that count
+    illumination : (rows, columns) relative illumination V
+    relative_std : (rows, columns) relative standard deviation of V
+    departures : (k, rows, columns) low orders P, see `low_orders`; empty if flats determine V
+    rounding : (rows, columns) variance of rounding, counts^2; empty if the read noise includes rounding
+    shine : part of V that belongs to the target and is blurred with the target; None if unknown
+
+    Raises
+    ------
+    ValueError : shapes differ, no pixel is used, or a used pixel is not finite
     """
 
     counts: Floats
@@ -56,21 +64,28 @@ class FrameData:
             real_array("rounding", self.rounding, self.used.shape, "counts^2")
 
     def light(self, unevenness: Floats) -> Floats:
-        """Relative illumination (pixels,) of the used pixels. unevenness: (k,) c, none of them for none."""
+        """Return the relative illumination (pixels,) of the used pixels. unevenness: (k,) coefficients of `departures`."""
         known = self.illumination[self.used]
         return known * (1 + unevenness @ self.departures[:, self.used]) if len(self.departures) else known
 
 
 def low_orders(rows: int, columns: int) -> Floats:
-    """(5, rows, columns) x, y, x^2, xy, y^2 from -1 to 1 over a frame: how light falls off and leans, at its plainest."""
+    """Return x, y, x^2, xy, y^2, (5, rows, columns), from -1 to 1 over a frame: the simplest falloff and gradient of light."""
     y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None, :]
     return np.stack(np.broadcast_arrays(x, y, x**2, x * y, y**2))
 
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """Of one frame: scale and ambient in counts. Of all frames: gain in counts per electron, read_variance in counts^2,
-    and the illumination's unevenness (k,) where no flats determine it."""
+    """Detector numbers of a frame.
+
+    Attributes
+    ----------
+    scale, ambient : of the frame, counts
+    gain : of all frames, counts per electron
+    read_variance : of all frames, counts^2
+    unevenness : (k,) of the illumination, of all frames; empty if flats determine it
+    """
 
     scale: float
     ambient: float
@@ -92,11 +107,11 @@ class Score:
 
 
 def expected(relative: Floats, data: FrameData, detector: Detector) -> NormalCounts:
-    """Distribution of the used pixels' counts (pixels,) from their relative image (pixels,).
+    """Return the distribution of the used pixels' counts (pixels,) for a relative image (pixels,).
 
     Raises
     ------
-    ValueError : the image has other pixels
+    ValueError : the image has another number of pixels
     """
     light = data.light(detector.unevenness)
     if np.shape(relative) != light.shape:
@@ -111,23 +126,23 @@ def expected(relative: Floats, data: FrameData, detector: Detector) -> NormalCou
 
 
 def predict(relative: Floats, data: FrameData, detector: Detector) -> tuple[Floats, Floats]:
-    """Mean and variance of `expected`, (pixels,) each."""
+    """Return mean and variance of `expected`, (pixels,) each."""
     counts = expected(relative, data, detector)
     return counts.mean, counts.variance
 
 
 def log_likelihood(relative: Floats, data: FrameData, detector: Detector) -> float:
-    """Thesis (3.5), without its constant."""
+    """Return the log-likelihood, thesis (3.5), without its constant."""
     return expected(relative, data, detector).log_likelihood(data.counts[data.used])
 
 
 def chi2(relative: Floats, data: FrameData, detector: Detector) -> float:
-    """Sum of squared residuals over their variance."""
+    """Return the sum of squared residuals over their variance."""
     return expected(relative, data, detector).chi2(data.counts[data.used])
 
 
 def slopes(evaluation: Evaluation, data: FrameData, detector: Detector) -> Slopes:
-    """`expected` with its derivatives with respect to the parameters of `Score`."""
+    """Return `expected` with derivatives with respect to the parameters of `Score`."""
     counts = expected(evaluation.mean, data, detector)
     of_mean = np.concatenate(
         [
@@ -146,7 +161,7 @@ def slopes(evaluation: Evaluation, data: FrameData, detector: Detector) -> Slope
 
 
 def score(evaluation: Evaluation, data: FrameData, detector: Detector) -> Score:
-    """Log-likelihood, gradient (3.9) and Fisher information (3.15), (3.19)."""
+    """Return log-likelihood, gradient and Fisher information, thesis (3.9), (3.15), (3.19)."""
     of = slopes(evaluation, data, detector)
     counts = data.counts[data.used]
     return Score(of.log_likelihood(counts), of.gradient(counts), of.information())
