@@ -1,8 +1,8 @@
-"""Where to maximise the likelihood from: wavefronts retrieved from one frame while its pose is held.
+"""Starts for the likelihood by phase retrieval from one frame with fixed pose.
 
-There the picture is linear in the PSF, and PSFs of moderate wavefronts are combinations of a few hundred components. One
-factorisation of the components' pictures leaves a least-squares problem of as many numbers, in which a start costs a tenth
-of what it costs in the likelihood. What the pose is off by, tilts take up.
+With fixed pose the picture is linear in the PSF, and PSFs of moderate wavefronts are combinations of a few hundred components.
+One factorisation of the components' pictures leaves a least-squares problem of a few hundred numbers, in which a start costs
+a tenth of a start in the likelihood. Tilts compensate for the error of the pose.
 """
 
 from dataclasses import dataclass, replace
@@ -27,8 +27,15 @@ TILTS = (2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """An end of the small problem. misfit: sum of squares, so minus twice a log-likelihood; met: how often; offered: whether
-    it was a candidate already."""
+    """An optimum of the small problem.
+
+    Attributes
+    ----------
+    state : the optimum
+    misfit : sum of squares, minus twice the log-likelihood
+    met : number of starts that ended in the optimum
+    offered : whether the optimum was a candidate already
+    """
 
     state: State
     misfit: float
@@ -38,10 +45,15 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class Retrieved:
-    """What has come of the starts made so far.
+    """Record of a search in the small problem.
 
-    given: wavefronts (modes,) to start from before random ones. optima: the best first. starts: made so far; waited: since
-    the last candidate. candidate: offered last, None where the search has ended without another.
+    Attributes
+    ----------
+    given : wavefronts (modes,) to start from before random starts
+    optima : optima met so far, the best first
+    starts : number of starts so far
+    waited : number of starts since the last candidate
+    candidate : last candidate; None if the search has ended without another
     """
 
     given: tuple[Floats, ...] = ()
@@ -52,13 +64,13 @@ class Retrieved:
 
     @property
     def ended(self) -> bool:
-        """Whether the search keeps coming back to its best optimum, or has made starts enough."""
+        """Whether enough starts returned to the best optimum, or enough starts were made."""
         return bool(self.optima) and (
             self.starts >= 2 * SETTINGS.most_starts or self.optima[0].met >= SETTINGS.enough_returns
         )
 
     def joined(self, end: Optimum) -> "Retrieved":
-        """The record with the end of another start."""
+        """Add the end of another start to the record."""
         known = [abs(o.misfit - end.misfit) < SETTINGS.model_error * end.misfit for o in self.optima]
         if any(known):
             met = known.index(True)
@@ -68,7 +80,7 @@ class Retrieved:
         return replace(self, optima=optima, starts=self.starts + 1, waited=self.waited + 1, candidate=None)
 
     def offering(self) -> "Retrieved":
-        """The record with the best optimum that was not offered yet as the candidate, where it is time for one."""
+        """Make the best optimum that was not offered yet the candidate, if a candidate is due."""
         best, least = self.optima[0], self.optima[0].misfit
         fresh = next((o for o in self.optima if not o.offered and o.misfit < SETTINGS.worth_misfit * least), None)
         stands_out = len(self.optima) > 1 and self.optima[1].misfit > 2 * least
@@ -81,9 +93,15 @@ class Retrieved:
 
 @dataclass(frozen=True, eq=False)
 class PhaseRetrieval:
-    """A small problem: |factor @ (scale * components of the PSF's departure, scale, ambient) - data|^2 is its misfit.
+    """A small problem with the misfit |factor @ (scale * components of the PSF's departure, scale, ambient) - data|^2.
 
-    factor: (n, n), data: (n,), n two more than the components. state: holds the pose, and light to start from.
+    Attributes
+    ----------
+    optics : lens, light and sensor
+    pupil : pupil over tilts and modes
+    factor : (n, n), n two more than the number of components
+    data : (n,)
+    state : fixed pose, and light to start from
     """
 
     optics: Optics
@@ -96,7 +114,7 @@ class PhaseRetrieval:
     def prepare(
         cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State
     ) -> "PhaseRetrieval":
-        """From a state whose pose and light are about right."""
+        """Prepare the small problem at a state with approximate pose and light."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, 2 * optics.airy_um / optics.pitch_um)
         pose, used = state.poses[0], [frame.used]
@@ -113,7 +131,7 @@ class PhaseRetrieval:
         mean, variance = predict(relative, frame, detector)
         known = np.array([perfect, np.ones_like(perfect)]) * (light := frame.light(detector.unevenness))
         free = len(frame.departures)
-        if free:  # whatever their coefficients: the rows that they can meet are left out
+        if free:  # the rows that departures can match are left out, for their coefficients are unknown
             orders = frame.departures[:, frame.used]
             orders = orders * (mean / (1 + detector.unevenness @ orders))
         counts, sigma = frame.counts[frame.used], np.sqrt(variance)
@@ -122,7 +140,7 @@ class PhaseRetrieval:
             slice(first, first + SETTINGS.pixels_at_once) for first in range(0, counts.size, SETTINGS.pixels_at_once)
         ):
             unknown = light[p] * np.array([picture[p] for picture in pictures])
-            # with the data as the last column, what the rotation makes of them comes without the rotation
+            # with the data as the last column, R holds the rotated data, so Q is never formed
             rows = np.concatenate([*([orders[:, p]] if free else []), unknown, known[:, p], [counts[p]]]) / sigma[p]
             stacked = np.concatenate([triangle, rows.T])
             (triangle,) = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)
@@ -132,9 +150,9 @@ class PhaseRetrieval:
         return cls(optics, model.blur.pupil, factor, data[:, 0], state)
 
     def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
-        """Starts made until there is a state to maximise the likelihood from, the best first, or until the search has ended.
+        """Make starts until a candidate for the likelihood is due, or until the search has ended.
 
-        It ends at once where the frame has fewer pixels than there are unknowns.
+        The search ends at once if the frame has fewer pixels than unknowns.
         """
         retrieved = replace(retrieved, candidate=None)
         if self.data.size < len(self.pupil.noll) + 2:
@@ -146,13 +164,13 @@ class PhaseRetrieval:
         return retrieved
 
     def random_waves(self, rng: np.random.Generator) -> Floats:
-        """A start, (modes,)."""
+        """Return a random start, (modes,)."""
         direction = rng.normal(size=self.state.waves.size)
         scale = self.optics.wavelength_um / self.optics.reference_um
         return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves) * scale)
 
     def descend(self, waves: Floats) -> Optimum:
-        """Where one start, a wavefront (modes,), ends."""
+        """Descend from a wavefront (modes,) to an optimum."""
         # a point is tilts and modes, then scale and ambient
         start = np.concatenate([np.zeros(len(TILTS)), waves, self.state.scales[:1], self.state.ambients[:1]])
         components, perfect = _components(self.pupil)
@@ -185,7 +203,7 @@ class PhaseRetrieval:
         return Optimum(self._state(end.x), 2 * float(end.cost))
 
     def _state(self, point: Floats) -> State:
-        """With the tilts turned into a shift of the pose: a wave RMS of tilt moves the light by 4 lambda_ref N."""
+        """Turn tilts into a shift of the pose: a wave RMS of tilt moves the light by 4 lambda_ref N."""
         by_column, by_row = 4 * point[:2] * self.optics.reference_um * self.optics.f_number / self.optics.pitch_um
         pose = self.state.poses[0].shifted(-by_row, -by_column)
         return replace(
@@ -195,7 +213,7 @@ class PhaseRetrieval:
 
 @lru_cache(maxsize=8)
 def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
-    """(components, size^2) orthonormal, of the departures of random wavefronts' PSFs from the perfect one; and that one."""
+    """Return orthonormal components (components, size^2) of random PSFs less the perfect PSF, and the perfect PSF."""
     rng, perfect = np.random.default_rng(0), pupil.psf(np.zeros(len(pupil.noll)))
     scale = pupil.wavelength_um / pupil.reference_um
     draws = 3 * SETTINGS.psf_components
