@@ -1,4 +1,4 @@
-"""Quick problems to search in, and the defocus that a sweep over them names."""
+"""Sketches: coarse models of one frame for a quick search, and a sweep over defocus."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,9 +18,18 @@ from labkit.target import Target
 
 @dataclass
 class Sketches:
-    """Quick problems of one frame: part of the band, or a PSF's window no wider than needed. pose: of the target, about.
+    """Coarse problems of one frame: part of the pass band, or a narrow PSF window.
 
-    Each is made when it is first wanted, and kept; it depends on nothing but its band and its window.
+    Each problem is built on first use and cached; it depends on band and window only.
+
+    Attributes
+    ----------
+    optics : lens, light and sensor
+    target : the target as shown
+    frame : counts, with calibration
+    pose : approximate pose of the target
+    noise : calibrated noise
+    seed : seed of random starts
     """
 
     optics: Optics
@@ -33,7 +42,7 @@ class Sketches:
 
     @property
     def band(self) -> float:
-        """Share of the pass band for sketches: never less than half as much again as the pixels' own Nyquist frequency."""
+        """Share of the pass band for sketches, at least 1.5 times the Nyquist frequency of the pixels."""
         return min(1.0, max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um))
 
     def near(self, state: State) -> bool:
@@ -42,7 +51,7 @@ class Sketches:
         return bool(abs(defocus) * self.optics.reference_um <= SETTINGS.near_waves * self.optics.wavelength_um)
 
     def problem(self, state: State, band: float) -> Problem:
-        """For wavefronts of about a state's."""
+        """Return a problem for wavefronts similar to a state's, over a share `band` of the pass band."""
         key = band, SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
@@ -52,10 +61,14 @@ class Sketches:
 
 
 def sweep(sketches: Sketches, start: State) -> list[State]:
-    """States at each of a row of defocus values, their light fitted, the one with the least sum of squares first.
+    """Fit the light at each of a row of defocus values.
 
-    The other modes are the start's. Where there are none the twin covers negative values; else they are tried too. The row
-    goes on outwards while its last value is the best. The pose is left alone: a pixel hardly changes the order.
+    The other modes are the start's. If all are 0, negative defocus is covered by the twin; else negative values are tried too.
+    The row continues outwards while its last value is the best. The pose is fixed, for a pixel hardly changes the order.
+
+    Returns
+    -------
+    one state for each defocus, the least sum of squares first
     """
     scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
     light, counts = frame.illumination[frame.used], frame.counts[frame.used]
