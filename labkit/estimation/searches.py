@@ -1,4 +1,4 @@
-"""Searches as tasks: what travels to where they run, and which are under way."""
+"""Searches of a session's observations as tasks of a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labkit.types import Progress
 
 @dataclass(frozen=True)
 class Task:
-    """One search, as it travels. Target and frames are shared, so a task is small."""
+    """One search as a task. Target and frames are shared, so a task is small."""
 
     label: str
     optics: Optics
@@ -27,7 +27,7 @@ class Task:
 
 
 def fit_task(task: Task) -> Found:
-    """Do one search."""
+    """Run one search."""
     return find_optima(
         task.optics,
         task.target.value,
@@ -43,13 +43,13 @@ class Searches:
 
     Attributes
     ----------
-    observations : the session's, in order
-    targets : as shown to each channel
+    observations : observations of the session, in order
+    targets : the target as shown to each channel
     run : maps tasks
-    progress : called with what is under way
-    fitted : observations that have a fit
-    lost : by label, why a search was lost
-    made : searches that ended
+    progress : called with the searches under way
+    fitted : places of observations that have a fit
+    lost : by label, the reason why a search was lost
+    made : number of completed searches
     """
 
     observations: Sequence[Observation]
@@ -67,8 +67,13 @@ class Searches:
     def __call__(self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str) -> dict[int, Found]:
         """Search for the optima of observations, by place.
 
-        Results are in the order of the observations, whichever ended first. The finest pictures, of the shortest
-        wavelength, are begun first, for they take longest. Those that are lost are noted.
+        Results are in the order of the observations. Searches at the shortest wavelength start first, for their pictures are
+        the finest and take longest. Reasons for lost searches are recorded in `lost`.
+
+        Parameters
+        ----------
+        wanted : by place, optics to start from and guesses
+        doing : kind of search, for the progress
         """
         results = dict[int, Found]()
         order = sorted(wanted, key=lambda k: wanted[k][0].wavelength_um)
@@ -93,7 +98,7 @@ class Searches:
 
 
 def _named(doing: str, under_way: Mapping[int, str]) -> str:
-    """What is done, with the first three that are under way."""
+    """Describe the kind of search and the first three searches under way."""
     first, more = list(under_way.values())[:3], len(under_way) - 3
     if not first:
         return doing
