@@ -1,4 +1,4 @@
-"""Damped Fisher scoring: from a start to the nearest maximum of a likelihood (Levenberg-Marquardt on thesis 3.15)."""
+"""Damped Fisher scoring from a start to the nearest maximum of a likelihood (Levenberg-Marquardt on thesis 3.15)."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    change : of all parameters
-    length : in standard errors
-    gain : by which the objective rises if it is a parabola
+    change : change of all parameters
+    length : length in standard errors
+    gain : predicted rise of the objective, for a parabola
     """
 
     change: Floats
@@ -39,28 +39,28 @@ class Step(NamedTuple):
 
     @property
     def shortened(self) -> float:
-        """What damping leaves to go along the step, over its length: an undamped step promises half of its length squared."""
+        """Distance that damping leaves to go along the step, over its length: 0 if undamped, for then gain = length^2 / 2."""
         return self.gain / self.length**2 - 0.5 if self.length else 0.0
 
 
 class Position(Protocol):
-    """A point of a parameter space. A climb asks for steps only from where it stays, so that slopes may wait until then."""
+    """A point of a parameter space. A climb requests steps only from accepted positions, so slopes may be computed lazily."""
 
     @property
     def objective(self) -> float:
-        """What is maximised, a log-likelihood; -inf where no climb should go."""
+        """Log-likelihood to maximise; -inf at forbidden positions."""
         ...
 
     def step(self, damping: float) -> Step:
-        """Marquardt's step: by the information with its diagonal grown by a share."""
+        """Return Marquardt's step: every diagonal element of the information grows by the share `damping`."""
         ...
 
     def moved(self, change: Floats) -> Self:
-        """The position after a change."""
+        """Return the position after a change."""
         ...
 
     def foreseen(self, change: Floats) -> Self | None:
-        """The position after a change of a standard error at most, made of the slopes; None where it has to be computed."""
+        """Predict the position after a change of at most a standard error, from the slopes; None if not supported."""
         return None
 
 
@@ -73,9 +73,9 @@ def climb(start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1
     Parameters
     ----------
     start : where to begin
-    tolerance : standard errors, all parameters together, by which the end may be off
-    max_steps : positions whose slopes are computed, at most
-    damping : of the first step, and the least after one that led down
+    tolerance : error of the end in standard errors, all parameters together
+    max_steps : largest number of positions whose slopes are computed
+    damping : damping of the first step, and least damping after a step that led down
 
     Returns
     -------
@@ -83,10 +83,10 @@ def climb(start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1
 
     Notes
     -----
-    Levenberg (1944), Marquardt (1963). The damping follows the share of its promise that a step gained: H. B. Nielsen,
-    report IMM-REP-1999-05, Technical University of Denmark (1999). What a step leaves to go is known beforehand: steps
-    shrink at least as fast as they did from the last one to this, unless damping cuts them short. A climb ends with a step
-    that leaves less than the tolerance and can be foreseen, or that is itself as short.
+    Levenberg (1944), Marquardt (1963). The damping follows the ratio of a step's gain to its predicted gain: H. B. Nielsen,
+    report IMM-REP-1999-05, Technical University of Denmark (1999). The remaining distance after a step is known beforehand:
+    steps shrink at least as fast as the last two did, unless damping shortens them. A climb ends with a step that leaves less
+    than the tolerance to go and whose end can be predicted from slopes, or with a step shorter than the tolerance.
     """
     here, steps, before, least = start, 1, 0.0, damping
     converged = False
@@ -110,7 +110,7 @@ def climb(start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1
 
 
 def damped_step(gradient: Floats, information: Floats, damping: float) -> Step:
-    """Marquardt's step by a gradient (p,) and an information (p, p); parameters without information stay."""
+    """Return Marquardt's step for a gradient (p,) and an information (p, p); parameters without information stay."""
     free = np.diag(information) > 0
     scale = np.zeros_like(gradient)
     scale[free] = 1 / np.sqrt(np.diag(information)[free])
@@ -122,9 +122,17 @@ def damped_step(gradient: Floats, information: Floats, damping: float) -> Step:
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """What flats and darks measure of the noise: independent measurements that join the likelihood.
+    """Noise measured by flats and darks: independent measurements that join the likelihood.
 
-    gain: counts per electron; read_variance: counts^2; the stds are relative. All are positive, ValueError otherwise.
+    Attributes
+    ----------
+    gain : counts per electron
+    read_variance : counts^2
+    gain_std, read_variance_std : relative standard errors
+
+    Raises
+    ------
+    ValueError : a number is not positive
     """
 
     gain: float
@@ -149,8 +157,15 @@ class NoisePrior:
 
 @dataclass(frozen=True)
 class State:
-    """A point of the parameter space: waves RMS (modes,); for each frame its pose, scale and ambient light; for all
-    frames log gain and log read variance, and the illumination's unevenness (k,) where no flats determine it."""
+    """A point of the parameter space.
+
+    Attributes
+    ----------
+    waves : (modes,) waves RMS
+    poses, scales, ambients : pose, scale and ambient light of each frame; light in counts
+    log_noise : logarithms of gain (counts per electron) and read variance (counts^2), of all frames
+    unevenness : (k,) of the illumination, of all frames; empty if flats determine it
+    """
 
     waves: Floats
     poses: tuple[Pose, ...]
@@ -183,7 +198,7 @@ class State:
         ]
 
     def moved(self, step: Floats) -> State:
-        """The state after a step in all parameters: modes; frame by frame pose, scale, ambient; unevenness; noise."""
+        """Return the state after a step in all parameters: modes; pose, scale, ambient of each frame; unevenness; noise."""
         modes, common = self.waves.size, self.unevenness.size + NOISE
         frames = step[modes:-common].reshape(len(self.poses), PER_FRAME)
         return State(
@@ -197,52 +212,52 @@ class State:
 
 
 class Start(NamedTuple):
-    """A state; the target at its poses, and the relative images (pixels,) of the frames there, if they are at hand."""
+    """A state, with the target drawn at its poses and the relative image (pixels,) of each frame, if at hand."""
 
     state: State
     drawing: Drawing | None = None
     relative: Sequence[Floats] = ()
 
     def undrawn(self) -> Start:
-        """Without its drawing, which of a large target is hundreds of megabytes."""
+        """Drop the drawing: for a large target it holds hundreds of megabytes."""
         return self._replace(drawing=None)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Frames of one wavefront, a model of them, and what is known of the noise."""
+    """Frames of one wavefront with their model and calibrated noise."""
 
     model: ForwardModel
     frames: tuple[FrameData, ...]
     noise: NoisePrior
 
     def draw(self, state: State) -> Drawing:
-        """The target at a state's poses: whoever needs more than one evaluation there hands it on, for time's sake alone."""
+        """Draw the target at a state's poses; callers pass the drawing to several evaluations at one state to save time."""
         return self.model.draw(state.poses)
 
     def relative(self, state: State, drawing: Drawing | None = None) -> list[Floats]:
-        """Relative images (pixels,) of the frames. drawing: at the state's poses, if it is at hand."""
+        """Return the relative image (pixels,) of each frame. drawing: drawing at the state's poses, if at hand."""
         return self.model.means(state.waves, drawing or self.draw(state), [f.used for f in self.frames])
 
     def drawn(self, state: State) -> Start:
-        """A state with all that is computed of it."""
+        """Return a state with its drawing and relative images."""
         drawing = self.draw(state)
         return Start(state, drawing, self.relative(state, drawing))
 
     def objective(self, state: State, relative: Sequence[Floats]) -> float:
-        """Log-likelihood of everything measured, that of the noise's calibration included."""
+        """Return the log-likelihood of frames and noise calibration."""
         total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
         return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
 
     def foreseen(self, state: State, step: Floats, evaluations: Sequence[Evaluation]) -> list[Floats]:
-        """Relative images (pixels,) of the frames after a short step, by their slopes where it begins."""
+        """Predict the relative image (pixels,) of each frame after a short step, from the slopes at its start."""
         modes = max(state.waves.size, len(evaluations[0].by_waves))
         poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[:, :POSE_SIZE]
         moved = [e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)]
         return [mean + step[: len(e.by_waves)] @ e.by_waves for mean, e in zip(moved, evaluations, strict=True)]
 
     def chi2_per_pixel(self, state: State, relative: Sequence[Floats]) -> float:
-        """Of residuals over the variance that the state gives them."""
+        """Return the mean of squared residuals over the variance at the state."""
         total = [chi2(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)]
         return sum(total) / sum(u.size for u in relative)
 
@@ -255,7 +270,7 @@ class Problem:
         by_waves: bool,
         exact: bool = True,
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
-        """Gradient and Fisher information over all parameters (rows of fixed modes zero), and each frame's.
+        """Compute gradient and Fisher information over all parameters (rows of fixed modes are 0), in total and by frame.
 
         drawing, relative: at the state, if they are at hand. exact: as in `ForwardModel.evaluate`.
         """
@@ -264,7 +279,7 @@ class Problem:
         return *self.assembled(state, evaluations), evaluations
 
     def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
-        """The same from evaluations at a state, which may be by more than its modes."""
+        """Assemble gradient and information from evaluations, which may include derivatives by camera parameters."""
         given = len(evaluations[0].by_waves)
         modes, common = max(given, state.waves.size), state.unevenness.size + NOISE
         size = modes + PER_FRAME * len(self.frames) + common
@@ -282,7 +297,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a maximisation ended.
+    """The end of a maximisation.
 
     information: Fisher, over all parameters, of where the last step began, which is `begun`; relative: images (pixels,) of
     the used pixels of each frame; steps: evaluations of the Jacobian.
@@ -298,7 +313,7 @@ class Solution:
     begun: Start | None = field(default=None, repr=False)
 
     def covariance(self) -> Floats:
-        """Cramér-Rao covariance over all parameters; huge, never infinite, where the data do not determine them."""
+        """Return the Cramér-Rao covariance of all parameters; undetermined parameters have huge, but finite, variances."""
         return inverse(self.information)
 
 
@@ -318,8 +333,8 @@ def maximize(
     problem : frames and their model
     start : where to begin
     free_waves : whether the modes change
-    exact : whether slopes are of the whole band; if not, the end and its information are a part of a standard error off
-    max_steps, tolerance : as in `climb`; the information is that of where the last step began
+    exact : whether slopes cover the whole band; otherwise end and information are off by a fraction of a standard error
+    max_steps, tolerance : see `climb`; the returned information is valid where the last step began
     """
     position = _Drawn(problem, start, free_waves, exact, problem.drawn(start))
     end, steps, converged = climb(position, max_steps=max_steps, tolerance=tolerance)
@@ -362,7 +377,7 @@ class _Drawn(Position):
 
     @cached_property
     def slopes(self) -> tuple[Floats, Floats, list[Evaluation]]:
-        """Gradient, information, and what they were made of."""
+        """Gradient, information, and the evaluations."""
         gradient, information, _, evaluations = self.problem.scores(
             *self.at, by_waves=self.free_waves, exact=self.exact
         )
