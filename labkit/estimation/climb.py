@@ -272,7 +272,11 @@ class Problem:
     ) -> tuple[Floats, Floats, list[Score], list[Evaluation]]:
         """Compute gradient and Fisher information over all parameters (rows of fixed modes are 0), in total and by frame.
 
-        drawing, relative: at the state, if they are at hand. exact: as in `ForwardModel.evaluate`.
+        Parameters
+        ----------
+        state : point of evaluation
+        drawing, relative : drawing and relative images at the state, if at hand
+        by_waves, exact : see `ForwardModel.evaluate`
         """
         used, drawing = [f.used for f in self.frames], drawing or self.draw(state)
         evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, exact=exact, means=relative)
@@ -299,8 +303,16 @@ class Problem:
 class Solution:
     """The end of a maximisation.
 
-    information: Fisher, over all parameters, of where the last step began, which is `begun`; relative: images (pixels,) of
-    the used pixels of each frame; steps: evaluations of the Jacobian.
+    Attributes
+    ----------
+    state : the end
+    objective : log-likelihood at the end
+    information : Fisher information over all parameters where the last step began
+    relative : relative image (pixels,) of the used pixels of each frame
+    chi2_per_pixel : of the residuals
+    steps : number of evaluations of the Jacobian
+    converged : whether the climb settled
+    begun : start of the last step
     """
 
     state: State
@@ -354,13 +366,15 @@ def maximize(
 
 @dataclass(eq=False)
 class _Drawn(Position):
-    """Where a climb over frames stands.
+    """A position of a climb over frames.
 
     Attributes
     ----------
-    first : where it began
+    problem : frames and their model
+    first : start of the climb
+    free_waves, exact : see `maximize`
     at : the state; its drawing is kept until the slopes are known
-    begun : where the last step began, if `at` was reached by that
+    begun : start of the last step, if `at` was predicted from slopes
     """
 
     problem: Problem
@@ -400,11 +414,10 @@ class _Drawn(Position):
 
 
 def sane(state: State, start: State) -> bool:
-    """Whether a trial is worth drawing: light on the target, every corner before the lens, near where the target was found.
+    """Whether a trial is plausible: positive light, every corner in front of the lens and near the start's corner.
 
-    Corners are known to about a pixel beforehand; half of the target's size is allowed.
-
-    Without that a pose ran away where defocus was far off, to a target magnified beyond all memory.
+    Corners are known to about a pixel beforehand; half of the target's size is allowed. Without the test a pose with a
+    defocus far off diverged to a target too magnified to draw in memory.
     """
     for pose, first in zip(state.poses, start.poses, strict=True):
         reach = 0.5 * np.ptp(first.corners_px(), axis=0).max()
