@@ -181,16 +181,12 @@ class LensModel:
 
     Attributes
     ----------
-    readings : rail positions of the n observations
+    readings : rail positions of the n observations; ValueError if two have the same key
     noll : Noll's numbers of the modes, including 4
     parts : labels of the parts' numbers
     stated : the plan's numbers
     laws : tolerances of the laws
     tilt_std : relative error of all sizes due to the target's tilt
-
-    Raises
-    ------
-    ValueError : two observations have the same key
     """
 
     readings: tuple[Reading, ...]
@@ -327,13 +323,7 @@ class LensModel:
         return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
 
     def true(self, theta: Floats, local: Floats) -> Floats:
-        """Compute values (n, values) in light of the stated wavelength.
-
-        Parameters
-        ----------
-        theta : (columns,)
-        local : (groups, local columns)
-        """
+        """Return values (n, values) in light of the stated wavelength. theta: (columns,); local: (groups, local columns)."""
         layout = self._layout
         own = local[self.groups]
         true = layout.linear @ theta + np.einsum("nvl,nl->nv", layout.local, own)
@@ -465,10 +455,7 @@ class LensModel:
         return rows
 
     def _argument_slopes(self, reading: Reading) -> Floats:
-        """Return derivatives (6, columns) of the laws' arguments.
-
-        The arguments are f, N, ln mp, true range, best focus of the channel, and best focus of the reference channel.
-        """
+        """Return derivatives (6, columns) of f, N, ln mp, true range, best focus of the channel and of the reference."""
         slopes = np.zeros((6, len(self.columns)))
         for row, kind in enumerate(GEOMETRY[:3]):
             slopes[row, self.index(kind)] = 1.0
