@@ -108,7 +108,7 @@ def fit(
     session, plan, checksum = _opened(session, plan, noll)
     target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
     steps = Steps(progress)
-    most = len(_wanted_keys(session, plan, ranges_mm, channels))
+    most = max(len(_wanted_keys(session, plan, ranges_mm, channels)), 1)
     with threadpool_limits(1), _running(run, min(workers or default_workers(), most), steps) as mapped:
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
         assumed += _panel_findings(plan, target, observations)

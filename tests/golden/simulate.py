@@ -114,10 +114,10 @@ def point_spread(waves: dict[int, float], wavelength_nm: float, f_number: float)
     )  # the disc's area is all the light, its grey rim's squares are less
 
 
-def carpet(order: int = ORDER) -> Floats:
-    """(3**order, same) cells: the removed middle squares white, the rest black."""
+def carpet() -> Floats:
+    """(3**ORDER, same) cells: the removed middle squares white, the rest black."""
     cells = np.zeros((1, 1))
-    for _ in range(order):
+    for _ in range(ORDER):
         cells = np.block([[cells] * 3, [cells, np.ones_like(cells), cells], [cells] * 3])
     return cells
 

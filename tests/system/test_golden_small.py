@@ -79,6 +79,7 @@ def test_a_session_of_another_simulator_is_estimated_as_well_as_is_claimed(
     mpl.use("agg")
     names: dict[str, Any] = {}
     exec(blocks()[0], names)
+    exec(blocks()[1], names)
     assert (golden / "mtf.png").stat().st_size > 5_000
     np.testing.assert_allclose(names["w"].waves, truth(golden), atol=limit("golden_small", "wavefront_waves"))
     measured = errors(golden, golden / "my-session")
@@ -88,7 +89,7 @@ def test_a_session_of_another_simulator_is_estimated_as_well_as_is_claimed(
 
 @pytest.mark.slow
 def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
-    code = blocks()[1]
+    code = blocks()[2]
     # the page's numbers are those of this session's target, lens and sensor
     numbers = (
         f"order={ORDER},size_mm={SIZE_MM:g}",
