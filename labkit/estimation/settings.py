@@ -1,4 +1,4 @@
-"""Every number that steers the estimate, each with its reason."""
+"""All numerical settings of the estimate, each with its reason."""
 
 from __future__ import annotations
 
@@ -15,120 +15,121 @@ class Settings:
 
     # starts: where to climb from
     sketch_band: float = 0.2
-    """Share of the pass band in a sweep: optima of that part are 0.001 to 0.002 waves from those of the whole band."""
+    """Share of the pass band in a sweep: its optima differ by 0.001 to 0.002 waves from optima of the whole band."""
     swept_waves: tuple[float, ...] = (0.1, 0.25, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-    """Defocus that a sweep tries, at the light's own wavelength: each less than twice the one before, or it would step over
-    an optimum; the twin covers negative ones."""
+    """Defocus values of a sweep, at the light's own wavelength: each less than twice the value before, or the sweep would step
+    over an optimum; the twin covers negative values."""
     tried: int = 3
-    """Best of a ranked list that are tried: values of a sweep, among which the right one was on every session; fits that show
-    most of a camera part, before all are fitted with it; predictions of one wavefront."""
+    """Number of best items of a ranked list that are tried: values of a sweep, which included the right value on every session;
+    fits with the most significant camera part, before all are refitted with it; predictions of one wavefront."""
     plausible_share: float = 0.005
-    """Share of a sweep's excess variance that right optima of part of the band leave, at most."""
+    """Largest share of a sweep's excess variance that right optima leave in part of the band."""
     near_waves: float = 0.5
-    """Defocus, at the light's own wavelength, below which other modes decide what a picture looks like."""
+    """Defocus, at the light's own wavelength, below which other modes dominate a picture."""
     near_window_airy: float = 48.0
-    """Window of a search's PSF there: geometric blur of 0.5 waves RMS is 14 lambda N wide."""
+    """PSF window of a search below `near_waves`: geometric blur of 0.5 waves RMS is 14 lambda N wide."""
     start_waves: tuple[float, float] = (0.05, 0.4)
-    """RMS of random starts, and of what components of PSFs are drawn from, at the light's own wavelength: larger wavefronts are
+    """RMS of random starts, and of random wavefronts for PSF components, at the light's own wavelength: larger wavefronts are
     far from focus, where a sweep finds them."""
     search_steps: int = 25
-    """Steps of a climb while searching: those that end in the best optimum take 10 to 20."""
+    """Largest number of steps of a climb while searching: climbs to the best optimum take 10 to 20."""
     most_starts: int = 40
-    """Starts of one search: an optimum to which 5 % of the starts lead is missed by 40 with a chance of 0.13."""
+    """Largest number of starts of one search: 40 starts miss an optimum to which 5 % lead with a probability of 0.13."""
     enough_returns: int = 8
-    """Starts that come back to the best optimum before a search ends. A better one to which as many starts lead has escaped
-    them with a chance of 1 in 2^8."""
+    """Number of starts that return to the best optimum before a search ends. A better optimum to which as many starts lead was
+    missed with a probability of 1 in 2^8."""
     same_optimum: float = 0.5
     """Difference of log-likelihood, one standard error, below which two ends are one optimum."""
 
     # small_problem: one frame, its pose held
     small_window_airy: float = 32.0
-    """Window of its PSFs: what reaches farther hardly depends on the wavefront."""
+    """Window of PSFs: light farther out hardly depends on the wavefront."""
     psf_components: int = 300
-    """Components that PSFs are made of: they leave 1 % of a PSF's departure from the perfect one."""
+    """Number of PSF components: 1 % of a PSF's departure from the perfect PSF remains."""
     worth_misfit: float = 1.1
-    """Misfit over the least one, up to which an optimum is worth a climb over the whole likelihood."""
+    """Largest ratio of an optimum's misfit to the least misfit for a climb over the whole likelihood."""
     pixels_at_once: int = 8192
-    """Pixels whose rows are factorised together: those of a large target take 500 MB."""
+    """Number of pixels whose rows are factorised together: the rows of a large target take 500 MB."""
 
     # climb, expansion: from a start to an optimum
     converged_stds: float = 0.05
-    """Standard errors: a climb ends where what is left to go is shorter, all numbers together."""
+    """Standard errors, all parameters together: a climb ends if the remaining distance is shorter."""
     settled_stds: float = 0.3
     """Standard errors: a shorter step moves an optimum by less than 1e-5 waves beyond second order."""
     slopes_stds: float = 1.0
-    """Standard errors: the picture after a last step as short lies on the slopes, and is not drawn."""
+    """Standard errors: the picture after a shorter last step is predicted from slopes, not drawn."""
     newton_rounds: int = 12
-    """Steps of Newton's: six do where the cone is 12 % off, and two or three where it is 3 % off."""
+    """Largest number of Newton's steps: six suffice for an f-number off by 12 %, two or three for 3 %."""
     cone_margin: float = 0.06
-    """Relative change of the cone, two of an engraving's errors, up to which a model serves without being built anew."""
+    """Relative change of the f-number, two standard errors of an engraving, that a model allows without being rebuilt."""
     narrow_window: float = 0.8
-    """Share of the window that a wavefront should have, below which twice as much light strays beyond it."""
+    """Least share of a wavefront's required window: twice as much light falls outside a smaller window."""
     blocks: int = 10
-    """Blocks of pixels along each side of a cut, for the sandwich covariance: wider than what one wrong kernel makes alike."""
+    """Blocks of pixels along each side of a cut, for the sandwich covariance: wider than correlations by one wrong kernel."""
     tilt_draws: int = 200
-    """Poses drawn to see how well a tilt is known: its error is right to 5 %."""
+    """Number of random poses to estimate the error of a tilt to 5 %."""
     exact: float = 1e-6
-    """Relative error of what is held exact, and relative step of differences: no photograph knows a number so well."""
+    """Relative error of exact numbers, and relative step of differences: no photograph measures a number so precisely."""
 
     # residual_tests: whether residuals are noise alone
     model_error: float = 0.01
-    """Relative error of the residuals' variance that a model may have: flats and PSFs are right to as much. Of the small
-    problem, ends whose misfits differ by less are one optimum."""
+    """Allowed relative error of the residuals' variance due to the model, for flats and PSFs have such errors. Ends of the
+    small problem whose misfits differ by less are one optimum."""
     unmeasured: float = 0.25
-    """Standard error above which a combination of modes (waves), or the variance of the noise (relative), was not measured."""
+    """Standard error above which a combination of modes (waves), or the variance of the noise (relative), is undetermined."""
 
     # lens_model: what is known of every lens, camera and rail before a session
     magnification_bounds: tuple[float, float] = (0.05, 20.0)
-    """Pupil magnifications that are tried: no lens lies beyond."""
+    """Bounds of the pupil magnification: no lens is outside."""
     defocus_floor_waves: float = 2e-4
-    """Error of every defocus beyond its bound: the RMS over nine fits of an independent simulator's frames."""
+    """Error of every defocus in addition to its bound: RMS over nine fits of an independent simulator's frames."""
     size_floor: float = 3e-5
-    """Relative error of every size in the picture, and of its change where the target tips: targets are as flat, pictures as
-    free of distortion."""
+    """Relative error of every size in the picture, and of its change with tilt: targets are as flat, pictures as free of
+    distortion."""
     colour_std: float = 0.05
-    """Best focus, and size of the picture, of a colour against the reference colour's, relative: simple lenses have 0.02."""
+    """Relative difference of best focus and of size between a colour and the reference colour: simple lenses have 0.02."""
     colour_modes_std: float = 0.1
-    """Modes of a colour against those of all colours: the path is the same glass."""
+    """Difference of modes between a colour and all colours: light passes the same glass."""
     unknown: float = 10.0
-    """Standard error of a mode, or a part's number, of which nothing is known, in its own unit."""
+    """Prior standard error of an unknown mode or part's number, in its own unit."""
     loose: float = 0.1
-    """Relative error of a cone, and of a size, that do not follow from the lens's conjugates."""
+    """Relative error of a working f-number or size that does not follow from the lens's conjugates."""
     mode_scatter_waves: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1)
-    """Scatter of each mode from range to range, half decades: the likeliest is taken."""
+    """Scatter of each mode from range to range, in half decades; the likeliest is chosen."""
 
     # select: which candidate, which sign, which observations belong
     rough: float = 0.003
-    """Error added to every mode, and to ln of f-number and scale, while optima are told apart: twelve of it are 0.01, and no
+    """Error added to every mode, and to ln of f-number and scale, while optima are selected: over twelve modes 0.01, and no
     other optimum is so near."""
     outlier_cost: float = 25.0
-    """Cost of leaving out an observation: chance exceeds it once in 10^8."""
+    """Penalty for leaving out an observation, exceeded by chance once in 10^8."""
     poor_errors: float = 30.0
-    """Factor by which errors grow where the model is poor for all, while optima are told apart: what is missing moves every
-    observation its own way, by up to 25 errors on lenses with modes, blades or an obstruction beyond the model."""
+    """Factor on errors while optima are selected if the model is incomplete for all: each observation then has a bias of its
+    own, up to 25 standard errors for lenses with modes, blades or an obstruction beyond the model."""
     few: float = 0.25
-    """Share of the observations up to which they are left out rather than a law loosened; share of what residuals leave
-    unexplained that a part of the camera must explain, or it stands for another lack."""
+    """Largest share of observations to leave out before a law is loosened; least share of the unexplained log-likelihood that a
+    camera part must explain, for a smaller share may have another cause."""
     clear_gain: float = 4.5
-    """Gain between two choices of a channel's signs, three standard errors, below which the signs are open; gain that a rarer
-    part of the camera must have beyond that of a commoner one that blurs alike."""
+    """Difference between two choices of a channel's signs, three standard errors, below which the signs are open; extra gain
+    that a rarer camera part must have over a more common part of similar blur."""
     contradiction_chance: float = 1e-3
-    """Chance of a misfit as large, below which a law is loosened, errors are widened, or residuals are not noise."""
+    """Probability of a misfit at least as large below which a law is loosened, errors grow by the Birge ratio, or residuals
+    are not noise."""
     parted_chi2: float = 5.0
-    """Factor by which chi2 must fall where a session is parted: a touched lens leaves hundreds of times its errors."""
+    """Factor by which chi2 must fall if a session is split: with a touched lens, misfits are hundreds of standard errors."""
 
     # camera: which of its parts are fitted
     part_cost: float = 10.0
-    """Gain that a part must have: chance gains as much once in 20 000 sessions."""
+    """Gain that a part must have, reached by chance once in 20 000 sessions."""
 
     # session: what is fitted next
     sure_waves: float = 0.05
-    """Standard error of a predicted defocus, below which a climb starts there, and RMS of the other modes' departure from a
-    prediction, below which an end is as predicted: wrong optima are farther."""
+    """Standard error of a predicted defocus below which a climb starts from the prediction, and RMS departure of the other
+    modes below which an optimum agrees with its prediction: wrong optima are farther away."""
     other_optimum_waves: float = 0.01
-    """RMS over the modes: what departs by less is no other optimum."""
+    """RMS over the modes: a smaller difference is no other optimum."""
     shared_cone_std: float = 0.01
-    """Relative error of a cone that other frames of the session measured."""
+    """Relative error of a working f-number that other frames of the session measured."""
 
 
 SETTINGS = Settings()
