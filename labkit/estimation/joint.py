@@ -96,13 +96,13 @@ def refit_jointly(
     if session.lens is None:
         raise ValueError("the fits have no lens in common: there is nothing to climb together")
     first = lens = session.lens
-    places = [(session.fits[k].optimum.state, session.fits[k].optics) for k in session.members]
+    places = _optima(session)
     likelihoods = list[float]()
     for done in range(SETTINGS.newton_rounds):
         progress(done, SETTINGS.newton_rounds, "climbing jointly")
         before = lens
         reached = _all_reached(session, targets, lens, places, run)
-        places = [(one.state, one.optics) for one in reached]
+        places = reached
         likelihoods.append(sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens))
         lens = _lens_of(session, reached, first, stated)
         if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
@@ -118,39 +118,36 @@ def refined(session: Estimate, targets: Mapping[str, Target], stated: Stated, ru
     """
     if session.lens is None or not any(session.fits[k].optics.parts for k in session.members):
         return session
-    places = [(session.fits[k].optimum.state, session.fits[k].optics) for k in session.members]
     try:
-        reached = _all_reached(session, targets, session.lens, places, run)
+        reached = _all_reached(session, targets, session.lens, _optima(session), run)
     except LostTasksError:  # for lack of memory: the two levels' end stays
         return session
     return replace(session, lens=_lens_of(session, reached, session.lens, stated))
 
 
+def _optima(session: Estimate) -> list[Reached]:
+    """Return where the two levels left the members."""
+    optima = [session.fits[k].optimum for k in session.members]
+    return [Reached(one.state, one.optics, one.measured, one.log_likelihood) for one in optima]
+
+
 def _all_reached(
-    session: Estimate,
-    targets: Mapping[str, Target],
-    lens: LensFit,
-    places: Sequence[tuple[State, Optics]],
-    run: Run,
+    session: Estimate, targets: Mapping[str, Target], lens: LensFit, places: Sequence[Reached], run: Run
 ) -> list[Reached]:
-    """Step all members to the values that a lens predicts for them."""
-    predicted = lens.solved.predicted
+    """Step all members to the values that a lens predicts for them.
+
+    The lens predicts scales of a target that faces it; a member's scale is smaller by its target's tilt.
+    """
     legs = []
     shown = {channel: share(run, target) for channel, target in targets.items()}
-    for k, (state, optics) in zip(session.members, places, strict=True):
+    for k, place in zip(session.members, places, strict=True):
         fit, row = session.fits[k], session.rows[k]
         o = fit.observation
+        values = lens.solved.predicted[row].copy()
+        values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
+        views = share(run, Views(o.frames, o.poses, o.noise))
         explained = fit.optimum.verdict.accepted
-        legs.append(
-            Leg(
-                share(run, Views(o.frames, o.poses, o.noise)),
-                shown[o.channel],
-                state,
-                optics,
-                predicted[row],
-                explained,
-            )
-        )
+        legs.append(Leg(views, shown[o.channel], place.state, place.optics, values, explained))
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 
