@@ -1,4 +1,4 @@
-"""One observation to its candidates: every optimum that climbs over the whole likelihood ended in."""
+"""Search for the optima of one observation's likelihood, the candidates of the session's selection."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where a climb over all frames of an observation ended.
+    """An optimum of the likelihood of all frames of an observation.
 
     Attributes
     ----------
-    state : all parameters but the camera's
-    optics : f-number and camera parts there
-    covariance : (modes, modes) waves RMS squared, the given f-number's error included
-    measured : what the frames alone say, for the session
-    sandwich : the same with errors of a model that does not explain the frames
-    log_likelihood : of the frames and the noise's calibration
+    state : all parameters except the camera's
+    optics : f-number and camera parts at the optimum
+    covariance : (modes, modes) waves RMS squared, the error of the given f-number included
+    measured : measurement by the frames alone, for the session
+    sandwich : measurement with sandwich errors, valid if the model does not explain the frames
+    log_likelihood : of frames and noise calibration
     chi2_per_pixel : of the residuals
     verdict : whether the residuals are noise alone
-    relative : of each frame the image (pixels,) of its used pixels
+    relative : relative image (pixels,) of each frame's used pixels
     residual_power : power of the residuals by frequency
     scores : by name, the score test of each camera part that the model lacks
     """
@@ -70,18 +70,18 @@ class Optimum:
 
     @property
     def candidate(self) -> Candidate:
-        """As the session's selection takes it."""
+        """Candidate for the session's selection."""
         explained = self.verdict.accepted
         return Candidate(self.measured if explained else self.sandwich, self.log_likelihood, explained)
 
     @property
     def unexplained(self) -> float:
-        """Log-likelihood that the residuals lack of those of noise alone, about."""
+        """Approximate deficit of the log-likelihood against residuals of noise alone."""
         pixels = sum(image.size for image in self.relative)
         return 0.5 * max(self.chi2_per_pixel - 1, 0.0) * pixels
 
     def twin(self) -> Optimum:
-        """The same with the even modes reversed: the same pictures (thesis §3.6)."""
+        """Reverse the even modes: the twin makes the same pictures (thesis §3.6)."""
         signs = twin_signs(self.noll)
         return replace(
             self,
@@ -92,23 +92,23 @@ class Optimum:
         )
 
     def canonical(self) -> Optimum:
-        """Itself or its twin, whose largest even mode is positive: the rule where no ranges decide."""
+        """Return the optimum or its twin, whichever has a positive largest even mode: the rule if no ranges decide."""
         even = np.where(twin_signs(self.noll) < 0, np.abs(self.waves), 0.0)
         return self.twin() if self.waves[int(np.argmax(even))] < 0 and even.any() else self
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a search for an observation's optima came to.
+    """Result of a search for an observation's optima.
 
     Attributes
     ----------
     optima : the likeliest first
-    starts : made
-    others : modes (modes,) and by how much the log-likelihood is less, of optima met on the way, the likeliest first
-    returns : starts that came back to the best optimum
+    starts : number of starts
+    others : modes (modes,) and deficit in log-likelihood of other optima met on the way, the likeliest first
+    returns : number of starts that returned to the best optimum
     cut_short : whether the user's cap ended the search
-    seconds : it took
+    seconds : duration of the search
     """
 
     optima: tuple[Optimum, ...]
@@ -120,16 +120,16 @@ class Found:
 
     @property
     def best(self) -> Optimum:
-        """The likeliest."""
+        """The likeliest optimum."""
         return self.optima[0]
 
     @property
     def settled(self) -> bool:
-        """Whether starts came back to the best optimum often enough."""
+        """Whether enough starts returned to the best optimum."""
         return self.returns >= SETTINGS.enough_returns
 
     def joined(self, later: Found) -> Found:
-        """With what a later search found."""
+        """Merge the results of a later search."""
         optima = list(self.optima)
         for optimum in later.optima:
             optima = _with(optima, optimum)
@@ -149,9 +149,9 @@ class Views:
 
     Attributes
     ----------
-    frames : counts with what is known of them
-    poses : of the target in each, right to about a pixel
-    noise : as calibrated
+    frames : counts, with calibration
+    poses : pose of the target in each frame, right to about a pixel
+    noise : calibrated noise
     """
 
     frames: tuple[FrameData, ...]
@@ -161,20 +161,20 @@ class Views:
 
 @dataclass(frozen=True)
 class Guesses:
-    """What is known of a wavefront before its search.
+    """Prior knowledge about a wavefront, and the effort of its search.
 
     Attributes
     ----------
-    f_number_std : relative standard error of the optics' f-number; 0: exact
-    state : where an earlier climb of the same frames ended, to begin at
-    starts : wavefronts (modes,) that other frames predict
-    poses : of the target in every frame, as another channel has them to a fraction of a pixel; empty where unknown
-    modes : wavefronts whose defocus is not known
-    deep : whether the search goes on where the first ends are not explained
-    alone : whether no frames of other ranges will tell a wrong optimum
+    f_number_std : relative standard error of the optics' f-number; 0 if exact
+    state : end of an earlier climb of the same frames, to start from
+    starts : wavefronts (modes,) predicted by other frames
+    poses : pose of the target in every frame, from another channel, right to a fraction of a pixel; empty if unknown
+    modes : predicted wavefronts with unknown defocus
+    deep : whether to search on if the first optima are not explained
+    alone : whether there are no frames at other ranges to reveal a wrong optimum
     score : whether to test for camera parts that the model lacks
-    patience_s : processor time, after which no start is made
-    most_starts : that a search makes
+    patience_s : processor time after which no start is made
+    most_starts : largest number of starts
     """
 
     f_number_std: float = 0.0
@@ -200,16 +200,16 @@ def find_optima(
 ) -> Found:
     """Search for the optima of one observation's likelihood.
 
-    The search ends with the first optimum whose residuals are noise alone, or that is as predicted. What the frames do
-    not determine has huge errors, and its optimum is rejected.
+    The search ends with the first optimum whose residuals are noise alone, or that agrees with a prediction. Undetermined
+    modes have huge errors, and their optimum is rejected.
 
     Parameters
     ----------
-    optics : lens, light and sensor; its f-number and parts are where climbs begin
-    target : as it is shown
+    optics : lens, light and sensor; climbs start from its f-number and camera parts
+    target : the target as shown
     views : the frames
-    guesses : what is known beforehand
-    seed : of further starts
+    guesses : prior knowledge and effort
+    seed : seed of random starts
     progress : called with the step under way
     """
     began = perf_counter()
@@ -242,7 +242,7 @@ def find_optima(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What does not change in a search. first: a state of the first frame without a wavefront."""
+    """Constants of a search: the whole problem, coarse problems, frames, guesses, and a first state without a wavefront."""
 
     whole: Problem
     sketches: Sketches
@@ -260,7 +260,7 @@ class _Search:
         return cls(Problem(model, views.frames, views.noise), sketched, views, guesses, first)
 
     def states(self, log: Log) -> Iterator[tuple[Floats | None, State]]:
-        """Where to climb from, and what was predicted there."""
+        """Yield states to climb from, each with the predicted wavefront if there is one."""
         guesses = self.guesses
         if guesses.state is not None:
             yield guesses.state.waves, guesses.state
@@ -287,7 +287,7 @@ class _Search:
         return freed
 
     def _lit(self, waves: Floats) -> State:
-        """The state of a wavefront at known poses, its light fitted frame by frame."""
+        """Return the state of a wavefront at known poses, its light fitted frame by frame."""
         poses, frames = self.guesses.poses, self.views.frames
         start = replace(self.first, waves=waves, poses=poses, scales=np.ones(len(poses)), ambients=np.zeros(len(poses)))
         levels = []
@@ -298,7 +298,7 @@ class _Search:
         return replace(start, scales=scales, ambients=ambients)
 
     def _all_frames(self, state: State) -> State:
-        """The same light and wavefront for all frames, their poses as the first one's was corrected."""
+        """Extend a state of the first frame to all frames: same light and wavefront, poses corrected as the first frame's."""
         poses, frames = self.views.poses, len(self.views.poses)
         drift = state.poses[0].v - poses[0].v
         whole = replace(
@@ -334,7 +334,7 @@ def _judged(freed: Freed) -> Optimum:
 
 
 def _with(optima: Sequence[Optimum], new: Optimum) -> list[Optimum]:
-    """Optima with a new one, the likeliest first; of two ends in one optimum the likelier stays."""
+    """Add an optimum to a list, the likeliest first; of two ends in one optimum the likelier stays."""
     same = [one for one in optima if _alike(one, new)]
     kept = [one for one in optima if not _alike(one, new)]
     kept.append(max([new, *same], key=lambda one: one.log_likelihood))
@@ -342,7 +342,7 @@ def _with(optima: Sequence[Optimum], new: Optimum) -> list[Optimum]:
 
 
 def _alike(one: Optimum, other: Optimum) -> bool:
-    """Whether two ends are one optimum: as likely, and nearer than a standard error, or twins."""
+    """Whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error."""
     near = min(float(np.linalg.norm(one.waves - w)) for w in (other.waves, other.waves * twin_signs(other.noll)))
     error = float(np.sqrt(np.trace(one.covariance)))
     return (
@@ -351,7 +351,7 @@ def _alike(one: Optimum, other: Optimum) -> bool:
 
 
 def _as_predicted(optimum: Optimum, waves: Floats) -> bool:
-    """Whether an end has the modes that were predicted, defocus apart: then its residuals judge the model."""
+    """Whether an end has the predicted modes, except for defocus: then its residuals are a test of the model."""
     return float(np.linalg.norm((optimum.waves - waves)[1:])) < SETTINGS.sure_waves
 
 
@@ -361,14 +361,14 @@ def _below(others: Sequence[tuple[Floats, float]]) -> tuple[tuple[Floats, float]
 
 
 def first_state(frame: FrameData, pose: Pose, noise: NoisePrior, modes: int) -> State:
-    """Light from the frame's own range of counts; no wavefront yet."""
+    """Return a state with zero wavefront and the light from the frame's own range of counts."""
     low, high = np.percentile(frame.counts[frame.used] / frame.illumination[frame.used], [2, 98])
     even = np.zeros(len(frame.departures))
     return State(np.zeros(modes), (pose,), np.array([high - low]), np.array([low]), noise.centre, even)
 
 
 def residuals(optimum: Optimum, frames: Sequence[FrameData]) -> list[tuple[Floats, Floats]]:
-    """Mean and standard deviation, in counts, of each frame's used pixels at an optimum."""
+    """Return mean and standard deviation, in counts, of each frame's used pixels at an optimum."""
     predictions = [
         predict(image, frame, detector)
         for image, frame, detector in zip(optimum.relative, frames, optimum.state.detectors(), strict=True)
