@@ -1,7 +1,7 @@
-"""Where to climb from: wavefronts that other frames predict, a sweep over defocus, a small problem near focus, chance.
+"""Starts of climbs: predictions from other frames, a sweep over defocus, a small problem near focus, random wavefronts.
 
-Each function yields states of the first frame for a climb over the whole likelihood, the most promising first. None is at
-zero: there the likelihood has a saddle, every even mode's derivative vanishes.
+Each function yields states of the first frame for a climb over the whole likelihood, the most promising first. No start is at
+zero: the likelihood has a saddle there, for the derivatives by all even modes vanish.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from labkit.types import Floats
 
 @dataclass
 class Log:
-    """What a search has met so far.
+    """Record of a search.
 
     Attributes
     ----------
-    most : starts that the search may make
+    most : largest number of starts
     ends_at : process time after which no start is made, the user's cap
-    progress : called with what is done
-    starts : made so far
-    tried : states that were climbed from over the whole likelihood, and the log-likelihood where each climb ended
-    others : modes, waves RMS, and minus the log-likelihood of optima that starts led to
-    returns : starts that came back to the best optimum
+    progress : called with the step under way
+    starts : number of starts so far
+    tried : starts of climbs over the whole likelihood, each with the log-likelihood at the climb's end
+    others : modes, waves RMS, and minus the log-likelihood of optima met so far
+    returns : number of starts that returned to the best optimum
     """
 
     most: int
@@ -51,41 +51,50 @@ class Log:
 
     @property
     def over(self) -> bool:
-        """Whether no further start is to be made."""
+        """Whether the search makes no further start."""
         return self.late or self.settled or self.starts >= self.most
 
     @property
     def settled(self) -> bool:
-        """Whether starts came back to the best optimum often enough."""
+        """Whether enough starts returned to the best optimum."""
         return self.returns >= SETTINGS.enough_returns
 
     def best(self) -> list[State]:
-        """States whose climbs ended in the best optimum of the whole likelihood."""
+        """Return starts whose climbs ended in the best optimum of the whole likelihood."""
         least = max((value for _, value in self.tried), default=0.0) - SETTINGS.same_optimum
         return [state for state, value in self.tried if value > least]
 
     def met(self, end: Solution) -> None:
-        """Note where a start ended, unless that is known."""
+        """Record the end of a start, unless it is a known optimum."""
         if all(abs(end.objective + misfit) > SETTINGS.same_optimum for _, misfit in self.others):
             self.others.append((end.state.waves, -end.objective))
 
 
 def settled(sketches: Sketches, state: State) -> State:
-    """A state that other frames predict, its pose and light settled."""
+    """Settle pose and light of a state that other frames predict."""
     return settle(sketches.problem(state, sketches.band), state)
 
 
 def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
-    """Where the modes but defocus are predicted: the best two values of a sweep over defocus."""
+    """Yield climbs from the two best values of a sweep over defocus, the other modes predicted."""
     for swept_state in sweep(sketches, state)[:2]:
         log.starts += 1
         yield searched_from(sketches.problem(swept_state, sketches.band), swept_state).state
 
 
 def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool) -> Iterator[State]:
-    """From nothing: the ends of the best values of a sweep, in part of the band; near focus those of the small problem too.
+    """Search without any prediction.
 
-    doubt_near_focus: near focus wrong optima are so close that the residuals of one range hardly tell them apart.
+    Climbs from the best values of a sweep over defocus, in part of the pass band, come first. Near focus, optima of the small
+    problem follow; elsewhere, random starts.
+
+    Parameters
+    ----------
+    sketches : coarse problems of the first frame
+    first : state of the first frame, without a wavefront
+    log : record of the search
+    doubt_near_focus : whether to search on near focus, where wrong optima are so close to the right one that the residuals of
+        one range hardly distinguish them
     """
     log.progress("defocus sweep")
     given = sweep(sketches, first)[: SETTINGS.tried]
@@ -115,9 +124,9 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
 
 
 def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Log) -> Iterator[State]:
-    """Optima of the small problem at a state's pose, the best first, until starts come back to the best.
+    """Yield optima of the small problem at a state's pose, the best first, until enough starts return to the best.
 
-    What comes back is what leads to the best optimum of the whole likelihood.
+    A start returns if its optimum of the small problem leads to the best optimum of the whole likelihood.
     """
     small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
     before, made = log.starts, Retrieved(tuple(given))
@@ -136,7 +145,7 @@ def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Lo
 
 
 def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
-    """From reversed defocus and at random, until the best end of one frame comes back time and again."""
+    """Yield ends of starts with reversed defocus and random modes, until enough starts return to the best end of one frame."""
     problem = sketches.problem(state, 1.0)
     best = maximize(problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
     log.met(best)
@@ -163,13 +172,13 @@ def settle(problem: Problem, start: State) -> State:
 def searched_from(problem: Problem, start: State) -> Solution:
     """Climb from a start, pose and light first.
 
-    All freed at once, from a pose a pixel off, ended in a wrong minimum of an easy frame.
+    With all parameters free at once, from a pose a pixel off, a climb ended in a wrong minimum of an easy frame.
     """
     return maximize(problem, settle(problem, start), max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
 
 
 def further_start(origin: State, made: int, optics: Optics, rng: np.random.Generator) -> State:
-    """The start after `made` others: defocus reversed, which leads out of half of the wrong optima, then at random."""
+    """Return the start after `made` others: reversed defocus, which leads out of half of the wrong optima, then random ones."""
     defocus = optics.noll[0] == 4
     if defocus and made == 0:
         return replace(origin, waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0))
@@ -187,6 +196,6 @@ def _near(state: State, other: State) -> bool:
 
 
 def _excess(sketches: Sketches, state: State) -> float:
-    """Variance that a state leaves unexplained in part of the band."""
+    """Return the excess variance that a state leaves in part of the pass band."""
     problem = sketches.problem(state, sketches.band)
     return judge(problem, state, problem.relative(state)).excess
