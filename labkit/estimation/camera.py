@@ -30,7 +30,7 @@ Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
 def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts, in log-likelihood."""
-    return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (BLURS.index(name) if name in BLURS else 0) for name in parts)
+    return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (name in BLURS[1:]) for name in parts)
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -190,17 +190,6 @@ class LensFit:
         if self.bias is None:
             return np.asarray(noise)
         return covariance_with_bias(noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group])
-
-    def with_bias(self, shifts: Floats) -> LensFit:
-        """Add the bias due to shifts (n, values) of the measurements; the estimate stays.
-
-        chi2 becomes that of the shifted measurements: a disagreement that the shifts explain does not raise the Birge ratio.
-        """
-        solved = self.solved
-        bias = Point(*solved.normal.solve(*solved.pulls(shifts)))
-        own = np.einsum("nvl,nl->nv", solved.own_slopes, bias.own[self.model.groups])
-        moved = shifts - solved.slopes @ bias.theta - own
-        return replace(self, bias=bias, bias_chi2=solved.data.chi2(solved.rest + moved) - solved.data.chi2(solved.rest))
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""

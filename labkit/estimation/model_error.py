@@ -6,14 +6,15 @@ bias follows from the same fits with the part. Estimates are not corrected; thei
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.candidate import Measured
+from labkit.estimation.block_solve import Point
+from labkit.estimation.candidate import Observed
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Optimum
+from labkit.estimation.select import OUT, exact_lens
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.wavefront import DEFOCUS
 from labkit.optics.zernike import twin_signs
@@ -40,29 +41,27 @@ def confirmed(session: Estimate, index: int) -> bool:
 
 
 def with_model_error(session: Estimate) -> Estimate:
-    """Include the bias due to missing parts in the errors of the lens."""
-    if session.lens is None or not any(session.with_missing):
+    """Include the bias due to missing parts in the errors of the lens.
+
+    The bias is the change of the lens to that of the same fits with the parts, under the same laws. A disagreement of the
+    fits that the parts explain does not raise the Birge ratio.
+    """
+    lens = session.lens
+    if lens is None or not any(session.with_missing):
         return session
-    model = session.lens.model
-    shifts = np.zeros_like(session.lens.measured.values)
+    every = [Observed(reading) for reading in lens.model.readings]
     for k in session.members:
-        row = session.rows[k]
+        row, complete = session.rows[k], _near(session.fits[k].optimum, session.with_all_parts(k))
         assert row is not None
-        shifts[row] = _measured_shift(session.fits[k].optimum, session.with_all_parts(k), (*model.noll, *model.parts))
-    return replace(session, lens=session.lens.with_bias(shifts))
-
-
-def _measured_shift(optimum: Optimum, with_missing: Optimum, labels: Sequence[str | int]) -> Floats:
-    """Return the change (values,) due to missing parts; a part that is absent from one of the optima counts as 0."""
-    here, there = optimum.measured, _near(optimum, with_missing).measured
-    before, after = _by_label(here), _by_label(there)
-    moved = [after.get(label, 0.0) - before.get(label, 0.0) for label in labels]
-    return np.array([*moved, *(there.values[-2:] - here.values[-2:])])
-
-
-def _by_label(measured: Measured) -> dict[str | int, float]:
-    labels: list[str | int] = [*measured.noll, *measured.parts]
-    return dict(zip(labels, measured.values.tolist(), strict=False))
+        every[row] = replace(every[row], candidates=(complete.candidate,))
+    members = lens.measured.used
+    choice = np.where(members, 0, OUT)
+    complete_lens = exact_lens(every, choice, members, lens.model.stated, laws=lens.model.laws)
+    values = {(c.kind, c.name): v for c, v in zip(complete_lens.model.columns, complete_lens.theta, strict=True)}
+    there = np.array([values.get((c.kind, c.name), 0.0) for c in lens.model.columns])  # a part that gave way is 0
+    bias = Point(there - lens.theta, complete_lens.solved.point.own - lens.solved.point.own)
+    bias_chi2 = complete_lens.solved.chi2 - lens.solved.chi2
+    return replace(session, lens=replace(lens, bias=bias, bias_chi2=bias_chi2))
 
 
 def _near(optimum: Optimum, other: Optimum) -> Optimum:

@@ -380,10 +380,11 @@ class _Loop:
         )
         lens = None
         if whole.lens is not None:
-            lens = self._lens_of(fits, whole)
+            lens = self._lens_of(fits, whole, whole.lens.model.laws)
         return replace(whole, fits=fits, lens=lens)
 
-    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate) -> LensFit:
+    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate, laws: Laws) -> LensFit:
+        """Return the lens of fits that belong as another estimate's do, under its laws."""
         every = [observed(self.observations[k], None) for k in self.ranged]
         choice = np.full(len(every), OUT)
         members = np.zeros(len(every), bool)
@@ -394,7 +395,7 @@ class _Loop:
             every[row] = replace(every[row], candidates=(fit.optimum.candidate,))
             choice[row] = 0
             members[row] = place in like.members
-        return exact_lens(every, choice, members, self.stated)
+        return exact_lens(every, choice, members, self.stated, laws=laws)
 
     def _as_estimate(self) -> Estimate:
         selection = self.selection()

