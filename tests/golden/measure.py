@@ -21,7 +21,7 @@ def import_and_fit(folder: Path, session: Path) -> None:
     """Import and fit through the commands, as a lab would."""
     for command in (
         ["import", str(folder / "frames.csv"), str(folder / "plan.toml"), str(session)],
-        ["fit", str(session)],
+        ["fit", str(session), "--workers", "1"],
     ):
         if (status := run([*command, "--quiet"])) != 0:
             raise RuntimeError(f"labkit {' '.join(command)} ended with status {status}")
