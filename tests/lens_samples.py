@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from labkit.estimation.candidate import Candidate, Measured, Observed
+from labkit.estimation.candidate import Candidate, Measured, Observed, Reading
+from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import Laws, Reading
 from labkit.estimation.select import exact_lens
 from labkit.estimation.stated import Stated
 from labkit.key import Key

@@ -9,22 +9,14 @@ import numpy as np
 
 from labkit.advice.expected_fit import middle_mm
 from labkit.estimation.block_solve import Point
-from labkit.estimation.candidate import Measured
+from labkit.estimation.candidate import Measured, Reading
+from labkit.estimation.columns import COMMON_MODE, F_NUMBER, FOCAL_LENGTH, FOCUS, MAGNIFICATION, RANGE_ZERO
 from labkit.estimation.lens_fit import Measurements, fit_lens
-from labkit.estimation.lens_model import (
-    COMMON_MODE,
-    DEFOCUS,
-    F_NUMBER,
-    FOCAL_LENGTH,
-    FOCUS,
-    MAGNIFICATION,
-    RANGE_ZERO,
-    LensModel,
-    Reading,
-)
+from labkit.estimation.lens_model import LensModel
 from labkit.estimation.stated import Stated
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD, ThinLens, blur_per_wave_um, defocus_waves
+from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

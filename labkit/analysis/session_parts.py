@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.analysis.session_results import as_focus, as_wavefronts
+from labkit.estimation.columns import PART
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.findings import Moves, camera_part_found, camera_parts_missing, stated_model_moves
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import PART
 from labkit.estimation.model_error import shift
 from labkit.finding import Finding
 from labkit.findings import found

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from labkit.estimation.columns import CONE, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, RANGE_ZERO
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import CONE, DEFOCUS, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, RANGE_ZERO
 from labkit.estimation.local import residuals
 from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residual_spectrum import residual_frequencies
@@ -20,6 +20,7 @@ from labkit.findings import found
 from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
+from labkit.optics.wavefront import DEFOCUS
 from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
 from labkit.uncertain import Uncertain
 

@@ -6,10 +6,28 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labkit.estimation.lens_model import Reading
 from labkit.estimation.settings import SETTINGS
+from labkit.key import Key
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The rail's position for one observation.
+
+    Attributes
+    ----------
+    key : identity of the observation
+    range_mm : range by the rail's scale
+    station : identity of the rail position; all observations at a station share one range error
+    homings : for each photograph, how often the rail had been homed
+    """
+
+    key: Key
+    range_mm: float
+    station: float
+    homings: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from labkit.estimation.candidate import Observed
+from labkit.estimation.candidate import Observed, Reading
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import DEFOCUS, Reading
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.imaging.optics import Optics
+from labkit.optics.wavefront import DEFOCUS
 from labkit.results.model import PartTried
 
 

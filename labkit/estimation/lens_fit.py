@@ -9,15 +9,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
+from labkit.estimation.columns import CONE, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH
 from labkit.estimation.errors import covariance_with_bias
-from labkit.estimation.lens_model import (
-    CONE,
-    GEOMETRY,
-    LATERAL_COLOUR,
-    OPEN,
-    WAVELENGTH,
-    LensModel,
-)
+from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 

@@ -9,147 +9,43 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import cast
 
 import numpy as np
 
+from labkit.estimation.candidate import Reading
+from labkit.estimation.columns import (
+    AXIAL_COLOUR,
+    COMMON_MODE,
+    CONE,
+    F_NUMBER,
+    FOCAL_LENGTH,
+    FOCUS,
+    GEOMETRY,
+    HOMING,
+    LATERAL_COLOUR,
+    MAGNIFICATION,
+    MODE,
+    PART,
+    RANGE_ZERO,
+    SIZE,
+    STEPS,
+    WAVELENGTH,
+    Column,
+    Name,
+)
+from labkit.estimation.laws import Laws
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.optics import ESTIMATED
-from labkit.key import Key
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
+from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats, Indices
-
-FOCAL_LENGTH = "focal length"
-F_NUMBER = "f-number"
-MAGNIFICATION = "pupil magnification"
-RANGE_ZERO = "tape"  # a key of results.json, where a joint climb is compared
-HOMING = "homing"
-STEPS = "steps"
-SIZE = "target size"
-CONE = "cone"
-FOCUS = "best focus"
-AXIAL_COLOUR = "axial colour"
-LATERAL_COLOUR = "lateral colour"
-WAVELENGTH = "wavelength"
-PART = "part"
-COMMON_MODE = "common mode"
-MODE = "mode"
-
-GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE)
-OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
-"""Columns that are unknown before the session: their prior is not a measurement."""
 
 STEP = 1e-4
 """Relative step of the laws' numerical derivatives: errors by rounding and by curvature are equal, 1e-8."""
-
-DEFOCUS = 4
-
-Name = tuple[str | float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """The rail's position for one observation.
-
-    Attributes
-    ----------
-    key : identity of the observation
-    range_mm : range by the rail's scale
-    station : identity of the rail position; all observations at a station share one range error
-    homings : for each photograph, how often the rail had been homed
-    """
-
-    key: Key
-    range_mm: float
-    station: float
-    homings: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Laws:
-    """Tolerances of the laws: standard deviations by which observations may depart from the session's parameters.
-
-    Attributes
-    ----------
-    mode_scatter : of each mode except defocus from range to range, waves RMS
-    defocus_scatter : of each observation's defocus, waves RMS
-    cone_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
-    cone_scatter : relative, of each observation's working f-number
-    size_scatter : relative, of each observation's size
-    """
-
-    mode_scatter: float = 0.0
-    defocus_scatter: float = SETTINGS.defocus_floor_waves
-    cone_std: float = 0.0
-    cone_scatter: float = 0.0
-    size_scatter: float = SETTINGS.size_floor
-
-    @property
-    def paraxial(self) -> bool:
-        """Whether working f-numbers and sizes follow from one lens that is focused as a whole."""
-        return self.cone_std == 0
-
-    @property
-    def shared(self) -> bool:
-        """Whether all modes except defocus are the same at all ranges."""
-        return self.mode_scatter == 0
-
-    @classmethod
-    def looser(cls) -> Iterator[Laws]:
-        """Yield laws with free working f-numbers and sizes, with modes that scatter from range to range, or with both.
-
-        If the lens's modes differ, defocus still follows its law. If the model of the frames is incomplete, defocus scatters
-        as the modes do.
-        """
-        free = cls(cone_std=SETTINGS.loose, size_scatter=SETTINGS.loose)
-        yield free
-        for scatter in SETTINGS.mode_scatter_waves:
-            yield cls(mode_scatter=scatter)
-            yield replace(free, mode_scatter=scatter)
-            yield replace(free, mode_scatter=scatter, defocus_scatter=scatter)
-
-    @classmethod
-    def loosest(cls) -> Laws:
-        """Return laws with the largest tolerances."""
-        most = SETTINGS.mode_scatter_waves[-1]
-        return cls(most, most, SETTINGS.loose, SETTINGS.loose, SETTINGS.loose)
-
-    def rough(self) -> Laws:
-        """Return laws tolerant of every error that is too small for another optimum."""
-        return replace(
-            self,
-            mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough)),
-            defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough)),
-            cone_scatter=float(np.hypot(self.cone_scatter, SETTINGS.rough)),
-            size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough)),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A parameter of the session.
-
-    Attributes
-    ----------
-    kind : kind of the parameter
-    name : identity among parameters of one kind
-    value, std : mean and standard error of the prior
-    scale : a significant step of the parameter
-    """
-
-    kind: str
-    name: Name
-    value: float
-    std: float
-    scale: float
-
-    @property
-    def prior_std(self) -> float:
-        """Standard error of the prior, above 0."""
-        return max(self.std, SETTINGS.exact * self.scale)
 
 
 @dataclass(frozen=True)

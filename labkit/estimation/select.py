@@ -14,8 +14,9 @@ from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Candidate, Observed
+from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, Measurements, crossing, fit_lens, focus_slope
-from labkit.estimation.lens_model import Laws, LensModel
+from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.key import Key

@@ -11,8 +11,8 @@ import numpy as np
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
+from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
-from labkit.estimation.lens_model import Laws
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import Searches

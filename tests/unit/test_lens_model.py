@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.estimation.lens_model import FOCUS, LATERAL_COLOUR, WAVELENGTH, Laws, LensModel, Reading
+from labkit.estimation.candidate import Reading
+from labkit.estimation.columns import FOCUS, LATERAL_COLOUR, WAVELENGTH
+from labkit.estimation.laws import Laws
+from labkit.estimation.lens_model import LensModel
 from labkit.key import Key
 from labkit.types import Floats
 from tests.lens_samples import COLOURS, laws, reading, stated

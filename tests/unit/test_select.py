@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
+from labkit.estimation.columns import CONE
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.lens_model import CONE, LensModel
+from labkit.estimation.lens_model import LensModel
 from labkit.estimation.select import OUT, Options, Selection, _Choices, select
 from labkit.key import Key
 from labkit.types import Bools, Floats, Indices
