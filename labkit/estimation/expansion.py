@@ -140,6 +140,12 @@ class Expansion:
         """Return the optics after a step (p,)."""
         return self.optics.with_camera_parameters(self.optics.camera_parameters + step[self.camera])
 
+    def sane_after(self, step: Floats, start: State) -> bool:
+        """Whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have."""
+        parts = self.optics_after(step).camera_parameters[:-1]
+        usual = np.all(np.abs(parts) < SETTINGS.unknown * self.optics.camera_stds[:-1])
+        return bool(usual) and sane(self.moved(step), start)
+
     def within(self, step: Floats, covariance: Floats) -> Floats:
         """Return a step (p,) that stays within the bounds of the camera parameters.
 
@@ -226,7 +232,7 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
         near, cone = length < SETTINGS.slopes_stds, expansion.camera.stop - 1
         close = abs(step[cone]) < SETTINGS.settled_stds * np.sqrt(covariance[cone, cone])
         settled = rounds > 1 and near and close and not fallen
-        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not sane(expansion.moved(step), start.state)
+        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not expansion.sane_after(step, start.state)
         if settled or fallen or diverged or rounds == SETTINGS.newton_rounds:
             break
         best, taken, halvings = expansion, step, 0
