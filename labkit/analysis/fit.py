@@ -18,7 +18,7 @@ from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.findings import model_incomplete_everywhere, residuals_not_noise, undetermined
-from labkit.estimation.joint import Joint, refined, refit_jointly
+from labkit.estimation.joint import refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
@@ -106,8 +106,8 @@ def fit(
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
     session, plan, checksum = _opened(session, plan, noll)
-    target, folder = open_target(plan.target), _folder(session, plan, ranges_mm, channels, name)
-    steps = Steps(progress)
+    folder = _folder(session, plan, ranges_mm, channels, name)
+    target, steps = open_target(plan.target), Steps(progress)
     most = max(len(_wanted_keys(session, plan, ranges_mm, channels)), 1)
     with threadpool_limits(1), _running(run, min(workers or default_workers(), most), steps) as mapped:
         observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
@@ -115,14 +115,20 @@ def fit(
         kept = KeptFits(mapped, folder / FOLDER)
         targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
         stated = Stated.of(plan)
-        fits = estimate(observations, plan, targets, kept, steps, patience_s, plain)
-        fits = refined(fits, targets, stated, kept)
+        fits = refined(estimate(observations, plan, targets, kept, steps, patience_s, plain), targets, stated, kept)
         together = refit_jointly(fits, targets, stated, kept, steps) if joint and fits.lens is not None else None
         change = find_change(fits, stated)
-    common = (plan, checksum, _noted(session, plan, [*assumed, *_changes(change)]), patience_s)
-    whole = _results(fits, *common, ranges_mm is None) if together is None else _joint_results(fits, together, *common)
-    halves = {} if change is None or not split else {"-before": change.before, "-after": change.after}
-    return _written(folder, {"": whole} | {k: _results(of, *common, True) for k, of in halves.items()}, kept, fits.lost)
+
+    def results_of(fits: Estimate, wanted: bool = True) -> Results:
+        return _results(fits, plan, checksum, noted, patience_s, wanted)
+
+    noted = _noted(session, plan, [*assumed, *_changes(change)])
+    every = {"": results_of(fits, ranges_mm is None)}
+    if together is not None:
+        every[""] = replace(results_of(replace(fits, lens=together.lens)), joint=together.differences)
+    if change is not None and split:
+        every |= {"-before": results_of(change.before), "-after": results_of(change.after)}
+    return _written(folder, every, kept, fits.lost)
 
 
 @contextmanager
@@ -191,14 +197,6 @@ def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Find
     altered = [found("picture-altered", note=note) for note in notes]
     repairs = [found("session-mended", note=note) for note in session.warnings]  # an import repeats the others here
     return each_once([*stated, *altered, *others, *repairs])
-
-
-def _joint_results(
-    fits: Estimate, joint: Joint, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float
-) -> Results:
-    """Make results of fits with the lens of a joint climb."""
-    results = _results(replace(fits, lens=joint.lens), plan, checksum, noted, patience_s, wanted=True)
-    return replace(results, joint=joint.differences)
 
 
 def _results(

@@ -5,6 +5,7 @@ One factorisation of the components' pictures leaves a least-squares problem of 
 a tenth of a start in the likelihood. Tilts compensate for the error of the pose.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -134,17 +135,16 @@ class PhaseRetrieval:
         if free:  # the rows that departures can match are left out, for their coefficients are unknown
             orders = frame.departures[:, frame.used]
             orders = orders * (mean / (1 + detector.unevenness @ orders))
-        counts, sigma = frame.counts[frame.used], np.sqrt(variance)
-        triangle = np.empty((0, free + len(pictures) + 3))
-        for p in (
-            slice(first, first + SETTINGS.pixels_at_once) for first in range(0, counts.size, SETTINGS.pixels_at_once)
-        ):
-            unknown = light[p] * np.array([picture[p] for picture in pictures])
-            # with the data as the last column, R holds the rotated data, so Q is never formed
-            rows = np.concatenate([*([orders[:, p]] if free else []), unknown, known[:, p], [counts[p]]]) / sigma[p]
-            stacked = np.concatenate([triangle, rows.T])
-            (triangle,) = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)
-            triangle = triangle[: triangle.shape[1]]
+        else:
+            orders = np.empty((0, mean.size))
+        counts = frame.counts[frame.used]
+
+        def columns(pixels: slice) -> Floats:
+            unknown = light[pixels] * np.array([picture[pixels] for picture in pictures])
+            return np.concatenate([orders[:, pixels], unknown, known[:, pixels], counts[None, pixels]])
+
+        # with the data as the last column, R holds the rotated data, so Q is never formed
+        triangle = _triangle(columns, np.sqrt(variance))
         count = min(triangle.shape[1] - 1, counts.size)
         factor, data = np.hsplit(triangle[free:count, free:].astype(float), [-1])
         return cls(optics, model.blur.pupil, factor, data[:, 0], state)
@@ -209,6 +209,21 @@ class PhaseRetrieval:
         return replace(
             self.state, waves=point[2:-2], poses=(pose,), scales=point[-2:-1].copy(), ambients=point[-1:].copy()
         )
+
+
+def _triangle(columns: Callable[[slice], Floats], sigma: Floats) -> Floats:
+    """Return R of the QR decomposition of weighted rows, one a pixel, made and rotated a part at a time.
+
+    columns : gives the columns (n, pixels) of a range of pixels
+    sigma : (pixels,) standard deviations of the rows
+    """
+    triangle = columns(slice(0)).T
+    for first in range(0, sigma.size, SETTINGS.pixels_at_once):
+        pixels = slice(first, first + SETTINGS.pixels_at_once)
+        stacked = np.concatenate([triangle, (columns(pixels) / sigma[pixels]).T])
+        (triangle,) = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)
+        triangle = triangle[: triangle.shape[1]]
+    return triangle
 
 
 @lru_cache(maxsize=8)
