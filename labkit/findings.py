@@ -66,6 +66,10 @@ TEXTS = {
         "{where}: contradicts the other fits, and is left out of best focus; was the lens touched, or is it another "
         "optimum?"
     ),
+    "two-camps": (
+        "the fits contradict each other in two camps: {members} follow one lens, {outliers} another; best focus is that of "
+        "the first; was the lens touched or focused anew?"
+    ),
     "undetermined": "{where}: the frames do not determine {list}; is the target lit, sharp and large enough?",
     "model-incomplete": (
         "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); {confirmed} the "

@@ -10,11 +10,13 @@ import numpy as np
 from labkit.estimation.columns import CONE, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, RANGE_ZERO
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
+from labkit.estimation.findings import two_camps
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
 from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residual_spectrum import residual_frequencies
 from labkit.estimation.settings import SETTINGS
+from labkit.estimation.split import second_camp
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.imaging.optics import Optics
@@ -175,7 +177,10 @@ def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
         if local.found.cut_short and k not in session.members
     ]
     findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
-    findings += [found("fit-does-not-belong", keys[k]) for k in session.outliers]
+    if session.lens is not None and second_camp(session, session.lens.model.stated):
+        findings.append(two_camps([keys[k] for k in session.members], [keys[k] for k in session.outliers]))
+    else:
+        findings += [found("fit-does-not-belong", keys[k]) for k in session.outliers]
     return findings
 
 

@@ -125,6 +125,18 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
     )
 
 
+def two_camps(members: Sequence[Key], outliers: Sequence[Key]) -> Finding:
+    """Report fits that follow one lens, and outliers that follow another."""
+    words = {"members": ", ".join(key.label for key in members), "outliers": ", ".join(key.label for key in outliers)}
+    return found(
+        "two-camps",
+        None,
+        words,
+        members=[key.array_name for key in members],
+        outliers=[key.array_name for key in outliers],
+    )
+
+
 def model_incomplete_everywhere(chi2_per_pixel: Mapping[str, float], fits: int) -> Finding:
     """Report a model that explains the frames of few fits, whose optima confirm each other.
 

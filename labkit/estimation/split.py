@@ -50,6 +50,14 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
     return Change(stations[k - 1], stations[k], _part(session, before, stated), _part(session, after, stated))
 
 
+def second_camp(session: Estimate, stated: Stated) -> bool:
+    """Whether the outliers agree with each other: they follow a lens of their own, under all its laws."""
+    observed = [_observed(session, k) for k in session.outliers]
+    if len({one.reading.station for one in observed}) < 2:
+        return False
+    return _whole(observed, stated).lens.p_value >= SETTINGS.contradiction_chance
+
+
 def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Stated) -> int | None:
     """Return the number of stations, in the order of their photographs, before a change; None if no change is detected."""
     if len(stations) < 3:

@@ -17,6 +17,7 @@ from labkit.estimation.findings import (
     model_incomplete_everywhere,
     residuals_not_noise,
     stated_model_moves,
+    two_camps,
     undetermined,
 )
 from labkit.finding import Finding, each_once
@@ -53,6 +54,7 @@ SAMPLES = [
     found("search-cut-short", GREEN, patience_s=120.0, starts=40),
     found("fit-mended", GREEN),
     found("fit-does-not-belong", GREEN),
+    two_camps([GREEN, Key(3300.0, "G")], [Key(3100.0, "G"), Key(3150.0, "G")]),
     undetermined(GREEN, ["defocus"]),
     residuals_not_noise(GREEN, 1e-6, 1.234, [], "session"),
     residuals_not_noise(GREEN, 1e-6, 1.234, [], None),
@@ -126,6 +128,12 @@ def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
 def test_every_part_of_the_camera_has_words_for_a_sentence(name: str) -> None:
     finding = camera_part_found(name, {}, None, None)
     assert finding.text.startswith(f"the photographs show {KNOWN[name].words}, which")
+
+
+def test_both_camps_are_named_with_their_keys() -> None:
+    finding = two_camps([Key(3200.0, "G"), Key(3300.0, "G")], [Key(3100.0, "G"), Key(3150.0, "G")])
+    assert "G at 3200 mm, G at 3300 mm follow one lens, G at 3100 mm, G at 3150 mm another" in finding.text
+    assert finding.numbers["outliers"] == ["3100_G", "3150_G"]
 
 
 def test_a_model_that_is_poor_for_all_says_so_once() -> None:

@@ -14,6 +14,7 @@ from labkit.estimation.local import Found
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
+from labkit.estimation.split import second_camp
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
     PLAN,
@@ -196,6 +197,20 @@ def test_fits_that_their_model_does_not_explain_have_its_errors_in_the_session()
 def judged(task: Task, *, explained: bool) -> Found:
     """The right optimum, whose residuals are noise or not."""
     return Found((optimum(task.optics, range_of(task), explained=explained),))
+
+
+@pytest.mark.parametrize(("turned", "agree"), [((2950.0, 3050.0, 3150.0), True), ((3050.0,), False)])
+def test_outliers_that_follow_a_lens_of_their_own_are_a_second_camp(turned: tuple[float, ...], agree: bool) -> None:
+    """The lens was focused anew for some of the ranges: by 0.3 waves, with 0.05 of astigmatism."""
+
+    def ends(task: Task) -> Found:
+        off = (-0.3, 0.05) if range_of(task) in turned else (0.0, 0.0)
+        return Found((optimum(task.optics, range_of(task), off=off),))
+
+    session = played(Play(ends), ranges_mm=sorted((*RANGES_MM, *turned)))
+    assert {session.fits[k].observation.range_mm for k in session.outliers} == set(turned)
+    assert session.lens is not None
+    assert second_camp(session, session.lens.model.stated) is agree
 
 
 def test_a_search_whose_process_is_killed_costs_no_other_one() -> None:
