@@ -268,8 +268,11 @@ class _Loop:
             return replace(optics, f_number=self.engraved_cone.value)
         if selection is not None and k in self.ranged:
             predicted, _ = selection.lens.predictions
-            return optics.with_camera_parameters(predicted[self.ranged.index(k), len(self.noll) : -1])
-        return optics.with_camera_parameters(self._clearest().optics.camera_parameters)
+            return _with_numbers(
+                optics, selection.lens.model.parts, predicted[self.ranged.index(k), len(self.noll) : -1]
+            )
+        clearest = self._clearest().optics
+        return _with_numbers(optics, clearest.camera_labels, clearest.camera_parameters)
 
     def _clearest(self) -> Optimum:
         """The fit to begin others from where no lens predicts them: explained, and farthest from focus."""
@@ -330,7 +333,8 @@ class _Loop:
         wanted = {}
         for k in places:
             end = self._end(k, parts)
-            optics = with_parts_of(optics_of(self.plan, self.observations[k].channel), parts, end.optics)
+            optics = _with(optics_of(self.plan, self.observations[k].channel), parts)
+            optics = _with_numbers(optics, end.optics.camera_labels, end.optics.camera_parameters)
             guess = Guesses(SETTINGS.shared_cone_std, state=end.state, deep=False, score=score)
             wanted[k] = optics, guess
         found = self.search(wanted, "fitting with other parts of the camera") if wanted else {}
@@ -430,15 +434,11 @@ def _with(optics: Optics, parts: Parts) -> Optics:
     return reduce(Optics.with_part, [name for name in KNOWN if name in parts], optics)
 
 
-def with_parts_of(stated: Optics, parts: Parts, like: Optics) -> Optics:
-    """A plan's optics with more parts, and the numbers that a fit has for those that both have."""
-    optics = _with(stated, parts)
-    known = dict(zip((*like.camera_labels, "f_number"), like.camera_parameters, strict=True))
-    parameters = [
-        known.get(label, value)
-        for label, value in zip((*optics.camera_labels, "f_number"), optics.camera_parameters, strict=True)
-    ]
-    return optics.with_camera_parameters(np.array(parameters))
+def _with_numbers(optics: Optics, labels: Sequence[str], numbers: Floats) -> Optics:
+    """Return the optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""
+    known = dict(zip((*labels, "ln N"), numbers, strict=True))
+    own = zip((*optics.camera_labels, "ln N"), optics.camera_parameters, strict=True)
+    return optics.with_camera_parameters(np.array([known.get(label, value) for label, value in own]))
 
 
 def _like(optimum: Optimum, other: Optimum) -> Optimum:

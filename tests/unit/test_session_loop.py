@@ -15,6 +15,7 @@ from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
+from labkit.plan import Plan
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
     PLAN,
@@ -197,6 +198,18 @@ def test_fits_that_their_model_does_not_explain_have_its_errors_in_the_session()
 def judged(task: Task, *, explained: bool) -> Found:
     """The right optimum, whose residuals are noise or not."""
     return Found((optimum(task.optics, range_of(task), explained=explained),))
+
+
+def test_a_camera_number_of_one_channel_is_not_taken_for_another_ones() -> None:
+    """The width of red light is fitted, that of green is not: fits begin at the f-number all the same."""
+    tables = PLAN.model_dump(mode="json", exclude_none=True)
+    lights = [light | ({"width_nm": "fit"} if light["name"] == "R" else {}) for light in tables["channel"]]
+    play = Play()
+    played(play, "GR", plan=Plan.from_tables(tables | {"channel": lights}))
+    later = [task for batch in play.batches[1:] for task in batch]
+    assert {len(task.optics.camera_labels) for task in later} == {0, 1}
+    for task in later:
+        assert np.log(task.optics.f_number) == pytest.approx(true_values(range_of(task))[-2], abs=5e-3)
 
 
 @pytest.mark.parametrize(("turned", "agree"), [((2950.0, 3050.0, 3150.0), True), ((3050.0,), False)])
