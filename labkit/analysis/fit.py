@@ -47,9 +47,6 @@ from labkit.types import Progress, no_progress
 USUAL_CHI2 = (0.9, 1.5)
 """Usual chi2 per pixel of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
-MANY = 0.5
-"""Share of wavefronts with an incomplete model, above which one finding of the session replaces theirs."""
-
 GO_ON = "fit again: that goes on where this one ended"
 """Advice after an interrupted fit: completed fits are kept."""
 
@@ -287,7 +284,7 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
     """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
     poor = [w for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains]
-    if len(poor) > MANY * len(wavefronts) and len(poor) > 1 and not any(w.missing for w in poor):
+    if 2 * len(poor) > len(wavefronts) > 1 and not any(w.missing for w in poor):
         chi2 = {w.key.array_name: w.chi2_per_pixel for w in poor}
         yield model_incomplete_everywhere(chi2, len(wavefronts))
     else:
