@@ -1,4 +1,4 @@
-"""The session's estimate, one loop: select, predict, fit again what is badly predicted, until nothing changes."""
+"""The session's estimate, one loop: select, predict, refit observations that are badly predicted, until nothing changes."""
 
 from __future__ import annotations
 
@@ -62,20 +62,20 @@ def estimate(
 
 @dataclass
 class _Loop:
-    """The state of the loop.
+    """State of the loop. Observations are named by their places in the session.
 
     Attributes
     ----------
     search : runs searches
-    plan : what the session was taken with
+    plan : the session's plan
     patience_s : processor time of one search
-    found : by place of the observation, optima with the present parts in the model
-    parts : camera parts in the model beside the plan's
-    anchors : places that were searched from nothing
-    starts : by place, predictions that were climbed from
-    deep : places that were searched without limit
-    again : places that were fitted again from a prediction because they were doubted
-    refitted : by choice of parts, fits that were climbed again with it
+    found : optima of each observation, with the present parts in the model
+    parts : camera parts in the model that the plan does not state
+    anchors : observations that were searched from nothing
+    starts : predictions from which each observation was climbed
+    deep : observations that were searched without limit
+    again : observations that were doubted and refitted from a prediction
+    refitted : refits by choice of parts
     """
 
     search: Searches
@@ -106,13 +106,13 @@ class _Loop:
     # the loop
 
     def explore(self) -> None:
-        """Fit until every observation has the optimum that the session predicts, or was asked for it."""
+        """Fit until every observation has the predicted optimum, or was climbed from the prediction."""
         while guesses := self._next():
             self._fit(guesses)
             self._choose_parts()
 
     def _next(self) -> dict[int, Guesses]:
-        """What to fit next, by place: nothing once nothing is left to gain."""
+        """Return the next fits by observation; none once no fit can gain."""
         places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.search.lost]
         left = [k for k in places if k not in self.found]
         if not self.found:
@@ -126,7 +126,7 @@ class _Loop:
         return self._badly_predicted(selection) if selection is not None else {}
 
     def _anchors(self, places: Sequence[int]) -> list[int]:
-        """The reference channel at the nearest and the farthest range; one observation where ranges are unknown."""
+        """Return the reference channel at the nearest and the farthest range; one observation if ranges are unknown."""
         channels = [self.observations[k].channel for k in places]
         first = "G" if "G" in channels else channels[0]
         of = [k for k in places if self.observations[k].channel == first]
@@ -136,10 +136,10 @@ class _Loop:
         return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
 
     def _undecided(self) -> list[int]:
-        """Fits to search further: none is explained, and they do not confirm each other either.
+        """Return the anchors if none is explained and they do not confirm each other.
 
-        Fits confirm each other where several starts came back to each one's optimum, and all belong to one lens: then the
-        model is poor for all, and nothing is searched further; neither is it after a search without limit.
+        Anchors confirm each other if several starts came back to the optimum of each and all belong to one lens: the model
+        is then incomplete for all, and no search continues. After a search without limit none continues either.
         """
         if (
             self.deep
@@ -167,9 +167,9 @@ class _Loop:
         )
 
     def _predicted(self, left: Sequence[int], selection: Selection | None) -> dict[int, Guesses]:
-        """First fits of observations: where defocus is predicted from there; else of each channel the clearest one.
+        """Return first fits: from the prediction if defocus is predicted well; else the clearest of each channel.
 
-        Far from focus an optimum is plain; near focus, where wrong optima are close, a fit starts from what others predict.
+        Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction.
         """
         if selection is None:
             waves = self._clearest().waves
@@ -193,10 +193,10 @@ class _Loop:
         return sure
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
-        """Fits to make again from what the others predict: outliers, and members whose residuals are not noise alone.
+        """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.
 
-        Where modes differ from range to range, every fit is tried with the modes of the others: the likelihood decides.
-        Where the model is poor for all, that is why they differ.
+        If modes differ from range to range, every fit is tried with the modes of the others, and the likelihood decides.
+        If the model is incomplete for all, modes differ for that reason, and no member is refitted.
         """
         lens = selection.lens
         if not lens.model.laws.shared:
@@ -220,13 +220,13 @@ class _Loop:
         return doubted
 
     def _new(self, k: int, waves: Floats) -> bool:
-        """Whether no climb of an observation began near a wavefront."""
+        """Whether no climb of an observation began near a wavefront, and further climbs are allowed."""
         before = self.starts.get(k, [])
         far = all(np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before)
         return far and len(before) < SETTINGS.tried
 
     def _known_poses(self, k: int) -> tuple[Pose, ...]:
-        """Poses of the target in the photographs of observation k, as a fit of another channel has them; else none."""
+        """Return the target's poses in the photographs of observation k from a fit of another channel; empty without one."""
         here = self.observations[k]
         for j in self.found:
             there = self.observations[j]
@@ -250,7 +250,7 @@ class _Loop:
     # fits
 
     def _fit(self, guesses: Mapping[int, Guesses]) -> None:
-        """Search, and add what is found."""
+        """Run searches, and add the optima."""
         selection = self.selection() if self.found else None
         wanted = {k: (self._optics(k, selection), guess) for k, guess in guesses.items()}
         doing = "fitting" if self.found else "searching from nothing"
@@ -261,7 +261,7 @@ class _Loop:
             self.deep |= {k} if guess.deep else set()
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
-        """Where a climb begins: cone and camera parts as the session or the most similar fit has them."""
+        """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
         observation = self.observations[k]
         optics = _with(optics_of(self.plan, observation.channel), self.parts)
         if not self.found:
@@ -275,14 +275,14 @@ class _Loop:
         return _with_numbers(optics, clearest.camera_labels, clearest.camera_parameters)
 
     def _clearest(self) -> Optimum:
-        """The fit to begin others from where no lens predicts them: explained, and farthest from focus."""
+        """Return the optimum from which others begin if no lens predicts them: explained, and farthest from focus."""
         best = [found.best for found in self.found.values()]
         return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
 
     # choices
 
     def selection(self) -> Selection | None:
-        """The choices for all observations of known range; None where none is fitted."""
+        """Return the choices for all observations of known range; None if none is fitted."""
         if self._selected is None or not _same(self._selected[0], self.found):
             self._selected = dict(self.found), self._select()
         return self._selected[1]
@@ -294,7 +294,7 @@ class _Loop:
         return select(every, self.stated)
 
     def chosen(self, k: int) -> Optimum:
-        """The optimum of observation k, with the session's sign where it has one."""
+        """Return the optimum of observation k, with the session's sign if the session decides it."""
         selection = self.selection()
         found = self.found[k]
         if selection is None or k not in self.ranged or selection.choice[self.ranged.index(k)] == OUT:
@@ -306,7 +306,7 @@ class _Loop:
     # camera parts
 
     def _choose_parts(self) -> None:
-        """Take in the camera parts that the fits show, once those from nothing are made and once all are."""
+        """Adopt the camera parts that the fits show: after the anchors, and after all fits."""
         if len(self.found) not in (len(self.anchors), len(self.observations)) or not self.found:
             return
         fits = {k: (self.observations[k].channel, self.chosen(k)) for k in self.found}
@@ -326,7 +326,7 @@ class _Loop:
             self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
-        """Climb fits again, each from its end, with other camera parts."""
+        """Refit from the present optima, with other camera parts."""
         return self._climbed(places, parts, score=True)
 
     def _climbed(self, places: Sequence[int], parts: Parts, *, score: bool) -> dict[int, Optimum]:
@@ -343,7 +343,7 @@ class _Loop:
         return made
 
     def _end(self, k: int, parts: Parts) -> Optimum:
-        """The end to climb on from: of the most similar choice of parts that was fitted."""
+        """Return the optimum to climb from: of the most similar choice of parts that was fitted."""
         fitted = [(names, made[k]) for names, made in self.refitted.items() if k in made]
         fitted.append((self.parts, self.chosen(k)))
         return min(fitted, key=lambda one: len(one[0] ^ parts))[1]
@@ -351,7 +351,7 @@ class _Loop:
     # the end
 
     def ended(self, plain: bool) -> Estimate:
-        """The estimate; without parts that the plan does not state, it is climbed once more, for comparison or instead."""
+        """Return the estimate. Without adopted parts the session is refitted, for comparison or, if `plain`, as the result."""
         self._refuse_none()
         whole = self._as_estimate()
         self.search.progress(
@@ -369,13 +369,13 @@ class _Loop:
     def _asked(
         self, session: Estimate, missing: tuple[str, ...], full: Mapping[int, Optimum], adopted: bool = True
     ) -> Estimate:
-        """The estimate with what is known of parts that its model lacks."""
+        """Return the estimate with the parts that its model lacks."""
         with_missing = tuple(full.get(k) for k in sorted(self.found))
         tried = tuple(self.camera.tried if adopted else [replace(one, adopted=False) for one in self.camera.tried])
         return replace(session, tried=tried, missing=missing, with_missing=with_missing if missing else ())
 
     def _with_stated_camera(self, whole: Estimate) -> Estimate:
-        """The session as the plan states its camera, every fit climbed from where it is right with all parts."""
+        """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
         places = sorted(self.found)
         bare = self._climbed(places, Parts(), score=False)
         fits = tuple(
@@ -419,7 +419,7 @@ class _Loop:
         )
 
     def _left_out(self) -> list[str]:
-        """Observations without a fit, in words."""
+        """Describe observations without a fit."""
         fitted = {self.observations[k].key.label for k in self.found}
         lost = [(label, why) for label, why in self.search.lost.items() if label not in fitted]
         return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
@@ -430,7 +430,7 @@ class _Loop:
 
 
 def _with(optics: Optics, parts: Parts) -> Optics:
-    """The optics with more parts, in the order of the known ones."""
+    """Return the optics with more parts, in the order of `KNOWN`."""
     return reduce(Optics.with_part, [name for name in KNOWN if name in parts], optics)
 
 
@@ -442,7 +442,7 @@ def _with_numbers(optics: Optics, labels: Sequence[str], numbers: Floats) -> Opt
 
 
 def _like(optimum: Optimum, other: Optimum) -> Optimum:
-    """An optimum or its twin, whichever is nearer another."""
+    """Return an optimum or its twin, whichever is nearer to another optimum."""
     twin = optimum.twin()
     nearer = np.linalg.norm(twin.waves - other.waves) < np.linalg.norm(optimum.waves - other.waves)
     return twin if nearer else optimum
