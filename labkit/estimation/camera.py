@@ -7,7 +7,7 @@ penalised likelihood decides. Parts with similar blur are tried in place of each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 
@@ -64,11 +64,18 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
     return losses
 
 
+def _explained(fits: Iterable[Optimum]) -> int:
+    """Return the number of fits whose residuals are noise alone."""
+    return sum(fit.verdict.accepted for fit in fits)
+
+
 def _least_gain(fits: Sequence[Optimum]) -> float:
-    """Return the log-likelihood that a part must gain if the model explains no fit: a smaller gain may have another cause."""
-    if any(fit.verdict.accepted for fit in fits):
-        return 0.0
-    return SETTINGS.few * sum(fit.unexplained for fit in fits)
+    """Return the least gain of a part: a share of what is unexplained, if most fits are unexplained.
+
+    A part with a smaller gain stands for something else that the model lacks.
+    """
+    unexplained = [fit.unexplained for fit in fits if not fit.verdict.accepted]
+    return SETTINGS.few * sum(unexplained) if 2 * len(unexplained) > len(fits) else 0.0
 
 
 @dataclass
@@ -177,5 +184,6 @@ class CameraChoice:
         gain = self._gain(ends, fits) - cost(choice) + cost(parts)
         if gain <= 0 or not choice - parts:
             return gain > 0
-        explained = any(fit.verdict.accepted for fit in fits.values())
-        return explained or gain > _least_gain([ends[k][1] for k in fits])
+        before = [ends[k][1] for k in fits]
+        explains_more = _explained(fits.values()) > _explained(before)
+        return explains_more or gain > _least_gain(before)
