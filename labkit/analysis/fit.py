@@ -16,6 +16,7 @@ from labkit.analysis.session_parts import camera_findings, model_parts
 from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
 from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
+from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.findings import model_incomplete_everywhere, residuals_not_noise, undetermined
 from labkit.estimation.joint import refined, refit_jointly
@@ -283,19 +284,20 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
 
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
     """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
-    poor = [w for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains]
-    if 2 * len(poor) > len(wavefronts) > 1 and not any(w.missing for w in poor):
-        chi2 = {w.key.array_name: w.chi2_per_pixel for w in poor}
+    poor = {w.key for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains}
+    together = len(wavefronts) > 1 and mostly_unexplained(w.key not in poor for w in wavefronts)
+    together = together and not any(w.missing for w in wavefronts if w.key in poor)
+    if together:
+        chi2 = {w.key.array_name: w.chi2_per_pixel for w in wavefronts if w.key in poor}
         yield model_incomplete_everywhere(chi2, len(wavefronts))
-    else:
-        poor = []
     for w in wavefronts:
         assert w.test is not None
+        told = together and w.key in poor
         if w.test.undetermined:
             yield undetermined(w.key, w.test.undetermined)
-        elif not w.test.explains and all(w is not one for one in poor):
+        elif not (w.test.explains or told):
             confirmed_by = w.test.name if w.test.accepted else None
             yield residuals_not_noise(w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by)
         low, high = USUAL_CHI2
-        if not low <= w.chi2_per_pixel <= high and all(w is not one for one in poor):
+        if not (low <= w.chi2_per_pixel <= high or told):
             yield found("chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high)

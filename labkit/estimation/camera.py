@@ -14,7 +14,7 @@ from functools import reduce
 import numpy as np
 from scipy.linalg import block_diag
 
-from labkit.estimation.candidate import Measured
+from labkit.estimation.candidate import Measured, mostly_unexplained
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
@@ -74,8 +74,9 @@ def _least_gain(fits: Sequence[Optimum]) -> float:
 
     A part with a smaller gain stands for something else that the model lacks.
     """
-    unexplained = [fit.unexplained for fit in fits if not fit.verdict.accepted]
-    return SETTINGS.few * sum(unexplained) if 2 * len(unexplained) > len(fits) else 0.0
+    if not mostly_unexplained(fit.verdict.accepted for fit in fits):
+        return 0.0
+    return SETTINGS.few * sum(fit.unexplained for fit in fits if not fit.verdict.accepted)
 
 
 @dataclass
@@ -87,7 +88,6 @@ class CameraChoice:
     refit : refits observations, each from its optimum, with a choice of parts
     wanted : parts that the plan requests to fit, which always stay
     tried : parts that were tested for, with their gains
-    refused : choices that did not raise the penalised likelihood
     missing : the significant part that was refused because it explains too little of the residuals
     with_missing : fits with the missing part
     """
@@ -95,7 +95,6 @@ class CameraChoice:
     refit: Refit
     wanted: Parts
     tried: list[PartTried] = field(default_factory=list)
-    refused: set[Parts] = field(default_factory=set)
     missing: tuple[str, ...] = ()
     with_missing: dict[int, Optimum] = field(default_factory=dict)
 
@@ -107,15 +106,14 @@ class CameraChoice:
         fits : channel and optimum of each fit
         parts : parts in the fits' model in addition to the plan's
         """
-        best, ends = parts, dict(fits)
-        self.refused.clear()
+        best, ends, refused = parts, dict(fits), set[Parts]()
         while True:
             for choice in self._proposals(ends, best):
-                if choice in self.refused:
+                if choice in refused:
                     continue
                 reached = self._reached(ends, best, choice)
                 if reached is None:
-                    self.refused.add(choice)
+                    refused.add(choice)
                     continue
                 best, ends = choice, reached
                 break
@@ -180,7 +178,7 @@ class CameraChoice:
     def _better(
         self, ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum], parts: Parts, choice: Parts
     ) -> bool:
-        """Whether fits with other parts gain more than the parts' cost, and a share of the unexplained log-likelihood."""
+        """Whether fits with other parts gain more than the parts' cost, and explain a further fit or their share."""
         gain = self._gain(ends, fits) - cost(choice) + cost(parts)
         if gain <= 0 or not choice - parts:
             return gain > 0

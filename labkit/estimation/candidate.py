@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -109,6 +110,12 @@ class Candidate:
     measured: Measured
     log_likelihood: float = 0.0
     explained: bool = True
+
+
+def mostly_unexplained(explained: Iterable[bool]) -> bool:
+    """Whether the residuals of most fits are not noise alone: the model is then incomplete for all."""
+    every = list(explained)
+    return 2 * every.count(False) > len(every)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Point
-from labkit.estimation.candidate import Candidate, Observed
+from labkit.estimation.candidate import Candidate, Observed, mostly_unexplained
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, Measurements, crossing, fit_lens, focus_slope
 from labkit.estimation.lens_model import LensModel
@@ -200,21 +200,16 @@ class _Choices:
 
 def poor_model(observed: Sequence[Observed]) -> bool:
     """Whether the model is incomplete for all: the residuals of most observations are not noise alone."""
-    fitted = [one for one in observed if one.candidates]
-    poor = [one for one in fitted if not any(candidate.explained for candidate in one.candidates)]
-    return 2 * len(poor) > len(fitted)
+    return mostly_unexplained(any(c.explained for c in one.candidates) for one in observed if one.candidates)
 
 
-def select(
-    observed: Sequence[Observed], stated: Stated, before: Selection | None = None, *, everyone: bool = False
-) -> Selection:
+def select(observed: Sequence[Observed], stated: Stated, *, everyone: bool = False) -> Selection:
     """Choose candidate, sign and membership of every observation, and estimate the lens.
 
     Parameters
     ----------
     observed : observations of known range with their candidates; observations without candidates are predicted
     stated : the plan's numbers
-    before : an earlier selection of the same observations in the same order, to start from
     everyone : whether all observations belong under the strictest laws, at any cost; then no sign is reported as open
 
     Returns
@@ -234,7 +229,7 @@ def select(
     if everyone:
         options.cost[:] = np.inf
     strict = _Choices(observed, options, replace(model, laws=Laws().rough()), model.groups)
-    start = _started(strict, before)
+    start = _started(strict)
     ends = [(strict, *strict.ascend(*start))]
     left_out = options.fitted & ~ends[0][2]
     if np.count_nonzero(left_out) > SETTINGS.few * np.count_nonzero(options.fitted):
@@ -311,19 +306,15 @@ def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
     return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
 
 
-def _started(choices: _Choices, before: Selection | None) -> tuple[Indices, Bools]:
-    """Return a start: earlier choices, or each observation's likeliest candidate with the sign that the ranges favour."""
+def _started(choices: _Choices) -> tuple[Indices, Bools]:
+    """Return a start: each observation's likeliest candidate with the sign that the ranges favour."""
     fitted = choices.options.fitted
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
-    members = fitted.copy()
     known = np.zeros(len(fitted), bool)
-    if before is not None:
-        known = (before.choice != OUT) & fitted
-        choice[known], members[known] = before.choice[known], before.members[known]
-    for places in _groups(choices, ~known & fitted):
+    for places in _groups(choices, fitted):
         choice[places] += _signs(choices, places, choice, known)
         known[places] = True
-    return choice, members
+    return choice, fitted
 
 
 def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:

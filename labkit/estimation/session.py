@@ -73,7 +73,7 @@ class _Loop:
     parts : camera parts in the model that the plan does not state
     anchors : observations that were searched from nothing
     starts : predictions from which each observation was climbed
-    deep : observations that were searched without limit
+    deep : whether a search without limit was made
     again : observations that were doubted and refitted from a prediction
     refitted : refits by choice of parts
     """
@@ -85,7 +85,7 @@ class _Loop:
     parts: Parts = field(default_factory=Parts)
     anchors: list[int] = field(default_factory=list)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
-    deep: set[int] = field(default_factory=set)
+    deep: bool = False
     again: set[int] = field(default_factory=set)
     refitted: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
@@ -258,7 +258,7 @@ class _Loop:
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
-            self.deep |= {k} if guess.deep else set()
+            self.deep |= guess.deep
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""

@@ -102,7 +102,8 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
     end = searched_from(sketches.problem(given[0], sketches.band), given[0])
     log.starts += 1
     plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(sketches, given[0])
-    if plausible and not (doubt_near_focus and sketches.near(end.state)):
+    believed = plausible and not (doubt_near_focus and sketches.near(end.state))
+    if believed:
         yield end.state
     if near and not log.over:
         posed = settled(sketches, given[0])
@@ -113,7 +114,7 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
         log.starts += 1
     best = max(ends, key=lambda one: one.objective).state
     log.returns = max(log.returns, sum(_near(one.state, best) for one in ends) - 1)
-    if best is not end.state or not plausible:
+    if best is not end.state or not believed:
         yield best
     if log.over:
         return

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.estimation import starts
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
-from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima, residuals
+from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima, first_state, residuals
+from labkit.estimation.sketches import Sketches, sweep
+from labkit.estimation.starts import Log
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
 from labkit.kept_fits import KeptFits
@@ -163,6 +166,20 @@ def test_a_search_without_patience_is_cut_short() -> None:
     assert len(found.optima) > 0
 
 
+def test_a_sweep_yields_a_state_though_its_end_is_doubted_and_no_time_is_left(
+    views: Views, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a lone picture near focus: its plausible end is doubted, and is all that there is."""
+    excess = iter([0.0, 1.0])  # of the end, and of where it began
+    monkeypatch.setattr(starts, "_excess", lambda sketches, state: next(excess))
+    monkeypatch.setattr(Sketches, "near", lambda sketches, state: True)
+    monkeypatch.setattr(starts, "sweep", lambda sketches, state: sweep(sketches, state)[:1])  # whose end is the best
+    first = first_state(views.frames[0], views.poses[0], views.noise, len(OPTICS.noll))
+    sketches = Sketches(OPTICS, CARPET, views.frames[0], views.poses[0], views.noise)
+    late = Log(40, 0.0, lambda step: None)
+    assert len(list(starts.swept(sketches, first, late, doubt_near_focus=True))) == 1
+
+
 def test_a_part_of_the_model_is_fitted_too(views: Views) -> None:
     camera = replace(OPTICS, parts=(LowPass(),))
     optimum = find_optima(camera, CARPET, views, Guesses(starts=(WRONG,))).best
@@ -211,8 +228,8 @@ def test_residuals_are_the_frames_less_the_fit_in_its_own_noise(views: Views, be
 
 
 def by_name(name: str) -> Found:
-    """A search as a task: never made here."""
-    raise NotImplementedError(name)
+    """A search as a task: only its name is used here."""
+    pytest.fail(f"{name} was searched for")
 
 
 def test_what_a_search_found_can_be_kept(views: Views, tmp_path: Path) -> None:

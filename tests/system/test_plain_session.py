@@ -39,9 +39,9 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
     assert plain.budget["best_focus_mm.G"]["model"] > plain.budget["best_focus_mm.G"]["photons"]
     found = compared(json.loads((folder / "results/latest/results.json").read_text()), truth)
     # without the part's share in the errors: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
-    assert np.abs(found["z"]["noll.4"]).max() < 2
+    assert np.abs(found["z"]["noll.4"]).max() < 1.8  # 0.9 measured
     others = np.concatenate([z for name, z in found["z"].items() if name.startswith("noll") and name != "noll.4"])
-    assert np.sqrt(np.mean(others**2)) < 2.4  # 1.6 measured: the smear is foreseen to first order
+    assert np.sqrt(np.mean(others**2)) < 1.7  # 0.9 measured
 
 
 @pytest.mark.slow
@@ -65,6 +65,20 @@ def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, 
         assert one.residual_spectrum is not None
         assert other.residual_spectrum is not None
         assert other.residual_spectrum.without_parts == pytest.approx(one.residual_spectrum.power, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_results_are_the_same_bit_for_bit_with_any_number_of_workers(smeared: tuple[Path, Truth]) -> None:
+    written = []
+    for count in (1, 2):
+        labkit.fit(smeared[0], workers=count, name=f"workers-{count}")
+        results = json.loads((smeared[0] / f"results/workers-{count}/results.json").read_text())
+        del results["created"]
+        for wavefront in results["wavefronts"]:
+            del wavefront["seconds"]
+        written.append(results)
+    assert len(written[0]["wavefronts"]) == 2
+    assert written[0] == written[1]
 
 
 def psf_of(results: labkit.Results) -> list[Floats]:

@@ -13,7 +13,7 @@ from labkit.estimation.candidate import Candidate, Observed
 from labkit.estimation.columns import CONE
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
-from labkit.estimation.select import OUT, Options, Selection, _Choices, select
+from labkit.estimation.select import Options, Selection, _Choices, select
 from labkit.key import Key
 from labkit.types import Bools, Floats, Indices
 from labkit.uncertain import Uncertain
@@ -165,18 +165,9 @@ def test_a_change_that_would_lower_the_likelihood_is_not_made(monkeypatch: pytes
     every = session()
     right = select(every, PLAN)
     monkeypatch.setattr(_Choices, "_proposals", twins)
-    again = select(every, PLAN, right)
+    again = select(every, PLAN)
     assert again.objective == right.objective
     np.testing.assert_array_equal(again.choice, right.choice)
-
-
-def test_a_selection_begins_where_an_earlier_one_ended() -> None:
-    every = [with_likelier(one, 0.1 + 0.02 * k) if k % 4 == 0 else one for k, one in enumerate(session())]
-    earlier = select([replace(one, candidates=()) if k > 10 else one for k, one in enumerate(every)], PLAN)
-    later, anew = select(every, PLAN, earlier), select(every, PLAN)
-    assert earlier.choice[11:].tolist() == [OUT] * 4
-    np.testing.assert_array_equal(later.choice, anew.choice)
-    assert later.objective == pytest.approx(anew.objective)
 
 
 # observations that do not belong
