@@ -14,7 +14,15 @@ from benchmarks.field import selected
 from labkit.estimation.climb import maximize
 from labkit.execute import pin_threads
 from labkit.experiments.annealing import Task, work
-from labkit.experiments.conditions import AIRY_UM, F_NUMBER, NOLL, WAVELENGTH_UM, carpet, draw_trial, random_waves
+from labkit.experiments.conditions import (
+    AIRY_UM,
+    F_NUMBER,
+    NOLL,
+    WAVELENGTH_UM,
+    carpet,
+    draw_trial,
+    random_waves,
+)
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -23,7 +31,10 @@ from labkit.optics.zernike import zernike
 from labkit.types import Floats
 
 RUNS = 7
-WAVEFRONTS, CAP_S = 4, 30.0  # searched for from nothing; after so long an annealing is ended
+WAVEFRONTS, CAP_S = (
+    4,
+    30.0,
+)  # searched for from nothing; after so long an annealing is ended
 AWAY_WAVES = 0.1  # from the truth, where a local fit starts
 PSF_SIDE, PSF_FINER = 65, 4  # samples of the PSF, and to lambda N
 PSF_ERROR = 3e-3  # summed, as a share of all light: as much as 1e-3 waves change
@@ -57,10 +68,21 @@ def evaluation() -> None:
     corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * 117 + 131.0
     poses = (Pose.from_corners(corners + 0.01 * k, carpet().size_mm) for k in count())
     held = next(poses)
-    optics = Optics(wavelength_um=0.55, reference_um=0.45, f_number=2.8, pitch_um=4.78, active_um=4.78, noll=NOLL)
+    optics = Optics(
+        wavelength_um=0.55,
+        reference_um=0.45,
+        f_number=2.8,
+        pitch_um=4.78,
+        active_um=4.78,
+        noll=NOLL,
+    )
     model = ForwardModel.build(optics, carpet(), (264, 264), held)
     torus, size = model.blur.torus, model.blur.pupil.size
-    image, field, window = np.ones(torus.fine), np.ones((size, size), complex), np.ones((size, size))
+    image, field, window = (
+        np.ones(torus.fine),
+        np.ones((size, size), complex),
+        np.ones((size, size)),
+    )
 
     def transforms() -> None:
         torus.half_spectrum(image)
@@ -70,7 +92,9 @@ def evaluation() -> None:
 
     drawing = model.draw([held])
     drawn = ratio(lambda: model.evaluate(waves, drawing, [used]), transforms)
-    new = ratio(lambda: model.evaluate(waves, model.draw([next(poses)]), [used]), transforms)
+    new = ratio(
+        lambda: model.evaluate(waves, model.draw([next(poses)]), [used]), transforms
+    )
     line("mean and Jacobian / their FFTs, 264 x 264 Bayer, f/2.8", f"{drawn:.2f}", "<= 1.5")
     line("  and with the target drawn anew, which takes no FFT", f"{new:.2f}", "<= 2.0")
 
@@ -88,16 +112,24 @@ _PUPILS: dict[int, Pupil] = {}
 
 def _pupil(size: int) -> Pupil:
     """Kept, as a fit keeps it."""
-    return _PUPILS.setdefault(size, Pupil(WAVELENGTH_UM, WAVELENGTH_UM, F_NUMBER, AIRY_UM / PSF_FINER, size, NOLL))
+    return _PUPILS.setdefault(
+        size, Pupil(WAVELENGTH_UM, WAVELENGTH_UM, F_NUMBER, AIRY_UM / PSF_FINER, size, NOLL)
+    )
 
 
 def poppys(diameter: int, waves: Floats) -> Floats:
     """The same by poppy, turned by 180 degrees as it throws light the other way."""
     system = poppy.OpticalSystem(npix=diameter, oversample=1)
     system.add_pupil(poppy.CircularAperture(radius=1.0, gray_pixel=True))
-    system.add_pupil(poppy.ZernikeWFE(radius=1.0, coefficients=[0, 0, 0, *(waves * WAVELENGTH_UM * 1e-6)]))
+    system.add_pupil(
+        poppy.ZernikeWFE(
+            radius=1.0, coefficients=[0, 0, 0, *(waves * WAVELENGTH_UM * 1e-6)]
+        )
+    )
     scale = np.degrees(WAVELENGTH_UM * 1e-6 / (2.0 * PSF_FINER)) * 3600
-    system.add_detector(pixelscale=scale * u.arcsec / u.pixel, fov_pixels=PSF_SIDE, oversample=1)
+    system.add_detector(
+        pixelscale=scale * u.arcsec / u.pixel, fov_pixels=PSF_SIDE, oversample=1
+    )
     return np.asarray(system.calc_psf(wavelength=WAVELENGTH_UM * 1e-6)[0].data[::-1, ::-1])
 
 
@@ -105,10 +137,16 @@ def exact(waves: Floats) -> Floats:
     """The same by Gauss's quadrature of the diffraction integral over the disc: it converges faster than any power."""
     nodes, weights = np.polynomial.legendre.leggauss(96)
     rho, theta = (1 + nodes[:, None]) / 2, np.arange(384) * (2 * np.pi / 384)
-    path = sum(w * zernike(j, *np.broadcast_arrays(rho, theta)) for j, w in zip(NOLL, waves, strict=True))
+    path = sum(
+        w * zernike(j, *np.broadcast_arrays(rho, theta))
+        for j, w in zip(NOLL, waves, strict=True)
+    )
     pupil = (weights[:, None] / 2 * rho * 2 / 384 * np.exp(2j * np.pi * path)).ravel()
     at = (np.arange(PSF_SIDE) - PSF_SIDE // 2) / PSF_FINER
-    by_row, by_column = (np.exp(-1j * np.pi * at[:, None] * (rho * turn(theta)).ravel()) for turn in (np.sin, np.cos))
+    by_row, by_column = (
+        np.exp(-1j * np.pi * at[:, None] * (rho * turn(theta)).ravel())
+        for turn in (np.sin, np.cos)
+    )
     return np.asarray(np.abs(by_row * pupil @ by_column.T) ** 2 * np.pi / 4 / PSF_FINER**2)
 
 
@@ -123,7 +161,11 @@ def psfs() -> None:
 
     own, other = enough(ours), enough(poppys)
     measured = ratio(lambda: poppys(other, waves), lambda: ours(own, waves))
-    line(f"PSF by poppy / ours, both right to {PSF_ERROR:g}: {other} and {own} samples", f"{measured:.0f}", "> 1")
+    line(
+        f"PSF by poppy / ours, both right to {PSF_ERROR:g}: {other} and {own} samples",
+        f"{measured:.0f}",
+        "> 1",
+    )
 
 
 def local_fit() -> None:
@@ -137,17 +179,29 @@ def local_fit() -> None:
         solution = maximize(trial.problem, start)
         took.append(perf_counter() - began)
         off.append(float(np.linalg.norm(trial.error(solution.state.waves)) / trial.bound))
-    line(f"local fit from {AWAY_WAVES:g} waves away, median of {RUNS}", f"{median(took):.2f} s", "<= 0.2 s")
+    line(
+        f"local fit from {AWAY_WAVES:g} waves away, median of {RUNS}",
+        f"{median(took):.2f} s",
+        "<= 0.2 s",
+    )
     line("  its error over the bound", f"{median(off):.2f}", "about 1")
 
 
 def global_fits() -> None:
     """Our search from nothing beside SciPy's annealing with the pose known to it."""
     answers = [work(Task(NOLL, 100 + seed, CAP_S)) for seed in range(WAVEFRONTS)]
-    search, annealing = ([getattr(a, name) for a in answers] for name in ("search", "annealing"))
+    search, annealing = (
+        [getattr(a, name) for a in answers] for name in ("search", "annealing")
+    )
     capped = sum(a.capped for a in answers)
-    line(f"global fit from nothing, test included, median of {WAVEFRONTS}", f"{median(search):.1f} s", "<= 1.5 s")
-    line("  right optimum found", f"{sum(a.found for a in answers)} of {len(answers)}", "all")
+    line(
+        f"global fit from nothing, test included, median of {WAVEFRONTS}",
+        f"{median(search):.1f} s",
+        "<= 1.5 s",
+    )
+    line(
+        "  right optimum found", f"{sum(a.found for a in answers)} of {len(answers)}", "all"
+    )
     line(
         f"dual_annealing / global fit, mean times, {WAVEFRONTS} wavefronts ({capped} cut at {CAP_S:g} s)",
         f"{sum(annealing) / sum(search):.1f}",
@@ -158,7 +212,11 @@ def global_fits() -> None:
 def field() -> None:
     """A field's candidates to its lens; the memory is this whole process's."""
     seconds, most, named = selected()
-    line("1,000 tiles x 3 ranges x 3 colours selected and solved", f"{seconds:.1f} s", "<= 10 s")
+    line(
+        "1,000 tiles x 3 ranges x 3 colours selected and solved",
+        f"{seconds:.1f} s",
+        "<= 10 s",
+    )
     line("  memory at most", f"{most:.2f} GB", "<= 1 GB")
     line("  wrong fits named, and right ones besides", named, "all, 0")
 

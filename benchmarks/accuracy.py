@@ -75,7 +75,10 @@ def run(case: Case, folder: Path) -> list[dict[str, Any]]:
 
 def _row(w: Wavefront, truth: Truth) -> dict[str, Any]:
     """A wavefront beside its truth."""
-    modes, visits = truth.modes_waves[w.channel], {visit.range_mm: visit for visit in truth.visits}
+    modes, visits = (
+        truth.modes_waves[w.channel],
+        {visit.range_mm: visit for visit in truth.visits},
+    )
     true = np.array([modes.get(j, 0.0) for j in w.noll])
     assert w.range_mm is not None
     true[0] = visits[w.range_mm].defocus_waves[w.channel]
@@ -96,7 +99,10 @@ def _print(case: Case, rows: list[dict[str, Any]], results: Results, truth: Trut
     assert focus is not None
     off = [best.value - truth.best_focus_mm[c] for c, best in focus.best_focus_mm.items()]
     magnification = focus.pupil_magnification.value - truth.pupil_magnification
-    std = [*(best.std for best in focus.best_focus_mm.values()), focus.pupil_magnification.std]
+    std = [
+        *(best.std for best in focus.best_focus_mm.values()),
+        focus.pupil_magnification.std,
+    ]
     z_focus = np.append(off, magnification) / std
     chi2 = [row["chi2"] for row in rows]
     print(
@@ -117,7 +123,12 @@ def _print(case: Case, rows: list[dict[str, Any]], results: Results, truth: Trut
 def main() -> None:
     """Run the cases asked for and sum up."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", type=int, help="which of the cases, counted from 0; all by default")
+    parser.add_argument(
+        "cases",
+        nargs="*",
+        type=int,
+        help="which of the cases, counted from 0; all by default",
+    )
     chosen = parser.parse_args().cases or range(len(CASES))
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as base:

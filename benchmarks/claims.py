@@ -6,8 +6,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-CLAIMS: dict[str, list[dict[str, Any]]] = tomllib.loads((ROOT / "benchmarks/claims.toml").read_text(encoding="utf-8"))
-BEGIN, END = "<!-- written by `make readme` from benchmarks/claims.toml -->\n", "<!-- end -->\n"
+CLAIMS: dict[str, list[dict[str, Any]]] = tomllib.loads(
+    (ROOT / "benchmarks/claims.toml").read_text(encoding="utf-8")
+)
+BEGIN, END = (
+    "<!-- written by `make readme` from benchmarks/claims.toml -->\n",
+    "<!-- end -->\n",
+)
 
 
 def limit(claim: str, figure: str) -> float:
@@ -22,7 +27,8 @@ def _held(claim: str) -> dict[str, Any]:
 def tables() -> str:
     """Both tables of the README, in Markdown."""
     held = [
-        _row(c, {k: f["measured"] for k, f in c["figures"].items()}, f"[test]({c['test']})") for c in CLAIMS["held"]
+        _row(c, {k: f["measured"] for k, f in c["figures"].items()}, f"[test]({c['test']})")
+        for c in CLAIMS["held"]
     ]
     run = [_row(c, _published(c), "") for c in CLAIMS["run"]]
     return "\n".join(
@@ -61,7 +67,9 @@ def rewritten(readme: str) -> str:
     before, began, rest = readme.partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not (began and ended):
-        raise ValueError(f"README.md has no place for the tables, between {BEGIN.strip()} and {END.strip()}")
+        raise ValueError(
+            f"README.md has no place for the tables, between {BEGIN.strip()} and {END.strip()}"
+        )
     return before + began + tables() + ended + after
 
 

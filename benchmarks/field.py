@@ -33,11 +33,18 @@ def drawn_field(rng: np.random.Generator) -> tuple[list[Observed], set[Key]]:
         for channel in COLOURS:
             off = int(rng.integers(3)) if rng.random() < 3 * WRONG_SHARE else None
             for k, range_mm in enumerate(RANGES_MM):
-                of = measured(np.array(laws(range_mm, focus_mm, 2060.0, 70.0, 2.8, 0.985)), modes)
+                of = measured(
+                    np.array(laws(range_mm, focus_mm, 2060.0, 70.0, 2.8, 0.985)), modes
+                )
                 values = rng.multivariate_normal(of.values, of.covariance)
-                one = Observed(reading(range_mm, channel, tile), (Candidate(replace(of, values=values)),))
+                one = Observed(
+                    reading(range_mm, channel, tile),
+                    (Candidate(replace(of, values=values)),),
+                )
                 if k == off:
-                    one = moved(one, rng.normal(0, 0.3), modes=0.05 + abs(rng.normal(0, 0.3)))
+                    one = moved(
+                        one, rng.normal(0, 0.3), modes=0.05 + abs(rng.normal(0, 0.3))
+                    )
                     wrong.add(one.reading.key)
                 every.append(turned(one) if rng.random() < 0.5 else one)
     return every, wrong
@@ -51,7 +58,11 @@ def selected() -> tuple[float, float, str]:
     seconds = perf_counter() - began
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     named = set(selection.outliers)
-    return seconds, most, f"{len(wrong & named)} of {len(wrong)}, {len(named - wrong)} right"
+    return (
+        seconds,
+        most,
+        f"{len(wrong & named)} of {len(wrong)}, {len(named - wrong)} right",
+    )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,13 @@ from labkit.estimation.residual_tests import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves
-from labkit.experiments.methods.optimum_tests import bootstrap, embedding, one_sided, recalibrated, two_sided
+from labkit.experiments.methods.optimum_tests import (
+    bootstrap,
+    embedding,
+    one_sided,
+    recalibrated,
+    two_sided,
+)
 from labkit.experiments.methods.psf_basis import shipped_psf_basis
 from labkit.experiments.roc import area
 from labkit.types import Floats
@@ -37,7 +43,10 @@ def residuals(problem: Problem, state: State, model_error: float) -> float:
 TESTS: dict[str, Callable[[Problem, State], float]] = {
     "Biernacki, two-sided": lambda p, s: two_sided(p, s).p_value,
     "one-sided": lambda p, s: one_sided(p, s).p_value,
-    **{f"embedding, {k} degree{'s' if k > 1 else ''}": partial(embedded, degrees=k) for k in (1, 4, 16)},
+    **{
+        f"embedding, {k} degree{'s' if k > 1 else ''}": partial(embedded, degrees=k)
+        for k in (1, 4, 16)
+    },
     "residuals": partial(residuals, model_error=0.0),
     "residuals, as in use": partial(residuals, model_error=0.01),
 }
@@ -72,7 +81,9 @@ def work(task: tuple[float, int, int]) -> Answer:
         seconds.append(perf_counter() - began)
     drawn = bootstrap(problem, state, all_tests, rng, 1)[0].tolist()
     for _ in range(starts):
-        end = maximize(problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40)
+        end = maximize(
+            problem, trial.state(random_waves(rng, len(trial.noll), 0.2)), max_steps=40
+        )
         if np.linalg.norm(trial.error(end.state.waves)) > WRONG:
             return Answer(right, drawn, all_tests(problem, end.state), seconds)
     return Answer(right, drawn, None, seconds)
@@ -80,8 +91,12 @@ def work(task: tuple[float, int, int]) -> Answer:
 
 def table(answers: list[Answer]) -> str:
     """False alarms by the tests' fast forms and by the pooled bootstrap, wrong optima rejected, and the areas under the ROC."""
-    right, drawn = (np.array([getattr(a, name) for a in answers]) for name in ("right", "drawn"))
-    wrong = np.array([a.wrong for a in answers if a.wrong is not None]).reshape(-1, len(TESTS))
+    right, drawn = (
+        np.array([getattr(a, name) for a in answers]) for name in ("right", "drawn")
+    )
+    wrong = np.array([a.wrong for a in answers if a.wrong is not None]).reshape(
+        -1, len(TESTS)
+    )
     seconds = np.median([a.seconds for a in answers], axis=0)
     ranked = np.array([[rank(p, drawn[:, k]) for k, p in enumerate(row)] for row in right])
     error = [100 * np.sqrt(level * (1 - level) / len(right)) for level in (0.01, 0.05)]
@@ -92,8 +107,12 @@ def table(answers: list[Answer]) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for k, name in enumerate(TESTS):
-        alarms = [np.mean(p[:, k] <= level) for p in (right, ranked) for level in (0.01, 0.05)]
-        caught = [np.mean(wrong[:, k] <= level) for level in (0.01, SETTINGS.contradiction_chance)]
+        alarms = [
+            np.mean(p[:, k] <= level) for p in (right, ranked) for level in (0.01, 0.05)
+        ]
+        caught = [
+            np.mean(wrong[:, k] <= level) for level in (0.01, SETTINGS.contradiction_chance)
+        ]
         cells = [f"{share:.1%}" for share in (*alarms, *caught)]
         cells += [f"{area(-right[:, k], -wrong[:, k]):.4f}", f"{1e3 * seconds[k]:.0f}"]
         lines.append(f"| {name} | {' | '.join(cells)} |")
@@ -109,10 +128,20 @@ def main() -> None:
     """Trials that an earlier run has left in the file are not run again."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=200)
-    parser.add_argument("--wrong", type=int, default=200, help="trials in which a wrong optimum is looked for")
+    parser.add_argument(
+        "--wrong",
+        type=int,
+        default=200,
+        help="trials in which a wrong optimum is looked for",
+    )
     parser.add_argument("--snr", type=float, nargs="+", default=[50.0, 75.0])
     parser.add_argument("--workers", type=int, default=default_workers())
-    parser.add_argument("--keep", type=Path, default=Path("build/local_tests.jsonl"), help="where trials are kept")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        default=Path("build/local_tests.jsonl"),
+        help="where trials are kept",
+    )
     arguments = parser.parse_args()
     kept: dict[tuple[float, int, int], Answer] = {}
     arguments.keep.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +149,10 @@ def main() -> None:
         file.seek(0)
         kept = {tuple(task): Answer(**answer) for task, answer in map(json.loads, file)}
         for snr in arguments.snr:
-            tasks = [(snr, seed, STARTS if seed < arguments.wrong else 0) for seed in range(arguments.trials)]
+            tasks = [
+                (snr, seed, STARTS if seed < arguments.wrong else 0)
+                for seed in range(arguments.trials)
+            ]
             left = [task for task in tasks if task not in kept]
             for index, answer in run_all(work, left, arguments.workers):
                 kept[left[index]] = answer

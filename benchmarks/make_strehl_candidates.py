@@ -9,11 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from labkit.experiments import methods
-from labkit.experiments.methods.strehl_candidates import NOLL, highest_on_shell, is_trivial, strehl
+from labkit.experiments.methods.strehl_candidates import (
+    NOLL,
+    highest_on_shell,
+    is_trivial,
+    strehl,
+)
 from labkit.files import write_atomically
 
 SHELLS = np.arange(0.02, 0.2001, 0.02)
-STARTS, SEED, SAME = 100, 39, 0.1  # starts a shell; the same maximum within this share of its RMS
+STARTS, SEED, SAME = (
+    100,
+    39,
+    0.1,
+)  # starts a shell; the same maximum within this share of its RMS
 
 
 def main() -> None:
@@ -31,7 +40,10 @@ def main() -> None:
         rms += [shell] * len(ends)
         waves += ends
         best, worst = strehl(ends[0])[0], strehl(ends[-1])[0]
-        print(f"{shell:.2f} waves: {len(ends)} maxima, Strehl ratio {worst:.4f} to {best:.4f}", flush=True)
+        print(
+            f"{shell:.2f} waves: {len(ends)} maxima, Strehl ratio {worst:.4f} to {best:.4f}",
+            flush=True,
+        )
     buffer = io.BytesIO()
     np.savez_compressed(buffer, rms=np.array(rms), waves=np.array(waves, np.float32))
     path = Path(methods.__file__).with_name("strehl_candidates.npz")

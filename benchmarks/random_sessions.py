@@ -18,7 +18,11 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.optics import defocus_waves, entrance_pupil_to_target_mm, image_per_tangent_mm
+from labkit.drivers.simulated.optics import (
+    defocus_waves,
+    entrance_pupil_to_target_mm,
+    image_per_tangent_mm,
+)
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Spectrum, Veil
 from labkit.drivers.simulated.world import (
     REFERENCE_NM,
@@ -96,7 +100,9 @@ def draw_many_modes(seed: int, index: int) -> Drawn:
     )
     stops = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
     drawn = _session(lens, _ranges_at(lens, best_mm, stops), "through focus", rng)
-    return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, MANY_MODES[-1])}))
+    return replace(
+        drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, MANY_MODES[-1])})
+    )
 
 
 def draw_with_parts(seed: int, index: int) -> Drawn:
@@ -116,8 +122,16 @@ def draw_with_parts(seed: int, index: int) -> Drawn:
         "smear": [float(rng.uniform(0.1, 0.5)), float(rng.uniform(0, 180))],
         "veil": [float(rng.uniform(0.005, 0.03)), _even_in_log(rng, 10, 100)],
     }
-    parts = {name: part for (name, part), has in zip(every.items(), [*likely, *rare], strict=True) if has}
-    return replace(drawn, settings=_with_parts(drawn.settings, parts), kind={**drawn.kind, "parts": parts})
+    parts = {
+        name: part
+        for (name, part), has in zip(every.items(), [*likely, *rare], strict=True)
+        if has
+    }
+    return replace(
+        drawn,
+        settings=_with_parts(drawn.settings, parts),
+        kind={**drawn.kind, "parts": parts},
+    )
 
 
 KINDS = {"any": draw, "many-modes": draw_many_modes, "with-parts": draw_with_parts}
@@ -142,13 +156,22 @@ def _lens(colours: list[str], rng: np.random.Generator) -> TrueLens:
         focal_length_mm=_even_in_log(rng, 30, min(135, best_mm / 5)),
         f_number=_even_in_log(rng, 1.8, 8),
         pupil_magnification=float(rng.uniform(0.6, 1.6)),
-        wavelength_nm={colour: float(rng.uniform(*WAVELENGTHS_NM[colour])) for colour in colours},
+        wavelength_nm={
+            colour: float(rng.uniform(*WAVELENGTHS_NM[colour])) for colour in colours
+        },
         aberration_waves=float(rng.uniform(0.05, 0.3)),
-        lateral_colour={"R": float(rng.normal(0, 1e-4)), "B": float(rng.normal(0, 1e-4))} if rng.random() < 0.3 else {},
+        lateral_colour={"R": float(rng.normal(0, 1e-4)), "B": float(rng.normal(0, 1e-4))}
+        if rng.random() < 0.3
+        else {},
     )
-    wave_mm = 1 / (_defocus(lens, best_mm + 0.5, best_mm) - _defocus(lens, best_mm - 0.5, best_mm))
+    wave_mm = 1 / (
+        _defocus(lens, best_mm + 0.5, best_mm) - _defocus(lens, best_mm - 0.5, best_mm)
+    )
     apart = [0.0, *rng.uniform(-0.2, 0.2, len(colours) - 1)]
-    focus_mm = {colour: best_mm + waves * wave_mm for colour, waves in zip(colours, apart, strict=True)}
+    focus_mm = {
+        colour: best_mm + waves * wave_mm
+        for colour, waves in zip(colours, apart, strict=True)
+    }
     return replace(lens, best_focus_mm=focus_mm)
 
 
@@ -171,8 +194,14 @@ def _with_parts(settings: BenchSettings, parts: dict[str, Any]) -> BenchSettings
     low_pass = LowPassFilter(*parts.get("low_pass_px", (0.0, 0.0)))
     return replace(
         settings,
-        lens=replace(lens, spectrum=spectra, veil=Veil(*parts["veil"]) if "veil" in parts else lens.veil),
-        sensor=replace(sensor, low_pass=low_pass, diffusion_px=parts.get("diffusion_px", 0.0)),
+        lens=replace(
+            lens,
+            spectrum=spectra,
+            veil=Veil(*parts["veil"]) if "veil" in parts else lens.veil,
+        ),
+        sensor=replace(
+            sensor, low_pass=low_pass, diffusion_px=parts.get("diffusion_px", 0.0)
+        ),
         rail=replace(rail, smear=Smear(*parts.get("smear", (0.0, 0.0)))),
     )
 
@@ -182,13 +211,22 @@ def _even_in_log(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _defocus(lens: TrueLens, range_mm: float, best_mm: float) -> float:
-    return defocus_waves(range_mm, best_mm, lens.focal_length_mm, lens.f_number, lens.pupil_magnification)
+    return defocus_waves(
+        range_mm, best_mm, lens.focal_length_mm, lens.f_number, lens.pupil_magnification
+    )
 
 
 def _true_ranges_mm(lens: TrueLens, sides: str, rng: np.random.Generator) -> list[float]:
     """Two to six, around best focus or on one side of it, up to 1.5 waves away; none where a rail does not get so far."""
-    best_mm, reach = float(np.mean(list(lens.best_focus_mm.values()))), rng.uniform(0.5, 1.5)
-    low, high = {"around": (-reach, reach), "short": (-reach, -0.1), "beyond": (0.1, reach)}[sides]
+    best_mm, reach = (
+        float(np.mean(list(lens.best_focus_mm.values()))),
+        rng.uniform(0.5, 1.5),
+    )
+    low, high = {
+        "around": (-reach, reach),
+        "short": (-reach, -0.1),
+        "beyond": (0.1, reach),
+    }[sides]
     stops = np.linspace(low, high, rng.integers(2, 7)) + rng.uniform(-0.05, 0.05)
     return _ranges_at(lens, best_mm, stops)
 
@@ -196,12 +234,22 @@ def _true_ranges_mm(lens: TrueLens, sides: str, rng: np.random.Generator) -> lis
 def _ranges_at(lens: TrueLens, best_mm: float, stops: Floats) -> list[float]:
     """Where defocus is as wanted, waves in rising order; none where that is too far from best focus for a rail."""
     near_mm, far_mm = best_mm / 1.3, best_mm * 1.3
-    if not _defocus(lens, near_mm, best_mm) < stops[0] < stops[-1] < _defocus(lens, far_mm, best_mm):
+    if (
+        not _defocus(lens, near_mm, best_mm)
+        < stops[0]
+        < stops[-1]
+        < _defocus(lens, far_mm, best_mm)
+    ):
         return []
-    return [brentq(lambda mm, waves=waves: _defocus(lens, mm, best_mm) - waves, near_mm, far_mm) for waves in stops]
+    return [
+        brentq(lambda mm, waves=waves: _defocus(lens, mm, best_mm) - waves, near_mm, far_mm)
+        for waves in stops
+    ]
 
 
-def _session(lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.Generator) -> Drawn:
+def _session(
+    lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.Generator
+) -> Drawn:
     """Plan and world; what the plan states is off by its standard errors."""
     tape_mm = float(rng.normal(0, TAPE_STD_MM))
     stated_mm = [round(mm - tape_mm, 1) for mm in ranges_mm]
@@ -225,15 +273,31 @@ def _session(lens: TrueLens, ranges_mm: list[float], sides: str, rng: np.random.
     order = int(rng.choice([3, 4]))
     size_mm = round(0.76 * rows * sensor.pitch_um * 1e-3 / _scale(lens, ranges_mm[0]), 3)
     pitch_mm = size_mm * (1 + rng.normal(0, SIZE_STD)) / 3**order
-    halo_um = min(HALO_UM, HALO_AIRY * max(lens.wavelength_nm.values()) * 1e-3 * lens.f_number)
+    halo_um = min(
+        HALO_UM, HALO_AIRY * max(lens.wavelength_nm.values()) * 1e-3 * lens.f_number
+    )
     panel = TruePanel(pixels=(PANEL_PIXELS,) * 2, pitch_mm=pitch_mm)
     settings = BenchSettings(
-        int(rng.integers(2**31)), lens, sensor, panel, rail, TruePose(2.0, 3.0, 3.0), halo_um, SAMPLES
+        int(rng.integers(2**31)),
+        lens,
+        sensor,
+        panel,
+        rail,
+        TruePose(2.0, 3.0, 3.0),
+        halo_um,
+        SAMPLES,
     )
     others = [colour for colour in lens.wavelength_nm if colour != "G"]
-    chosen = sorted(["G", *rng.permutation(others)[: rng.integers(0, 3)]], key="RGB".index)  # the truth's f is green's
+    chosen = sorted(
+        ["G", *rng.permutation(others)[: rng.integers(0, 3)]], key="RGB".index
+    )  # the truth's f is green's
     plan = _plan(settings, chosen, stated_mm, order, size_mm, rng)
-    kind = {"ranges": sides, "electrons": electrons, "colours": len(chosen), "mono": sensor.pattern == "mono"}
+    kind = {
+        "ranges": sides,
+        "electrons": electrons,
+        "colours": len(chosen),
+        "mono": sensor.pattern == "mono",
+    }
     return Drawn(plan, settings, kind)
 
 
@@ -255,12 +319,24 @@ def _plan(
     lens, sensor, rail = settings.lens, settings.sensor, settings.rail
     engraved_mm = lens.focal_length_mm * (1 + rng.normal(0, FOCAL_STD))
     engraved = lens.f_number * (1 + rng.normal(0, F_NUMBER_STD))
-    levels = {"black_level": sensor.black_level, "white_level": sensor.white_level, "cfa_pattern": "mono"}
-    stated_nm = {colour: lens.wavelength_nm[colour] * (1 + rng.normal(0, WAVELENGTH_STD)) for colour in colours}
+    levels = {
+        "black_level": sensor.black_level,
+        "white_level": sensor.white_level,
+        "cfa_pattern": "mono",
+    }
+    stated_nm = {
+        colour: lens.wavelength_nm[colour] * (1 + rng.normal(0, WAVELENGTH_STD))
+        for colour in colours
+    }
     tables = {
         "lens": {"focal_length_mm": engraved_mm, "f_number": engraved},
-        "sensor": {"pixel_pitch_um": sensor.pitch_um, **(levels if sensor.pattern == "mono" else {})},
-        "channel": [{"name": colour, "wavelength_nm": nm} for colour, nm in stated_nm.items()],
+        "sensor": {
+            "pixel_pitch_um": sensor.pitch_um,
+            **(levels if sensor.pattern == "mono" else {}),
+        },
+        "channel": [
+            {"name": colour, "wavelength_nm": nm} for colour, nm in stated_nm.items()
+        ],
         "target": {"kind": "sierpinski", "order": order, "size_mm": size_mm},
         "fit": {
             "zernike_noll": [4, 15],
@@ -274,7 +350,12 @@ def _plan(
             "flats_per_range": 3,
             "darks": 3,
         },
-        "rail": {"address": ADDRESS, "ranges_mm": stated_mm, "range_at_zero_mm": rail.range_at_zero_mm, "settle_s": 0},
+        "rail": {
+            "address": ADDRESS,
+            "ranges_mm": stated_mm,
+            "range_at_zero_mm": rail.range_at_zero_mm,
+            "settle_s": 0,
+        },
         "display": {
             "address": ADDRESS,
             "pixel_pitch_mm": size_mm / 3**order,

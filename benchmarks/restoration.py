@@ -28,10 +28,22 @@ def job(side: int, colours: str, samples: int) -> Job:
     scene = ndimage.gaussian_filter(rng.normal(size=(side, side)), 4)
     counts = 3000 * np.exp(scene / scene.std() / 2)
     counts = counts + rng.normal(size=counts.shape) * np.sqrt(0.45 * counts)
-    optics = Optics(wavelength_um=0.65, reference_um=0.45, f_number=2.87, pitch_um=4.78, active_um=4.78, noll=(4, 11))
+    optics = Optics(
+        wavelength_um=0.65,
+        reference_um=0.45,
+        f_number=2.87,
+        pitch_um=4.78,
+        active_um=4.78,
+        noll=(4, 11),
+    )
     lenses = [
         Colour(
-            name, PLACES[name], replace(optics, wavelength_um=WAVELENGTHS_UM[name]), np.array([1.0, 0.03]), 0.45, 1.3
+            name,
+            PLACES[name],
+            replace(optics, wavelength_um=WAVELENGTHS_UM[name]),
+            np.array([1.0, 0.03]),
+            0.45,
+            1.3,
         )
         for name in colours
     ]
@@ -43,7 +55,11 @@ def main() -> None:
     """Print the times."""
     for what, taken, tile in (
         ("128 x 128 counts of red, 6 samples a pixel", job(256, "R", 6), 256),
-        (f"a tile of {TILE_PX} pixels in colour, 1 sample a pixel", job(TILE_PX + 2 * OVERLAP_PX, "RGB", 1), 1024),
+        (
+            f"a tile of {TILE_PX} pixels in colour, 1 sample a pixel",
+            job(TILE_PX + 2 * OVERLAP_PX, "RGB", 1),
+            1024,
+        ),
     ):
         began = perf_counter()
         restore_job(taken, 1e4, tile, OVERLAP_PX)
@@ -53,7 +69,9 @@ def main() -> None:
             f"{what}: {seconds:.1f} s, {memory_bytes(taken, tile, OVERLAP_PX) / 1e9:.2f} GB stated, {peak:.2f} GB at most"
         )
     count = math.ceil(MEGAPIXELS * 1e6 / TILE_PX**2)
-    print(f"{MEGAPIXELS:g} megapixels are {count} such tiles: {count * seconds / 2 / 60:.0f} minutes on two cores")
+    print(
+        f"{MEGAPIXELS:g} megapixels are {count} such tiles: {count * seconds / 2 / 60:.0f} minutes on two cores"
+    )
 
 
 if __name__ == "__main__":

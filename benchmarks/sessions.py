@@ -87,9 +87,14 @@ def run(job: Job) -> Line:
             labkit.fit(folder, workers=1, plain=job.plain)
             results = json.loads((folder / "results/latest/results.json").read_text())
             line |= compared(results, truth) | _diagnosed(results)
-        except Exception as error:  # whatever it is, it is a finding of the study and not its end
+        except (
+            Exception
+        ) as error:  # whatever it is, it is a finding of the study and not its end
             line["failed"] = f"{type(error).__name__}: {error}"
-    return line | {"making_s": round(made - started, 1), "fitting_s": round(time.perf_counter() - made, 1)}
+    return line | {
+        "making_s": round(made - started, 1),
+        "fitting_s": round(time.perf_counter() - made, 1),
+    }
 
 
 def _described(job: Job, drawn: Drawn) -> Line:
@@ -118,7 +123,10 @@ def compared(results: Line, truth: Truth) -> Line:
     Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch.
     """
     zero_mm = truth.visits[0].range_zero_mm
-    best_mm = {colour: mm + truth.range_zero_mm - zero_mm for colour, mm in truth.best_focus_mm.items()}
+    best_mm = {
+        colour: mm + truth.range_zero_mm - zero_mm
+        for colour, mm in truth.best_focus_mm.items()
+    }
     z: dict[str, list[float]] = {}
     lens, focus = results.get("lens") or {}, results.get("focus") or {}
     pupils = lens.get("pupil_magnification") or focus.get("pupil_magnification")
@@ -129,15 +137,25 @@ def compared(results: Line, truth: Truth) -> Line:
     for colour, best in focus.get("best_focus_mm", {}).items():
         _add(z, "best_focus", best, best_mm[colour])
     counts = dict.fromkeys(COUNTS, 0)
-    counts["mended"] = sum(finding["code"] == "fit-mended" for finding in results["findings"])
+    counts["mended"] = sum(
+        finding["code"] == "fit-mended" for finding in results["findings"]
+    )
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results["wavefronts"]:
-        true = {**truth.modes_waves[w["channel"]], 4: visits[w["range_mm"]].defocus_waves[w["channel"]]}
+        true = {
+            **truth.modes_waves[w["channel"]],
+            4: visits[w["range_mm"]].defocus_waves[w["channel"]],
+        }
         errors = np.array(w["waves_rms"]) - [true[j] for j in w["noll"]]
-        accepted, wrong = w["global_test"]["accepted"], _is_wrong(errors[1:], np.array(w["std"][1:]))
+        accepted, wrong = (
+            w["global_test"]["accepted"],
+            _is_wrong(errors[1:], np.array(w["std"][1:])),
+        )
         counts["fits"] += 1
         if wrong or not accepted:
-            counts[f"{'wrong' if wrong else 'right'}_{'accepted' if accepted else 'rejected'}"] += 1
+            counts[
+                f"{'wrong' if wrong else 'right'}_{'accepted' if accepted else 'rejected'}"
+            ] += 1
         for j, value in zip(w["noll"], errors / w["std"], strict=True):
             z.setdefault(f"noll.{j}", []).append(float(value))
     return {"z": z, **counts}
@@ -146,7 +164,11 @@ def compared(results: Line, truth: Truth) -> Line:
 def _diagnosed(results: Line) -> Line:
     """Parts of the camera that were found, and the most that each of the others was seen to gain, in log-likelihood."""
     found = list(dict.fromkeys(name.split(".")[0] for name in results["model_parts"]))
-    last = {tried["part"]: tried["gain"] for tried in results["parts_tried"] if not tried["adopted"]}
+    last = {
+        tried["part"]: tried["gain"]
+        for tried in results["parts_tried"]
+        if not tried["adopted"]
+    }
     gains = {name: gain for name, gain in last.items() if name not in found}
     return {"found": found, "gains": gains, "widest_light_nm": results["widest_light_nm"]}
 
@@ -157,16 +179,26 @@ def parts_table(lines: Iterable[Line]) -> Iterator[str]:
     A part that was not found is missed where it would have gained more than is called for. One found that the camera has not
     stands in for another where that one, blur of the same kind, was not found, and is invented else.
     """
-    done = [(set(map(PARTS.get, line["parts"])), line) for line in lines if line["failed"] is None and "parts" in line]
+    done = [
+        (set(map(PARTS.get, line["parts"])), line)
+        for line in lines
+        if line["failed"] is None and "parts" in line
+    ]
     for name in (*PARTS.values(), TURNED) if done else ():
         with_it = [line for true, line in done if name in true]
         found = sum(name in line["found"] for line in with_it)
         missed = sum(
-            name not in line["found"] and line["gains"].get(name, 0.0) > SETTINGS.part_cost for line in with_it
+            name not in line["found"] and line["gains"].get(name, 0.0) > SETTINGS.part_cost
+            for line in with_it
         )
-        more = [(true, line) for true, line in done if name in line["found"] and name not in true]
+        more = [
+            (true, line)
+            for true, line in done
+            if name in line["found"] and name not in true
+        ]
         stands_in = sum(
-            name in BLURS and any(b in true and b not in line["found"] for b in BLURS) for true, line in more
+            name in BLURS and any(b in true and b not in line["found"] for b in BLURS)
+            for true, line in more
         )
         yield (
             f"{name}: found in {found} of the {len(with_it)} that have it, missed in {missed}; in the other "
@@ -228,7 +260,12 @@ def table(lines: Iterable[Line]) -> Iterator[str]:
     heads = f"{'median |z|':>12}{'all within 1':>14}{'KS p':>9}{far_of_all:>20}"
     yield f"{'error / stated error':<22}{'n':>6}{'mean':>8}{'std':>7}{heads}"
     for name, keys in ROWS.items():
-        known = [(line["index"], line["z"][key]) for line in done for key in keys if key in line["z"]]
+        known = [
+            (line["index"], line["z"][key])
+            for line in done
+            for key in keys
+            if key in line["z"]
+        ]
         if known:
             z = np.array([values[index % len(values)] for index, values in known])
             sizes = np.abs(np.concatenate([values for _, values in known]))
@@ -237,7 +274,9 @@ def table(lines: Iterable[Line]) -> Iterator[str]:
             beyond = f"{far.sum()} of {far.size}"
             yield f"{name:<22}{z.size:>6}{z.mean():>8.2f}{z.std():>7.2f}{middle:>12.2f}{within:>14}{p:>9.2g}{beyond:>20}"
     yield "a unit normal has mean 0, std 1, median |z| 0.67 and 68 % within 1"
-    counts = (f"{key.replace('_', ' ')} {sum(line[key] for line in done)}" for key in COUNTS)
+    counts = (
+        f"{key.replace('_', ' ')} {sum(line[key] for line in done)}" for key in COUNTS
+    )
     yield f"{len(done)} sessions: {', '.join(counts)}"
     seconds = [sum(line[key] for line in every) for key in ("making_s", "fitting_s")]
     yield f"{seconds[0]:.0f} s of making, {seconds[1]:.0f} s of fitting"
@@ -254,13 +293,21 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="keep the sessions in this folder")
-    parser.add_argument("--study", choices=KINDS, default="any", help="which sessions are drawn")
-    parser.add_argument("--plain", action="store_true", help="fit with no part that the plan does not state")
+    parser.add_argument(
+        "--study", choices=KINDS, default="any", help="which sessions are drawn"
+    )
+    parser.add_argument(
+        "--plain", action="store_true", help="fit with no part that the plan does not state"
+    )
     asked = parser.parse_args()
     kind = (asked.study, asked.seed, asked.plain)
 
     def of_study() -> list[Line]:
-        return [line for line in read(asked.out) if (line["study"], line["seed"], line["plain"]) == kind]
+        return [
+            line
+            for line in read(asked.out)
+            if (line["study"], line["seed"], line["plain"]) == kind
+        ]
 
     done = {line["index"] for line in of_study()}
     left = [index for index in range(asked.sessions) if index not in done]

@@ -29,7 +29,10 @@ def left(small: PhaseRetrieval, waves_rms: float) -> float:
     components, perfect = small_problem._components(small.pupil)
     rng, shares = np.random.default_rng(5), []
     for _ in range(PSFS):
-        waves = np.append(np.zeros(len(small_problem.TILTS)), random_waves(rng, len(small.optics.noll), waves_rms))
+        waves = np.append(
+            np.zeros(len(small_problem.TILTS)),
+            random_waves(rng, len(small.optics.noll), waves_rms),
+        )
         departure = (small.pupil.psf(waves) - perfect).ravel()
         rest = departure - components.T @ (components @ departure)
         shares.append(np.linalg.norm(rest) / np.linalg.norm(departure))
@@ -44,11 +47,17 @@ def case(noll: Sequence[int], waves_rms: float, pictures: int) -> str:
         rng = np.random.default_rng([seed, round(SNR), len(modes), round(100 * waves_rms)])
         trial = draw_trial(rng, snr=SNR, noll=modes, waves_rms=waves_rms)
         here = trial.state(np.zeros(len(modes)))
-        small = PhaseRetrieval.prepare(optics(modes), carpet(), trial.frame, trial.noise, here)
+        small = PhaseRetrieval.prepare(
+            optics(modes), carpet(), trial.frame, trial.noise, here
+        )
         true_end = small.descend(trial.waves)
         error = trial.error(true_end.state.waves)
         ends = [small.descend(small.random_waves(rng)) for _ in range(STARTS)]
-        others = [e for e in ends if np.linalg.norm(trial.error(e.state.waves) - error) >= SAME_END]
+        others = [
+            e
+            for e in ends
+            if np.linalg.norm(trial.error(e.state.waves) - error) >= SAME_END
+        ]
         errors.append(float(np.linalg.norm(error)))
         ratios.append(min((e.misfit for e in others), default=np.inf) / true_end.misfit)
         right += STARTS - len(others)

@@ -31,7 +31,9 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Note what an element has of these."""
         given = dict(attrs)
-        self.anchors.update(value for key, value in attrs if key in ("id", "name") and value)
+        self.anchors.update(
+            value for key, value in attrs if key in ("id", "name") and value
+        )
         place = given.get("href") or given.get("src")
         if place:
             (self.links if tag == "a" else self.loaded).append(place)
@@ -39,10 +41,15 @@ class Page(HTMLParser):
 
 def dead_links(site: Path) -> Iterator[str]:
     """Links to files or anchors that are not there, and files that a page would load from elsewhere."""
-    pages = {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+    pages = {
+        path: Page(path.read_text(encoding="utf-8"))
+        for path in sorted(site.rglob("*.html"))
+    }
     for path, page in pages.items():
         where = path.relative_to(site)
-        yield from (f"{where}: loads {place}" for place in page.loaded if urlsplit(place).netloc)
+        yield from (
+            f"{where}: loads {place}" for place in page.loaded if urlsplit(place).netloc
+        )
         for place in (*page.links, *page.loaded):
             parts = urlsplit(place)
             if parts.scheme or parts.netloc:
@@ -50,7 +57,11 @@ def dead_links(site: Path) -> Iterator[str]:
             file = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not file.is_file():
                 yield f"{where}: {place} is not there"
-            elif parts.fragment and file in pages and unquote(parts.fragment) not in pages[file].anchors:
+            elif (
+                parts.fragment
+                and file in pages
+                and unquote(parts.fragment) not in pages[file].anchors
+            ):
                 yield f"{where}: {place} has no such anchor"
 
 
@@ -67,20 +78,28 @@ class Index:
         self.words: dict[str, set[int]] = {}
         for table in (found["terms"], found["titleterms"]):
             for word, pages in table.items():
-                self.words.setdefault(word, set()).update([pages] if isinstance(pages, int) else pages)
+                self.words.setdefault(word, set()).update(
+                    [pages] if isinstance(pages, int) else pages
+                )
 
     def search(self, query: str) -> set[str]:
         """Pages that hold every word of a query."""
         pages = set(range(len(self.pages)))
         for word in WORD.findall(query.lower()):
             if word not in self.stemmer.stopwords and len(word) > 1 and not word.isdigit():
-                pages &= self.words.get(self.stemmer.stem(word), set()) | self.words.get(word, set())
+                pages &= self.words.get(self.stemmer.stem(word), set()) | self.words.get(
+                    word, set()
+                )
         return {self.pages[page] for page in pages}
 
 
 def not_found(index: Index) -> Iterator[str]:
     """Public names, plan keys, commands and codes of findings that a search for them does not lead to."""
-    wanted = [("reference/api", f"labkit.{name}") for name in labkit.__all__ if name != "__version__"]
+    wanted = [
+        ("reference/api", f"labkit.{name}")
+        for name in labkit.__all__
+        if name != "__version__"
+    ]
     wanted += [("reference/plan", key) for key, _ in keys()]
     wanted += [("reference/commands", path) for path, _ in leaves()]
     wanted += [("troubleshooting/", code) for code in TEXTS]

@@ -20,7 +20,9 @@ myst_heading_anchors = 4
 exclude_patterns = ["generators"]
 highlight_language = "text"
 nitpicky = True
-nitpick_ignore_regex = [("py:.*", r"(?!labkit\.).*")]  # types by their bare names; links in the text have whole ones
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!labkit\.).*")
+]  # types by their bare names; links in the text have whole ones
 
 smartquotes = False
 
@@ -37,5 +39,7 @@ pygments_style = "friendly"
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Fill the places for what is generated before a page is parsed."""
-    app.connect("source-read", lambda app, name, source: source.__setitem__(0, filled(source[0])))
+    app.connect(
+        "source-read", lambda app, name, source: source.__setitem__(0, filled(source[0]))
+    )
     return {"parallel_read_safe": True, "parallel_write_safe": True}

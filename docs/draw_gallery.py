@@ -28,17 +28,29 @@ def main(folder: Path, photographs: Path | None = None) -> None:
     PICTURES.mkdir(exist_ok=True)
     browser_path = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=browser_path, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE)
+        browser = playwright.chromium.launch(
+            executable_path=browser_path, args=["--no-sandbox"]
+        )
+        page = browser.new_page(
+            viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE
+        )
         for example in EXAMPLES:
             if not (folder / example.report).exists():
-                if photographs is None and any(PHOTOGRAPHS in command for command in example.commands):
+                if photographs is None and any(
+                    PHOTOGRAPHS in command for command in example.commands
+                ):
                     continue
                 for command in example.commands:
                     words = (
-                        command.replace("examples/", f"{ROOT}/examples/").replace(PHOTOGRAPHS, str(photographs)).split()
+                        command.replace("examples/", f"{ROOT}/examples/")
+                        .replace(PHOTOGRAPHS, str(photographs))
+                        .split()
                     )
-                    subprocess.run([str(Path(sys.executable).with_name(words[0])), *words[1:]], cwd=folder, check=True)
+                    subprocess.run(
+                        [str(Path(sys.executable).with_name(words[0])), *words[1:]],
+                        cwd=folder,
+                        check=True,
+                    )
             page.goto((folder / example.report).resolve().as_uri())
             page.screenshot(path=PICTURES / f"{example.name}.png")
         browser.close()

@@ -23,5 +23,7 @@ def _inline(self: Any, node: nodes.math) -> None:
 def _block(self: Any, node: nodes.math_block) -> None:
     number = f'<span class="eqno">({node["number"]})</span>' if node.get("number") else ""
     anchor = f' id="{node["ids"][0]}"' if node.get("ids") else ""
-    self.body.append(f'<div class="math"{anchor}>{number}{convert(node.astext(), display="block")}</div>')
+    self.body.append(
+        f'<div class="math"{anchor}>{number}{convert(node.astext(), display="block")}</div>'
+    )
     raise nodes.SkipNode

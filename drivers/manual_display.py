@@ -20,7 +20,9 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> ManualDisp
     if address != "manual:":
         raise PlanError(f'display.address = "{address}": allowed is manual:')
     panel = paper_panel(open_target(plan.target))
-    return ManualDisplay(lambda text: context.operator.ask(text, wants="done"), panel, context.glass)
+    return ManualDisplay(
+        lambda text: context.operator.ask(text, wants="done"), panel, context.glass
+    )
 
 
 class ManualDisplay(ClosesItself):
@@ -31,7 +33,9 @@ class ManualDisplay(ClosesItself):
 
     on_paper = True
 
-    def __init__(self, ask: Callable[[str], object], panel: PanelInfo, glass: Glass) -> None:
+    def __init__(
+        self, ask: Callable[[str], object], panel: PanelInfo, glass: Glass
+    ) -> None:
         self._ask = ask
         self._panel = panel
         self._glass = glass
@@ -52,7 +56,11 @@ class ManualDisplay(ClosesItself):
                 self._ask(wanted)
                 self._there = wanted
         self._glass.shows(picture)
-        return Shown(self._panel.pixels if isinstance(picture, str) else (picture.shape[0], picture.shape[1]))
+        return Shown(
+            self._panel.pixels
+            if isinstance(picture, str)
+            else (picture.shape[0], picture.shape[1])
+        )
 
     def close(self) -> None:
         """Nothing to let go."""

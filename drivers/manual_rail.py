@@ -48,7 +48,9 @@ class ManualRail(ClosesItself):
         Raises RailLimitError outside the travel, RailError without a usable answer, and what `ask` raises.
         """
         if not SCALE.low_mm <= position_mm <= SCALE.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {SCALE.low_mm:g}..{SCALE.high_mm:g} mm")
+            raise RailLimitError(
+                f"{position_mm:.3f} mm is outside {SCALE.low_mm:g}..{SCALE.high_mm:g} mm"
+            )
         below_mm = position_mm - self._run_up_mm
         request = (
             f"Set the rail to {position_mm:.3f} mm, coming from {below_mm:.3f} mm or less, clamp it, "
@@ -56,7 +58,9 @@ class ManualRail(ClosesItself):
         )
         question = request
         for _ in range(TRIES):
-            answer = self._ask(question).strip().removesuffix("mm").strip().replace(",", ".")
+            answer = (
+                self._ask(question).strip().removesuffix("mm").strip().replace(",", ".")
+            )
             try:
                 at_mm = float(answer)
             except ValueError:
@@ -65,7 +69,9 @@ class ManualRail(ClosesItself):
             if abs(at_mm - position_mm) <= NEAR_MM:
                 return at_mm
             question = f"{at_mm:g} mm is more than {NEAR_MM:g} mm away. {request}"
-        raise RailError(f"nobody set the manual rail to {position_mm:.3f} mm: {question.partition('. ')[0]}")
+        raise RailError(
+            f"nobody set the manual rail to {position_mm:.3f} mm: {question.partition('. ')[0]}"
+        )
 
     def stop(self) -> None:
         """A person stops by themselves."""

@@ -37,7 +37,12 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
     assert plan.rail
     folder.mkdir(parents=True, exist_ok=True)
     rail_settings = plan.rail
-    ends = sorted(map(rail_settings.position_mm, (min(rail_settings.ranges_mm), max(rail_settings.ranges_mm))))
+    ends = sorted(
+        map(
+            rail_settings.position_mm,
+            (min(rail_settings.ranges_mm), max(rail_settings.ranges_mm)),
+        )
+    )
     found: list[tuple[float, str]] = []
 
     def note(kind: str, document: Any) -> None:
@@ -49,12 +54,17 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
         bench.camera.configure(ExposureSettings(plan.camera.exposure_s, plan.camera.iso))
         bench.display.show(picture_for(plan, bench).grey)
         bench.rail.home()
-        rail, camera = ScanRail(bench.rail, settle_s=plan.rail.settle_s), ScanCamera(bench.camera, folder)
+        rail, camera = (
+            ScanRail(bench.rail, settle_s=plan.rail.settle_s),
+            ScanCamera(bench.camera, folder),
+        )
         RunEngine()(scan([camera], rail, *ends, stops), note)
     return found
 
 
 if __name__ == "__main__":
-    chosen = Plan.load(Path(sys.argv[2])) if len(sys.argv) > 2 else Plan.parse(SIMULATED, Path())
+    chosen = (
+        Plan.load(Path(sys.argv[2])) if len(sys.argv) > 2 else Plan.parse(SIMULATED, Path())
+    )
     for range_mm, file in focus_scan(chosen, Path(sys.argv[1])):
         print(f"{range_mm:.3f} mm  {file}")

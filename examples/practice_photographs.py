@@ -25,7 +25,12 @@ PLAN = Plan.from_tables(
         "channel": [{"name": "G", "wavelength_nm": 550.0}],
         "target": {"kind": "sierpinski", "order": 3, "size_mm": 10.8},
         "camera": {"address": BENCH, "exposure_s": 0.02},
-        "rail": {"address": BENCH, "ranges_mm": [1500.0, 1580.0], "range_at_zero_mm": 1450.0, "settle_s": 0.0},
+        "rail": {
+            "address": BENCH,
+            "ranges_mm": [1500.0, 1580.0],
+            "range_at_zero_mm": 1450.0,
+            "settle_s": 0.0,
+        },
         "display": {"address": BENCH, "pixel_pitch_mm": 0.1, "pixels": [400, 400]},
     }
 )

@@ -110,7 +110,9 @@ def check(photographs: Path, work: Path) -> Outcome:
     focus = um * np.array([measured.values[0] for measured in sandwich])
     std = um * np.sqrt([measured.covariance[0, 0] for measured in sandwich])
     places = np.array([corners_found(bands[nm], fits[nm]) for nm in BANDS])
-    sizes = np.array([np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places])
+    sizes = np.array(
+        [np.sqrt(cv2.contourArea(place.astype(np.float32))) for place in places]
+    )
     middle = list(BANDS).index(550)
     outcome = Outcome(
         focus,
@@ -136,7 +138,9 @@ class Band:
 
     def fit(self, *starts: Floats) -> Found:
         """Search from wavefronts (modes,), or where there are none from nothing."""
-        views = Views(self.observation.frames, self.observation.poses, self.observation.noise)
+        views = Views(
+            self.observation.frames, self.observation.poses, self.observation.noise
+        )
         guesses = Guesses(self.f_number_std, starts=starts, deep=not starts, alone=False)
         return find_optima(self.optics, self.target, views, guesses)
 
@@ -144,7 +148,10 @@ class Band:
 def together(bands: dict[int, Band]) -> dict[int, Found]:
     """Every band fitted, from the first one outwards."""
     fits = {FIRST_NM: bands[FIRST_NM].fit()}
-    shorter, longer = ([nm for nm in BANDS if (nm > FIRST_NM) is up and nm != FIRST_NM] for up in (False, True))
+    shorter, longer = (
+        [nm for nm in BANDS if (nm > FIRST_NM) is up and nm != FIRST_NM]
+        for up in (False, True)
+    )
     for row in (shorter[::-1], longer):
         for beside, nm in zip([FIRST_NM, *row], row, strict=False):
             fits[nm] = bands[nm].fit(fits[beside].best.waves)
@@ -167,14 +174,20 @@ def disks_of(folder: Path) -> npt.NDArray[np.bool_]:
 def corners_of(disks: npt.NDArray[np.bool_]) -> Floats:
     """(4, 2) corners (row, col) of the squares of the disks that are fitted: a grid looks the same one disk farther on."""
     _, _, box, middle = cv2.connectedComponentsWithStats(disks.astype(np.uint8))
-    whole = (box[:, 0] > 0) & (box[:, 1] > 0) & (box[:, :2] + box[:, 2:4] < disks.shape[::-1]).all(axis=1)
+    whole = (
+        (box[:, 0] > 0)
+        & (box[:, 1] > 0)
+        & (box[:, :2] + box[:, 2:4] < disks.shape[::-1]).all(axis=1)
+    )
     whole[0] = False  # what is no disk
     at = middle[whole]
     # columns lie 68 px apart and lean by 3.5 px a row, rows 63 px and 1.45 px a column
     steps = np.array([[68.0, 1.45], [-3.5, 63.3]])
     grid = np.rint((at - at[np.argmin(at.sum(axis=1))]) @ np.linalg.inv(steps))
     homography, _ = cv2.findHomography(grid, at)
-    (top, bottom), (left, right) = ((first - 0.5, last - 0.5) for first, last in (ROWS, COLS))
+    (top, bottom), (left, right) = (
+        (first - 0.5, last - 0.5) for first, last in (ROWS, COLS)
+    )
     ends = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     return np.asarray(cv2.perspectiveTransform(ends[None], homography)[0][:, ::-1])
 
@@ -186,8 +199,15 @@ def band_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Band:
     path = photograph(photographs, nm, ms)
     shutil.copyfile(path, folder / path.name)
     (folder / "frames.csv").write_text(f"file,kind,range_mm\n{path.name},target,\n")
-    values = {"channel": channel, "nm": float(nm), "corners": np.round(corners, 2).tolist(), "diameter": 9 * DIAMETER}
-    (folder / "plan.toml").write_text(PLAN.format(**values, f_number=F_NUMBER, reference=REFERENCE_NM))
+    values = {
+        "channel": channel,
+        "nm": float(nm),
+        "corners": np.round(corners, 2).tolist(),
+        "diameter": 9 * DIAMETER,
+    }
+    (folder / "plan.toml").write_text(
+        PLAN.format(**values, f_number=F_NUMBER, reference=REFERENCE_NM)
+    )
     session = import_frames(folder / "frames.csv", folder / "plan.toml", folder / "session")
     plan, target = session.plan, open_target(session.plan.target)
     (observation,), _ = observe(session, plan, target)
@@ -197,13 +217,17 @@ def band_of(photographs: Path, folder: Path, nm: int, corners: Floats) -> Band:
 
 def corners_found(band: Band, found: Found) -> Floats:
     """(4, 2) (row, col) of the target's corners in the frame."""
-    return np.asarray(found.best.state.poses[0].corners_px() + np.array(band.observation.origin_px))
+    return np.asarray(
+        found.best.state.poses[0].corners_px() + np.array(band.observation.origin_px)
+    )
 
 
 def chi2_of_parabola(focus: Floats, std: Floats) -> float:
     """In wavelength, of the one that fits best."""
     design = np.vander((np.array(list(BANDS)) - REFERENCE_NM) / 150, 3) / std[:, None]
-    return float(np.sum((focus / std - design @ np.linalg.lstsq(design, focus / std)[0]) ** 2))
+    return float(
+        np.sum((focus / std - design @ np.linalg.lstsq(design, focus / std)[0]) ** 2)
+    )
 
 
 def nonlinearity(photographs: Path) -> float:
@@ -212,13 +236,26 @@ def nonlinearity(photographs: Path) -> float:
     Of exposures in which no colour clips, for what spills from full pixels is not the ladder's; of means above 10 of 255, and
     three of them at least. The line need not go through 0: numbers were cut to 8 bit.
     """
-    away = cv2.distanceTransform((~disks_of(photographs)).astype(np.uint8), cv2.DIST_L2, 5) > 8
+    away = (
+        cv2.distanceTransform((~disks_of(photographs)).astype(np.uint8), cv2.DIST_L2, 5) > 8
+    )
     worst = 0.0
     for nm in BANDS:
-        every = [(ms, read_raw(photograph(photographs, nm, ms), SENSOR)) for ms in EXPOSURES_MS]
-        ladder = [(ms, mosaic) for ms, mosaic in every if (mosaic.counts >= mosaic.white).mean() < 1e-4]
+        every = [
+            (ms, read_raw(photograph(photographs, nm, ms), SENSOR)) for ms in EXPOSURES_MS
+        ]
+        ladder = [
+            (ms, mosaic)
+            for ms, mosaic in every
+            if (mosaic.counts >= mosaic.white).mean() < 1e-4
+        ]
         for colour in "RGB":
-            steps = np.array([(ms, mosaic.counts[away & mosaic.channel_mask(colour)].mean()) for ms, mosaic in ladder])
+            steps = np.array(
+                [
+                    (ms, mosaic.counts[away & mosaic.channel_mask(colour)].mean())
+                    for ms, mosaic in ladder
+                ]
+            )
             steps = steps[steps[:, 1] > 10]
             if len(steps) >= 3:
                 design = np.column_stack((steps[:, 0], np.ones(len(steps)))) / steps[:, 1:]
@@ -234,18 +271,28 @@ def draw(outcome: Outcome, path: Path) -> None:
     nm = np.array(list(BANDS), dtype=np.float64)
     focus.errorbar(nm, outcome.focus_um, outcome.std_um, fmt="o", capsize=3)
     fine = np.linspace(nm[0], nm[-1], 200)
-    focus.plot(fine, np.polyval(np.polyfit(nm, outcome.focus_um, 2, w=1 / outcome.std_um), fine))
-    focus.set(xlabel="wavelength, nm", ylabel="defocus at the sensor, µm, or all its negative")
+    focus.plot(
+        fine, np.polyval(np.polyfit(nm, outcome.focus_um, 2, w=1 / outcome.std_um), fine)
+    )
+    focus.set(
+        xlabel="wavelength, nm", ylabel="defocus at the sensor, µm, or all its negative"
+    )
     lateral.plot(nm, 1e5 * (outcome.size - 1), "o-", label="size, 1e-5")
-    lateral.plot(nm, 100 * outcome.centre_px[:, 0], "s-", label="row of the middle, 0.01 px")
-    lateral.plot(nm, 100 * outcome.centre_px[:, 1], "^-", label="column of the middle, 0.01 px")
+    lateral.plot(
+        nm, 100 * outcome.centre_px[:, 0], "s-", label="row of the middle, 0.01 px"
+    )
+    lateral.plot(
+        nm, 100 * outcome.centre_px[:, 1], "^-", label="column of the middle, 0.01 px"
+    )
     lateral.set(xlabel="wavelength, nm", ylabel="beside 550 nm")
     lateral.legend()
     figure.savefig(path, dpi=100)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("photographs", type=Path)
     parser.add_argument("work", type=Path)
     asked = parser.parse_args()
@@ -258,7 +305,9 @@ def main() -> None:
         )
     print(f"optimum at {FIRST_NM} nm {'settled' if outcome.settled else 'open'}")
     print(f"a parabola through the defocus: chi2 {outcome.chi2:.1f} of 4 degrees")
-    print(f"exposures depart from a line by {outcome.nonlinear:.2%} at most\ndrawn: {asked.work / 'real_disks.png'}")
+    print(
+        f"exposures depart from a line by {outcome.nonlinear:.2%} at most\ndrawn: {asked.work / 'real_disks.png'}"
+    )
 
 
 if __name__ == "__main__":

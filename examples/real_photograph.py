@@ -77,9 +77,13 @@ def check(photographs: Path, work: Path, *, find: bool = False) -> Outcome:
     run("fit", session, "--diagnose")
     results = session / "results" / "latest"
     with np.load(results / "residuals.npz") as arrays:
-        data, model = (arrays[f"{name}_none_G"][0, 0].astype(float) for name in ("data", "model"))
+        data, model = (
+            arrays[f"{name}_none_G"][0, 0].astype(float) for name in ("data", "model")
+        )
     with np.load(results / "psf.npz") as arrays:
-        mtf = mtf_with_pixel(arrays["psf_none_G"].astype(float), float(arrays["spacing_um"]))
+        mtf = mtf_with_pixel(
+            arrays["psf_none_G"].astype(float), float(arrays["spacing_um"])
+        )
     draw(data, model, work / "real_photograph.png")
     used = np.isfinite(data)
     found = json.loads((results / "results.json").read_text())
@@ -102,14 +106,20 @@ def run(*words: str | Path) -> None:
     subprocess.run([Path(sys.executable).with_name("labkit"), *words], check=True)
 
 
-def mtf_with_pixel(psf: npt.NDArray[np.float64], spacing_um: float) -> dict[str, tuple[float, ...]]:
+def mtf_with_pixel(
+    psf: npt.NDArray[np.float64], spacing_um: float
+) -> dict[str, tuple[float, ...]]:
     """MTF of optics and pixel together at FREQUENCIES along x (columns) and y (rows)."""
     place = (np.arange(len(psf)) - len(psf) // 2) * spacing_um
     mtf = {}
     for axis, line in (("x", psf.sum(axis=0)), ("y", psf.sum(axis=1))):
-        optics = [abs(np.sum(line * np.exp(-2j * np.pi * f / PITCH_UM * place))) for f in FREQUENCIES]
+        optics = [
+            abs(np.sum(line * np.exp(-2j * np.pi * f / PITCH_UM * place)))
+            for f in FREQUENCIES
+        ]
         mtf[axis] = tuple(
-            float(o * np.sinc(f / PITCH_UM * ACTIVE_UM)) for o, f in zip(optics, FREQUENCIES, strict=True)
+            float(o * np.sinc(f / PITCH_UM * ACTIVE_UM))
+            for o, f in zip(optics, FREQUENCIES, strict=True)
         )
     return mtf
 
@@ -119,7 +129,9 @@ def draw(data: npt.NDArray[np.float64], model: npt.NDArray[np.float64], path: Pa
     figure = Figure(figsize=(15, 5), layout="constrained")
     axes = figure.subplots(1, 3)
     low, high = np.nanpercentile(data, [1, 99])
-    for axis, image, title in zip(axes, (data, model), ("photograph", "model"), strict=False):
+    for axis, image, title in zip(
+        axes, (data, model), ("photograph", "model"), strict=False
+    ):
         drawn = axis.imshow(image, cmap="gray", vmin=low, vmax=high)
         axis.set_title(title)
         figure.colorbar(drawn, ax=axis, shrink=0.8, label="grey levels")
@@ -128,26 +140,46 @@ def draw(data: npt.NDArray[np.float64], model: npt.NDArray[np.float64], path: Pa
     figure.colorbar(drawn, ax=axes[2], shrink=0.8, label="grey levels")
     rows, columns = np.nonzero(np.isfinite(data))
     for axis in axes:
-        axis.set(xlim=(columns.min() - 1, columns.max() + 1), ylim=(rows.max() + 1, rows.min() - 1), xlabel="pixels")
+        axis.set(
+            xlim=(columns.min() - 1, columns.max() + 1),
+            ylim=(rows.max() + 1, rows.min() - 1),
+            xlabel="pixels",
+        )
     figure.savefig(path, dpi=100)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("photographs", type=Path)
     parser.add_argument("work", type=Path)
     parser.add_argument("--find", action="store_true")
     asked = parser.parse_args()
     outcome = check(asked.photographs, asked.work, find=asked.find)
-    print(f"residual {outcome.residual:.2f} grey levels of {outcome.signal:.1f}, {outcome.pixels} pixels")
-    print(f"optimum {'settled' if outcome.settled else 'open'} after {outcome.starts} starts, {outcome.seconds:.0f} s")
+    print(
+        f"residual {outcome.residual:.2f} grey levels of {outcome.signal:.1f}, {outcome.pixels} pixels"
+    )
+    print(
+        f"optimum {'settled' if outcome.settled else 'open'} after {outcome.starts} starts, {outcome.seconds:.0f} s"
+    )
     why = f"no part of a camera that we know gains more than {max(outcome.gained.values()):.1f} of log-likelihood"
-    print("the model explains the data" if outcome.explained else f"the model does not explain the data: {why}")
-    print("MTF of optics and pixel\ncycles/px  " + "  ".join(f"{axis}: here  Delbracio" for axis in DELBRACIO))
+    print(
+        "the model explains the data"
+        if outcome.explained
+        else f"the model does not explain the data: {why}"
+    )
+    print(
+        "MTF of optics and pixel\ncycles/px  "
+        + "  ".join(f"{axis}: here  Delbracio" for axis in DELBRACIO)
+    )
     for i, frequency in enumerate(FREQUENCIES):
         print(
             f"{frequency:9.2f}"
-            + "".join(f"{outcome.mtf[axis][i]:11.3f}{DELBRACIO[axis][i]:9.3f}" for axis in DELBRACIO)
+            + "".join(
+                f"{outcome.mtf[axis][i]:11.3f}{DELBRACIO[axis][i]:9.3f}"
+                for axis in DELBRACIO
+            )
         )
     print("drawn:", asked.work / "real_photograph.png")
 

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def real_array(name: str, value: ArrayLike, shape: Sequence[int | None] | None, unit: str) -> NDArray[np.float64]:
+def real_array(
+    name: str, value: ArrayLike, shape: Sequence[int | None] | None, unit: str
+) -> NDArray[np.float64]:
     """The value as float64, of the given shape, where None stands for any length; None alone for any shape.
 
     Raises ValueError that names the argument, its shape and its unit for another shape, for what is no real number
@@ -15,15 +17,24 @@ def real_array(name: str, value: ArrayLike, shape: Sequence[int | None] | None, 
     """
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name}: real numbers are needed ({unit}), not {array.dtype} of shape {array.shape}")
+        raise ValueError(
+            f"{name}: real numbers are needed ({unit}), not {array.dtype} of shape {array.shape}"
+        )
     shape = array.shape if shape is None else shape
     wanted = (
-        "(" + ", ".join("any" if side is None else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
+        "("
+        + ", ".join("any" if side is None else str(side) for side in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
     )
-    if array.ndim != len(shape) or any(side not in (None, have) for side, have in zip(shape, array.shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        side not in (None, have) for side, have in zip(shape, array.shape, strict=True)
+    ):
         raise ValueError(f"{name} has shape {array.shape}; {wanted} is needed ({unit})")
     if wrong := array.size - np.count_nonzero(np.isfinite(array)):
-        raise ValueError(f"{name}, shape {array.shape}: {wrong} of {array.size} values are not finite ({unit})")
+        raise ValueError(
+            f"{name}, shape {array.shape}: {wrong} of {array.size} values are not finite ({unit})"
+        )
     return array.astype(np.float64)
 
 
@@ -35,7 +46,9 @@ def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.
             f"{name}: a boolean mask of shape {tuple(shape)} is needed, not {array.dtype} of shape {array.shape}"
         )
     if array.shape != tuple(shape):
-        raise ValueError(f"{name} has shape {array.shape}; a mask of shape {tuple(shape)} is needed")
+        raise ValueError(
+            f"{name} has shape {array.shape}; a mask of shape {tuple(shape)} is needed"
+        )
     return array
 
 

@@ -15,7 +15,14 @@ from typing import Any
 import segno
 from rich.console import Console as Terminal
 from rich.console import RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+)
 from rich.table import Column
 from rich.text import Text
 
@@ -152,13 +159,17 @@ class _Work:
 
     def line(self) -> str:
         done = f" {self.pace.done}/{self.pace.total}" if self.pace.total else ""
-        return f"labkit: {self.doing}{done}, {self.times()}" + (f": {printable(self.step)}" if self.step else "")
+        return f"labkit: {self.doing}{done}, {self.times()}" + (
+            f": {printable(self.step)}" if self.step else ""
+        )
 
 
 class _Bar(Progress):
     """A bar, and below it what is being done, cut where the line ends."""
 
-    def __init__(self, work: _Work, *columns: ProgressColumn, console: Terminal, transient: bool) -> None:
+    def __init__(
+        self, work: _Work, *columns: ProgressColumn, console: Terminal, transient: bool
+    ) -> None:
         self._work = work
         super().__init__(*columns, console=console, transient=transient)
 

@@ -126,7 +126,10 @@ class Comparison:
         return [
             [
                 f"{c.quantity} / {c.unit}" if c.unit else c.quantity,
-                *(f"{number:.{decimals(c.std)}f}" for number in (c.truth, c.estimate, c.std)),
+                *(
+                    f"{number:.{decimals(c.std)}f}"
+                    for number in (c.truth, c.estimate, c.std)
+                ),
                 f"{(c.estimate - c.truth) / c.std:+.1f}",
             ]
             for c in self.compared
@@ -154,7 +157,9 @@ class Comparison:
         return {
             "report": str(self.report),
             "compared": [asdict(c) for c in self.compared],
-            "wavefronts": [{**asdict(w), "error_rms": w.error_rms} for w in self.wavefronts],
+            "wavefronts": [
+                {**asdict(w), "error_rms": w.error_rms} for w in self.wavefronts
+            ],
         }
 
 
@@ -177,7 +182,10 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         (bench,) = context.shared.values()
     with progress("fitting") as report:
         results = fit(folder, progress=report)
-    compared, wavefronts = compare(results, bench.truth), compare_wavefronts(results, bench.truth)
+    compared, wavefronts = (
+        compare(results, bench.truth),
+        compare_wavefronts(results, bench.truth),
+    )
     return Comparison(tuple(compared), tuple(wavefronts), write_report(results))
 
 
@@ -185,15 +193,25 @@ def compare(results: Results, truth: Any) -> Iterator[Compared]:
     """Each estimate beside its truth: best focus, pupil magnification, the lens, defocus."""
     focus = results.focus
     for channel, best in (focus.best_focus_mm if focus else {}).items():
-        yield Compared(f"best focus {channel}", "mm", truth.best_focus_mm[channel], best.value, best.std)
+        yield Compared(
+            f"best focus {channel}",
+            "mm",
+            truth.best_focus_mm[channel],
+            best.value,
+            best.std,
+        )
     if focus:
         mp = focus.pupil_magnification
-        yield Compared("pupil magnification", "", truth.pupil_magnification, mp.value, mp.std)
+        yield Compared(
+            "pupil magnification", "", truth.pupil_magnification, mp.value, mp.std
+        )
     if lens := results.lens:
         f, n, zero = lens.focal_length, lens.f_number, lens.range_zero
         yield Compared("focal length", "mm", truth.focal_length_mm, f.value, f.std)
         yield Compared("f-number at infinity", "", truth.f_number, n.value, n.std)
-        yield Compared("true ranges less stated", "mm", truth.range_zero_mm, zero.value, zero.std)
+        yield Compared(
+            "true ranges less stated", "mm", truth.range_zero_mm, zero.value, zero.std
+        )
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results:
         if w.defocus and w.range_mm in visits:
@@ -207,7 +225,10 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results:
         if w.range_mm is not None and w.range_mm in visits:
-            modes = {**truth.modes_waves[w.channel], 4: visits[w.range_mm].defocus_waves[w.channel]}
+            modes = {
+                **truth.modes_waves[w.channel],
+                4: visits[w.range_mm].defocus_waves[w.channel],
+            }
             true = tuple(modes.get(j, 0.0) for j in w.noll)
             estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))
             yield ComparedWavefront(w.channel, w.range_mm, w.noll, true, estimate, std)
@@ -240,7 +261,9 @@ def _on_the_path() -> str:
     activate = Path(sys.prefix) / "bin" / "activate"
     if activate.exists():
         ways.insert(0, f"  source {activate}   (in each shell)")
-    return "\n".join(["The command labkit is not on your path. One of these puts it there:", *ways])
+    return "\n".join(
+        ["The command labkit is not on your path. One of these puts it there:", *ways]
+    )
 
 
 def new_folder(base: Path) -> Path:

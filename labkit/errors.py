@@ -77,7 +77,9 @@ class LostTasksError(LabkitError):
     def __init__(self, lost: Sequence[tuple[Any, str]]) -> None:
         self.lost = tuple(lost)
         reasons = "; ".join(dict.fromkeys(why for _, why in lost))
-        super().__init__(f"{len(lost)} of the tasks did not come to an end: {reasons}; try with --workers 1")
+        super().__init__(
+            f"{len(lost)} of the tasks did not come to an end: {reasons}; try with --workers 1"
+        )
 
 
 class DeviceError(LabkitError):
@@ -106,7 +108,9 @@ class DisplayError(DeviceError):
 
 def printable(text: str) -> str:
     """The text with everything that does not print, such as control characters, escaped as in Python."""
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+    return "".join(
+        letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text
+    )
 
 
 def shown(value: object) -> str:

@@ -67,14 +67,20 @@ INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class Run(Protocol):
     """Maps a function over tasks, as `Workers` does."""
 
-    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
         """Yield (index, result) as they finish. Raises LostTasksError in the end for those that never did."""
         ...
 
 
 def default_workers() -> int:
     """As many as this process may use processors."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
 
 
 def pin_threads() -> None:
@@ -95,7 +101,9 @@ def _keep_freed_memory() -> None:
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
-def run_all(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[tuple[int, Result]]:
+def run_all(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+) -> Iterator[tuple[int, Result]]:
     """Map a function over tasks; yields (index, result) as they finish. As `Workers`, for once."""
     with Workers(workers if len(tasks) > 1 else min(workers, 1)) as run:
         yield from run(function, tasks)
@@ -148,7 +156,9 @@ class Workers:
                 for _ in range(self._count):
                     self._processes().submit(_import, module)
 
-    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
         """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
         lost: dict[int, str] = {}
         if self._count == 1:
@@ -163,7 +173,10 @@ class Workers:
             raise LostTasksError([(tasks[index], why) for index, why in lost.items()])
 
     def _spread(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: dict[int, str]
+        self,
+        function: Callable[[Task], Result],
+        tasks: Sequence[Task],
+        lost: dict[int, str],
     ) -> Iterator[tuple[int, Result]]:
         """All at once; those that were under way when a process was killed, or that lacked memory, one at a time."""
         left = self._stored(tasks)
@@ -181,7 +194,10 @@ class Workers:
                 suspects += failed
 
     def _round(
-        self, function: Callable[[Task], Result], stored: Mapping[int, Path], failed: dict[int, str]
+        self,
+        function: Callable[[Task], Result],
+        stored: Mapping[int, Path],
+        failed: dict[int, str],
     ) -> Iterator[tuple[int, Result]]:
         """Some tasks, all at once; `failed` is filled with those that lacked memory, or may be why a process was killed."""
         futures = self._submitted(function, stored)
@@ -199,7 +215,9 @@ class Workers:
         if any(isinstance(future.exception(), BrokenProcessPool) for future in futures):
             self._close_pool()
             if not failed:  # killed before it had begun anything
-                failed |= dict.fromkeys((i for f, i in futures.items() if f.exception() is not None), KILLED)
+                failed |= dict.fromkeys(
+                    (i for f, i in futures.items() if f.exception() is not None), KILLED
+                )
         for index in failed:
             _begun(stored[index]).unlink(missing_ok=True)
 
@@ -209,7 +227,9 @@ class Workers:
         """Futures as they end; what their processes say meanwhile is heard."""
         left, said, heard = set(futures), dict[int, str](), self._heard
         while left:
-            done, left = first_done(left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED)
+            done, left = first_done(
+                left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED
+            )
             yield from done
             if heard is None:
                 continue
@@ -230,14 +250,22 @@ class Workers:
             _said(path).unlink(missing_ok=True)
         return stored
 
-    def _submitted(self, function: Callable[[Task], Result], stored: Mapping[int, Path]) -> dict[Future[Result], int]:
+    def _submitted(
+        self, function: Callable[[Task], Result], stored: Mapping[int, Path]
+    ) -> dict[Future[Result], int]:
         of_main = getattr(function, "__module__", None) == "__main__"
         with _interrupt_held(), nullcontext() if of_main else _main_hidden():
             try:
-                return {self._processes().submit(_run_stored, function, path): index for index, path in stored.items()}
+                return {
+                    self._processes().submit(_run_stored, function, path): index
+                    for index, path in stored.items()
+                }
             except BrokenProcessPool:  # killed before there was anything to do
                 self._close_pool()
-                return {self._processes().submit(_run_stored, function, path): index for index, path in stored.items()}
+                return {
+                    self._processes().submit(_run_stored, function, path): index
+                    for index, path in stored.items()
+                }
 
     def _processes(self) -> ProcessPoolExecutor:
         """The processes, begun if need be."""
@@ -245,7 +273,9 @@ class Workers:
             # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(
-                self._count, mp_context=context, initializer=partial(_begin, self._tasks_folder())
+                self._count,
+                mp_context=context,
+                initializer=partial(_begin, self._tasks_folder()),
             )
         return self._pool
 
@@ -318,7 +348,10 @@ def _run_stored(function: Callable[[Task], Result], stored: Path) -> Result:
         with suppress(OSError):  # on a full disk it is unheard
             _said(stored).write_text(step, encoding="utf-8")
 
-    with _saying(heard), looked_up_by(lambda digest: _read(_of_digest(stored.parent, digest))):
+    with (
+        _saying(heard),
+        looked_up_by(lambda digest: _read(_of_digest(stored.parent, digest))),
+    ):
         return function(pickle.loads(stored.read_bytes()))
 
 
@@ -349,7 +382,9 @@ def _main_hidden() -> Iterator[None]:
     """Processes that are begun until the end do not run the script that began them anew, as Python has them do: it would
     have to keep its work behind `if __name__ == "__main__"`, and nothing in it is needed."""
     main = vars(sys.modules["__main__"])
-    kept: dict[str, object] = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    kept: dict[str, object] = {
+        name: main[name] for name in ("__file__", "__spec__") if name in main
+    }
     main.update(dict.fromkeys(kept))
     try:
         yield
@@ -367,7 +402,11 @@ def _interrupt_held() -> Iterator[None]:
     handlers = {}
     if in_main:
         # those that are ignored, as under nohup, or end the process, as everywhere but on the command line, stay so
-        handlers = {number: kept for number in INTERRUPTS if callable(kept := signal.getsignal(number))}
+        handlers = {
+            number: kept
+            for number in INTERRUPTS
+            if callable(kept := signal.getsignal(number))
+        }
         for number in handlers:
             signal.signal(number, lambda caught, _: held.append(caught))
     try:

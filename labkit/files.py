@@ -108,18 +108,27 @@ def checksum_problem(path: Path, sha256: str) -> str | None:
     if not path.is_file():
         return f"{path}: missing"
     try:
-        return None if sha256_of(path) == sha256 else f"{path}: does not fit its checksum: it was altered or is damaged"
+        return (
+            None
+            if sha256_of(path) == sha256
+            else f"{path}: does not fit its checksum: it was altered or is damaged"
+        )
     except OSError as error:
         return f"{path}: cannot be read: {error.strerror}"
 
 
 def is_name(name: Any) -> bool:
     """Whether it is a string that is safe as a file name anywhere."""
-    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name) is not None
+    return (
+        isinstance(name, str)
+        and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name) is not None
+    )
 
 
 def check_name(name: str) -> str:
     """`name` if it is safe as a file name anywhere. Raises SessionError otherwise."""
     if not is_name(name):
-        raise SessionError(f"name {name!r}: allowed is letters, digits, '.', '_' and '-', 200 at most, no '.' first")
+        raise SessionError(
+            f"name {name!r}: allowed is letters, digits, '.', '_' and '-', 200 at most, no '.' first"
+        )
     return name

@@ -59,7 +59,10 @@ def places_of(pattern: Pattern, name: str) -> tuple[Place, ...]:
     if pattern == MONO:
         return ((0, 0),)
     places = tuple(
-        (row, column) for row, colours in enumerate(pattern) for column, colour in enumerate(colours) if colour == name
+        (row, column)
+        for row, colours in enumerate(pattern)
+        for column, colour in enumerate(colours)
+        if colour == name
     )
     if not places:
         raise RawError(f"no channel {name} in this filter array: {''.join(pattern)}")

@@ -45,16 +45,29 @@ class Finding:
 
     def __post_init__(self) -> None:
         if not KEBAB_CASE.fullmatch(self.code):
-            raise ValueError(f"code {self.code!r}: allowed are lower-case words with hyphens between")
-        object.__setattr__(self, "numbers", {name: _plain(value) for name, value in self.numbers.items()})
+            raise ValueError(
+                f"code {self.code!r}: allowed are lower-case words with hyphens between"
+            )
+        object.__setattr__(
+            self, "numbers", {name: _plain(value) for name, value in self.numbers.items()}
+        )
 
     def __str__(self) -> str:
         return self.text
 
     def as_json(self) -> dict[str, JSON]:
         """Return an entry of "findings" in results.json; `warns` shows in "warnings"."""
-        where = {"range_mm": None, "channel": None, "tile": None} if self.key is None else self.key.as_json()
-        return {"code": self.code, "where": where, "numbers": self.numbers, "text": self.text}
+        where = (
+            {"range_mm": None, "channel": None, "tile": None}
+            if self.key is None
+            else self.key.as_json()
+        )
+        return {
+            "code": self.code,
+            "where": where,
+            "numbers": self.numbers,
+            "text": self.text,
+        }
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any], warnings: Collection[str]) -> Finding:

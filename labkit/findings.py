@@ -132,7 +132,13 @@ NO_ANSWER = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
 """Codes that say what was to be estimated and could not be."""
 
 
-def found(code: str, key: Key | None = None, words: Mapping[str, str] | None = None, /, **numbers: JSON) -> Finding:
+def found(
+    code: str,
+    key: Key | None = None,
+    words: Mapping[str, str] | None = None,
+    /,
+    **numbers: JSON,
+) -> Finding:
     """Make a finding.
 
     Parameters
@@ -147,23 +153,31 @@ def found(code: str, key: Key | None = None, words: Mapping[str, str] | None = N
         `code` is not in `TEXTS`, or its sentence needs another number.
     """
     where = {} if key is None else {"where": key.label}
-    return Finding(code, key, numbers, TEXTS[code].format(**{**where, **numbers, **(words or {})}))
+    return Finding(
+        code, key, numbers, TEXTS[code].format(**{**where, **numbers, **(words or {})})
+    )
 
 
 def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Finding:
     """A range has no flats; those of the nearest range serve it."""
     words = {"where": _at(range_mm), "taken": _at(taken_mm)}
-    return found("flats-of-another-range", None, words, range_mm=range_mm, taken_mm=taken_mm)
+    return found(
+        "flats-of-another-range", None, words, range_mm=range_mm, taken_mm=taken_mm
+    )
 
 
 def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
     """A share of the frame, 0 to 1, is unlit in the flats of a range."""
-    return found("flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit)
+    return found(
+        "flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit
+    )
 
 
 def unanswered(findings: Collection[Finding]) -> str | None:
     """Return what was to be estimated and could not be, in words; None where all was."""
-    return "; ".join(finding.text for finding in findings if finding.code in NO_ANSWER) or None
+    return (
+        "; ".join(finding.text for finding in findings if finding.code in NO_ANSWER) or None
+    )
 
 
 def _at(range_mm: float | None) -> str:

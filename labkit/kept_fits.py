@@ -37,7 +37,9 @@ class KeptFits:
         self._folder = folder
         self.problem: str | None = None
 
-    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
         """Map tasks, see `Run`; stored results come first."""
         places = [self._folder / _key(function, task) for task in tasks]
         missing = []
@@ -47,7 +49,9 @@ class KeptFits:
                 missing.append(index)
             else:
                 yield index, found
-        for index, result in self._run(function, [tasks[index] for index in missing]) if missing else ():
+        for index, result in (
+            self._run(function, [tasks[index] for index in missing]) if missing else ()
+        ):
             self._keep(places[missing[index]], result)
             yield missing[index], result
 
@@ -85,7 +89,9 @@ class _Unpickler(pickle.Unpickler):
 
 def _read(place: Path) -> Any:
     """Read a stored result; None if there is none, or if it cannot be read."""
-    with suppress(Exception):  # unpickling what is damaged raises what it likes; such a fit is made again
+    with suppress(
+        Exception
+    ):  # unpickling what is damaged raises what it likes; such a fit is made again
         return _Unpickler(io.BytesIO(place.read_bytes())).load()
     return None
 

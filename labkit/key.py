@@ -64,12 +64,19 @@ class Key:
         if tile is not None:
             row, column = tile
             tile = int(row), int(column)
-        return cls(None if range_mm is None else float(range_mm), str(entry["channel"]), tile)
+        return cls(
+            None if range_mm is None else float(range_mm), str(entry["channel"]), tile
+        )
 
     @property
     def _rank(self) -> tuple[bool, float, str, tuple[int, ...]]:
         """Keys without a range come first, and whole frames before their tiles."""
-        return self.range_mm is not None, self.range_mm or 0.0, self.channel, self.tile or ()
+        return (
+            self.range_mm is not None,
+            self.range_mm or 0.0,
+            self.channel,
+            self.tile or (),
+        )
 
 
 def rounded(range_mm: float | None) -> float | None:

@@ -21,7 +21,12 @@ SAME = 0.02  # relative: numbers of two plans that differ by more are of two cam
 
 
 def check_same_camera(
-    results: Results, plan: Plan, channels: Collection[str], camera: str = "", *, force: bool = False
+    results: Results,
+    plan: Plan,
+    channels: Collection[str],
+    camera: str = "",
+    *,
+    force: bool = False,
 ) -> list[str]:
     """What speaks against a session's PSF in photographs of a plan: other lens, aperture, sensor, channel, or camera body.
 
@@ -47,7 +52,11 @@ def _numbers(theirs: Plan, ours: Plan) -> list[str]:
         "sensor.pixel_pitch_um": (ours.sensor.pixel_pitch_um, theirs.sensor.pixel_pitch_um),
         "sensor.fill_factor": (ours.sensor.fill_factor, theirs.sensor.fill_factor),
     }
-    return [f"{name} = {a:g}, the session's is {b:g}" for name, (a, b) in pairs.items() if abs(a / b - 1) > SAME]
+    return [
+        f"{name} = {a:g}, the session's is {b:g}"
+        for name, (a, b) in pairs.items()
+        if abs(a / b - 1) > SAME
+    ]
 
 
 def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[str]:
@@ -59,7 +68,9 @@ def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[s
         if not fitted:
             wrong.append(f"channel {name}, the session has {', '.join(results.channels)}")
         elif all(abs(light / nm - 1) > SAME for nm in fitted):
-            wrong.append(f"channel {name} at {light:g} nm, the session's is at {fitted.pop():g} nm")
+            wrong.append(
+                f"channel {name} at {light:g} nm, the session's is at {fitted.pop():g} nm"
+            )
     return wrong
 
 
@@ -81,7 +92,9 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     given = {part.name: part for part in (*optics.given, *_found(results.model_parts))}
     return replace(
         optics,
-        f_number=wavefront.f_number if math.isfinite(wavefront.f_number) else optics.f_number,
+        f_number=wavefront.f_number
+        if math.isfinite(wavefront.f_number)
+        else optics.f_number,
         reference_um=wavefront.reference_wavelength_nm * 1e-3,
         noll=wavefront.noll,
         spectrum=wavefront.spectrum if optics.spectrum is None else optics.spectrum,
@@ -94,4 +107,6 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
 def _found(quantities: Mapping[str, Uncertain]) -> list[Part]:
     """Return the parts of the camera by the quantities that results keep; of the light, a wavefront keeps its own."""
     known = [part for part in KNOWN.values() if not part.per_channel]
-    return [found for part in known if (found := part.from_quantities(quantities)) is not None]
+    return [
+        found for part in known if (found := part.from_quantities(quantities)) is not None
+    ]

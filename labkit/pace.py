@@ -48,13 +48,20 @@ class Pace:
         A step is expected to take as long as the mean of those before it. One that takes longer is about to end for as long as
         that takes: what is left of it falls by exp(-t), so that the sum falls all the time and reaches 0 with the last step.
         """
-        if self._first is None or self.on_hold or self.done <= self._first[1] or self.done >= self.total:
+        if (
+            self._first is None
+            or self.on_hold
+            or self.done <= self._first[1]
+            or self.done >= self.total
+        ):
             return None
         since_s, already = self._first
         mean_s = (self._latest_s - since_s) / (self.done - already)
         if mean_s <= 0:
             return 0.0
-        current_s = mean_s * math.exp(-max(0.0, now_s - self._held_s - self._latest_s) / mean_s)
+        current_s = mean_s * math.exp(
+            -max(0.0, now_s - self._held_s - self._latest_s) / mean_s
+        )
         return mean_s * (self.total - self.done - 1) + current_s
 
 

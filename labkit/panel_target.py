@@ -46,20 +46,41 @@ class PanelTarget:
 
     def __post_init__(self) -> None:
         if self.place not in range(STRIPES):
-            raise TargetError(f"a panel pixel's stripes are 0, 1 and 2; there is no {self.place}")
+            raise TargetError(
+                f"a panel pixel's stripes are 0, 1 and 2; there is no {self.place}"
+            )
         if not all(np.isfinite(share) and share > 0 for share in self.aperture):
             across, down = self.aperture
-            raise TargetError(f"a stripe is lit over shares of its width and length above 0, not {across:g}, {down:g}")
+            raise TargetError(
+                f"a stripe is lit over shares of its width and length above 0, not {across:g}, {down:g}"
+            )
         if self.surround:
-            raise TargetError(f"a panel's pixels are drawn with darkness around them, not {self.surround:g} of white")
-        for name, value in zip(("_core", "_row_of", "_col_of"), distinct(np.asarray(self.pixels, float)), strict=True):
+            raise TargetError(
+                f"a panel's pixels are drawn with darkness around them, not {self.surround:g} of white"
+            )
+        for name, value in zip(
+            ("_core", "_row_of", "_col_of"),
+            distinct(np.asarray(self.pixels, float)),
+            strict=True,
+        ):
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, target: Target, pixels: tuple[int, int], place: int, *, lying: bool = False) -> PanelTarget:
+    def of(
+        cls, target: Target, pixels: tuple[int, int], place: int, *, lying: bool = False
+    ) -> PanelTarget:
         """A target on so many (rows, cols) of a panel's pixels, each as bright as the target is at its middle."""
-        y, x = (((np.arange(n) + 0.5) / n - 0.5) * side for n, side in zip(pixels, target.size_mm, strict=True))
-        return cls(target.radiance(y[:, None], x[None, :]), target.size_mm, place, lying, surround=target.surround)
+        y, x = (
+            ((np.arange(n) + 0.5) / n - 0.5) * side
+            for n, side in zip(pixels, target.size_mm, strict=True)
+        )
+        return cls(
+            target.radiance(y[:, None], x[None, :]),
+            target.size_mm,
+            place,
+            lying,
+            surround=target.surround,
+        )
 
     def lit(self, across: float, down: float) -> PanelTarget:
         """The same with another aperture."""
@@ -69,16 +90,21 @@ class PanelTarget:
         """Radiance on the grid y_mm (m,) × x_mm (n,) after the low-pass filter of `CellTarget.sample`, exactly: (m, n)."""
         return self._drawn(y_mm, x_mm, bandwidth_per_mm, (_lit, _lit))
 
-    def slopes(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> tuple[Floats, Floats]:
+    def slopes(
+        self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float
+    ) -> tuple[Floats, Floats]:
         """Derivatives (m, n) of `sample` by the aperture's two numbers, exactly."""
         across, down = (
-            self._drawn(y_mm, x_mm, bandwidth_per_mm, by) for by in ((_lit, _lit_slope), (_lit_slope, _lit))
+            self._drawn(y_mm, x_mm, bandwidth_per_mm, by)
+            for by in ((_lit, _lit_slope), (_lit_slope, _lit))
         )
         return (down, across) if self.lying else (across, down)
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); 0 between the stripes and outside."""
-        places = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
+        places = np.broadcast_arrays(
+            real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
+        )
         inside, index, share = np.ones(places[0].shape, bool), [], 1.0
         for axis, place in enumerate(places):
             many, pitch = self._along(axis)
@@ -103,14 +129,23 @@ class PanelTarget:
         return 0.0, down, 1.0
 
     def _drawn(
-        self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float, by: tuple[_Profile, _Profile]
+        self,
+        y_mm: ArrayLike,
+        x_mm: ArrayLike,
+        bandwidth_per_mm: float,
+        by: tuple[_Profile, _Profile],
     ) -> Floats:
         """(m, n) of profiles along y and x."""
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        places = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
+        places = (
+            real_array("y_mm", y_mm, (None,), "mm"),
+            real_array("x_mm", x_mm, (None,), "mm"),
+        )
         profiles = []
-        for axis, (at, group, profile) in enumerate(zip(places, (self._row_of, self._col_of), by, strict=True)):
+        for axis, (at, group, profile) in enumerate(
+            zip(places, (self._row_of, self._col_of), by, strict=True)
+        ):
             (many, pitch), (offset, width, whole) = self._along(axis), self._stripe(axis)
             middles = (np.arange(many) + 0.5 - many / 2 + offset) * pitch
             unit = pitch * bandwidth_per_mm
@@ -135,5 +170,11 @@ def _lit_slope(at: Floats, width: float) -> Floats:
     """Its derivative by its width."""
     reach, step = low_pass()
     kernel, edges = step.derivative(), [at + sign * width / 2 for sign in (1, -1)]
-    beyond = sum(np.where(np.abs(edge) < reach, kernel(np.clip(edge, -reach, reach)), 0.0) for edge in edges) / 2
+    beyond = (
+        sum(
+            np.where(np.abs(edge) < reach, kernel(np.clip(edge, -reach, reach)), 0.0)
+            for edge in edges
+        )
+        / 2
+    )
     return np.asarray((beyond - _lit(at, width)) / width)

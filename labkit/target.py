@@ -74,7 +74,9 @@ class CellTarget:
     def __post_init__(self) -> None:
         cells = np.array(self.cells, dtype=np.float64)
         if cells.ndim != 2 or not cells.size:
-            raise TargetError(f"a target's cells are a table of rows and columns, not of shape {cells.shape}")
+            raise TargetError(
+                f"a target's cells are a table of rows and columns, not of shape {cells.shape}"
+            )
         if not np.all(np.isfinite(cells)) or cells.min() < 0:
             raise TargetError("a target's radiances are finite and not negative")
         if not all(np.isfinite(side) and side > 0 for side in self.size_mm):
@@ -83,7 +85,12 @@ class CellTarget:
             )
         cells.flags.writeable = False
         core, row_of, col_of = distinct(cells)
-        for name, value in (("cells", cells), ("_core", core), ("_row_of", row_of), ("_col_of", col_of)):
+        for name, value in (
+            ("cells", cells),
+            ("_core", core),
+            ("_row_of", row_of),
+            ("_col_of", col_of),
+        ):
             object.__setattr__(self, name, value)
 
     @property
@@ -103,10 +110,17 @@ class CellTarget:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        y_mm, x_mm = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
+        y_mm, x_mm = (
+            real_array("y_mm", y_mm, (None,), "mm"),
+            real_array("x_mm", x_mm, (None,), "mm"),
+        )
         around = self.surround or 0.0
-        by = _blurred_cells(y_mm, self.size_mm[0], self._row_of, self._core.shape[0], bandwidth_per_mm)
-        bx = _blurred_cells(x_mm, self.size_mm[1], self._col_of, self._core.shape[1], bandwidth_per_mm)
+        by = _blurred_cells(
+            y_mm, self.size_mm[0], self._row_of, self._core.shape[0], bandwidth_per_mm
+        )
+        bx = _blurred_cells(
+            x_mm, self.size_mm[1], self._col_of, self._core.shape[1], bandwidth_per_mm
+        )
         blurred: Floats = by @ ((self._core - around) @ bx.T)
         if around:
             blurred += around
@@ -114,11 +128,21 @@ class CellTarget:
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
-        y, x = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
+        y, x = np.broadcast_arrays(
+            real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
+        )
         row = np.floor(y / self.cell_mm[0] + self.cells.shape[0] / 2)
         col = np.floor(x / self.cell_mm[1] + self.cells.shape[1] / 2)
-        inside = (row >= 0) & (row < self.cells.shape[0]) & (col >= 0) & (col < self.cells.shape[1])
-        values = self.cells[np.where(inside, row, 0).astype(np.intp), np.where(inside, col, 0).astype(np.intp)]
+        inside = (
+            (row >= 0)
+            & (row < self.cells.shape[0])
+            & (col >= 0)
+            & (col < self.cells.shape[1])
+        )
+        values = self.cells[
+            np.where(inside, row, 0).astype(np.intp),
+            np.where(inside, col, 0).astype(np.intp),
+        ]
         return np.where(inside, values, self.surround or 0.0)
 
 
@@ -178,7 +202,11 @@ def _number_or_text(value: str) -> int | float | str:
 
 
 def _blurred_cells(
-    at_mm: ArrayLike, side_mm: float, group: NDArray[np.intp], groups: int, bandwidth_per_mm: float
+    at_mm: ArrayLike,
+    side_mm: float,
+    group: NDArray[np.intp],
+    groups: int,
+    bandwidth_per_mm: float,
 ) -> Floats:
     """What each group of equal cells of one axis adds to each sample: (m, groups)."""
     at = np.asarray(at_mm, dtype=np.float64)
@@ -203,6 +231,8 @@ def low_pass() -> tuple[float, CubicHermiteSpline]:
     beta = 0.1102 * (RIPPLE_DB - 8.7)
     reach = (RIPPLE_DB - 7.95) / (2 * 2.285 * 2 * np.pi * (STOP_BAND - 1))
     u = np.linspace(-reach, reach, 8193)
-    kernel = np.sinc((1 + STOP_BAND) * u) * np.i0(beta * np.sqrt(np.clip(1 - (u / reach) ** 2, 0, None)))
+    kernel = np.sinc((1 + STOP_BAND) * u) * np.i0(
+        beta * np.sqrt(np.clip(1 - (u / reach) ** 2, 0, None))
+    )
     area = cumulative_simpson(kernel, x=u, initial=0.0)
     return float(reach), CubicHermiteSpline(u, area / area[-1], kernel / area[-1])

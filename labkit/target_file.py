@@ -30,19 +30,27 @@ class Rendering:
     notes: tuple[str, ...]
 
 
-def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None) -> Rendering:
+def render_file(
+    target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None
+) -> Rendering:
     """Write a target as PNG or PDF, as large as it is; the file appears whole or not at all.
 
     dpi: raster in dots per inch, or pixels: dots along its height; neither: three dots a cell (one in a PDF), 600 dpi for
     a target without cells. Grey levels are linear radiance. Raises TargetError for another suffix or an impossible raster.
     """
     if path.suffix.lower() not in (".png", ".pdf"):
-        raise TargetError(f"cannot write a target as {path.name!r}: the name must end in .png or .pdf")
-    rows, cols = _raster(target, dpi, pixels, default_dots=3 if path.suffix.lower() == ".png" else 1)
+        raise TargetError(
+            f"cannot write a target as {path.name!r}: the name must end in .png or .pdf"
+        )
+    rows, cols = _raster(
+        target, dpi, pixels, default_dots=3 if path.suffix.lower() == ".png" else 1
+    )
     height, width = target.size_mm
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * height
     x = ((np.arange(cols) + 0.5) / cols - 0.5) * width
-    grey = np.rint(255 * np.clip(target.radiance(y[:, None], x[None, :]), 0, 1)).astype(np.uint8)
+    grey = np.rint(255 * np.clip(target.radiance(y[:, None], x[None, :]), 0, 1)).astype(
+        np.uint8
+    )
     if path.suffix.lower() == ".png":
         dots = (cols * MM_PER_INCH / width, rows * MM_PER_INCH / height)
         content = BytesIO()
@@ -53,7 +61,9 @@ def render_file(target: Target, path: Path, *, dpi: float | None = None, pixels:
     return Rendering(path, (rows, cols), (height, width), tuple(_notes(target, grey)))
 
 
-def _raster(target: Target, dpi: float | None, pixels: int | None, default_dots: int) -> tuple[int, int]:
+def _raster(
+    target: Target, dpi: float | None, pixels: int | None, default_dots: int
+) -> tuple[int, int]:
     height, width = target.size_mm
     if dpi is not None and pixels is not None:
         raise TargetError("a target's raster is given by dpi or by pixels, not by both")
@@ -63,8 +73,14 @@ def _raster(target: Target, dpi: float | None, pixels: int | None, default_dots:
         else:
             dpi = PRINT_DPI
     wanted = float(pixels) if pixels is not None else height / MM_PER_INCH * float(dpi or 0)
-    if not (np.isfinite(wanted) and wanted >= 1 and wanted * wanted * width / height <= MAX_PIXELS):
-        raise TargetError(f"a raster of {wanted:g} pixels over {height:g} mm: allowed are 1 to {MAX_PIXELS:.0e} in all")
+    if not (
+        np.isfinite(wanted)
+        and wanted >= 1
+        and wanted * wanted * width / height <= MAX_PIXELS
+    ):
+        raise TargetError(
+            f"a raster of {wanted:g} pixels over {height:g} mm: allowed are 1 to {MAX_PIXELS:.0e} in all"
+        )
     rows = round(wanted)
     return rows, max(1, round(rows * width / height))
 
@@ -73,7 +89,9 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
     notes = []
     if isinstance(target, CellTarget):
         dots = grey.shape[0] / target.cells.shape[0]
-        if any(have % cells for have, cells in zip(grey.shape, target.cells.shape, strict=True)):
+        if any(
+            have % cells for have, cells in zip(grey.shape, target.cells.shape, strict=True)
+        ):
             whole = max(1, round(dots)) * target.cells.shape[0]
             dpi = whole * MM_PER_INCH / target.size_mm[0]
             notes.append(
@@ -85,7 +103,9 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
             f"what is not upright is drawn in steps of a dot, {1000 * target.size_mm[0] / grey.shape[0]:.3g} um"
         )
     if np.any((grey != 0) & (grey != 255)):
-        notes.append("grey levels are linear in radiance: show them on a linearised display")
+        notes.append(
+            "grey levels are linear in radiance: show them on a linearised display"
+        )
     if target.surround == 0:
         notes.append("black surrounds the target in the plan: mount it on black")
     return notes

@@ -48,24 +48,41 @@ class Uncertain:
         """For a number's format (".2f", "+.3g") both numbers in it, for any other (">24") the text of `str` in it."""
         if spec[-1:] not in tuple("eEfFgG"):
             return format(str(self), spec)
-        return self._with_unit(f"{self.value:{spec}} ± {_error(self.std, spec.lstrip('+ '))}")
+        return self._with_unit(
+            f"{self.value:{spec}} ± {_error(self.std, spec.lstrip('+ '))}"
+        )
 
     def _repr_html_(self) -> str:
         number, exponent = self._number()
         power = f"({number}) × 10<sup>{exponent}</sup>" if exponent else number
-        return power.replace("-", "\N{MINUS SIGN}") + (f" {html.escape(self.unit)}" if self.unit else "")
+        return power.replace("-", "\N{MINUS SIGN}") + (
+            f" {html.escape(self.unit)}" if self.unit else ""
+        )
 
     def as_json(self) -> dict[str, float | None]:
         """{"value": ..., "std": ...}, null for what is not finite: JSON has no other name for it."""
-        return {name: x if math.isfinite(x) else None for name, x in (("value", self.value), ("std", self.std))}
+        return {
+            name: x if math.isfinite(x) else None
+            for name, x in (("value", self.value), ("std", self.std))
+        }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], unit: str = "") -> Uncertain:
         """What `as_json` wrote; nan for null. Raises ValueError for anything else."""
-        numbers = [data.get(name) for name in ("value", "std")] if isinstance(data, Mapping) else [data]
-        if len(numbers) != 2 or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in numbers):
-            raise ValueError(f'{data!r}: a value with its standard error is {{"value": 3024.0, "std": 0.4}}')
-        value, std = (math.nan if x is None else min(max(x, -math.inf), math.inf) for x in numbers)
+        numbers = (
+            [data.get(name) for name in ("value", "std")]
+            if isinstance(data, Mapping)
+            else [data]
+        )
+        if len(numbers) != 2 or any(
+            isinstance(x, bool) or not isinstance(x, int | float | None) for x in numbers
+        ):
+            raise ValueError(
+                f'{data!r}: a value with its standard error is {{"value": 3024.0, "std": 0.4}}'
+            )
+        value, std = (
+            math.nan if x is None else min(max(x, -math.inf), math.inf) for x in numbers
+        )
         return cls(value, std, unit)
 
     def _with_unit(self, number: str) -> str:
@@ -77,7 +94,11 @@ class Uncertain:
             return "not determined" if math.isnan(self.value) else f"{self.value:g}", 0
         known = math.isfinite(self.std) and self.std > 0
         largest = max(abs(self.value), self.std) if known else abs(self.value)
-        exponent = 0 if SMALL <= largest < LARGE or largest == 0 else math.floor(math.log10(largest))
+        exponent = (
+            0
+            if SMALL <= largest < LARGE or largest == 0
+            else math.floor(math.log10(largest))
+        )
         value, std = self.value / 10.0**exponent, self.std / 10.0**exponent
         if not known:
             return f"{value:.{DIGITS}g} ± {_error(std, 'g')}", exponent

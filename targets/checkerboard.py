@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 def open_target(spec: TargetSpec) -> CellTarget:
     """``spec.cells`` squares along each side of ``spec.size_mm``. Raises TargetError without that number."""
     if spec.cells is None:
-        raise TargetError('[target] kind = "checkerboard" needs cells, the number of squares along a side')
+        raise TargetError(
+            '[target] kind = "checkerboard" needs cells, the number of squares along a side'
+        )
     squares = 1.0 - np.indices((spec.cells, spec.cells)).sum(axis=0) % 2
     return CellTarget(squares, (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround])

@@ -55,7 +55,10 @@ class Disks:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        y, x = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
+        y, x = (
+            real_array("y_mm", y_mm, (None,), "mm"),
+            real_array("x_mm", x_mm, (None,), "mm"),
+        )
         reach, step = low_pass()
 
         def passed(mm: Floats) -> Floats:
@@ -67,37 +70,56 @@ class Disks:
         (rows, cols), kernel = self._middles(), step.derivative()
         chords = np.zeros((angle.size, x.size))
         for middle in cols:
-            chords += passed(x - middle + half_chord[:, None]) - passed(x - middle - half_chord[:, None])
+            chords += passed(x - middle + half_chord[:, None]) - passed(
+                x - middle - half_chord[:, None]
+            )
         heights = np.zeros((y.size, angle.size))
         for middle in rows:
             distance = (y[:, None] - middle - down) * bandwidth_per_mm
-            heights += np.where(np.abs(distance) < reach, kernel(np.clip(distance, -reach, reach)), 0.0)
+            heights += np.where(
+                np.abs(distance) < reach, kernel(np.clip(distance, -reach, reach)), 0.0
+            )
         black: Floats = (heights * (weight * half_chord * bandwidth_per_mm)) @ chords
         height, width = self.size_mm
-        sheet = np.outer(passed(y + height / 2) - passed(y - height / 2), passed(x + width / 2) - passed(x - width / 2))
+        sheet = np.outer(
+            passed(y + height / 2) - passed(y - height / 2),
+            passed(x + width / 2) - passed(x - width / 2),
+        )
         around = self.surround or 0.0
         return np.asarray(around + (1 - around) * sheet - black)
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
-        y, x = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
+        y, x = np.broadcast_arrays(
+            real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
+        )
         height, width = (side / 2 for side in self.size_mm)
         inside = (np.abs(y) <= height) & (np.abs(x) <= width)
         down, right = (y + height) % self.spacing_mm, (x + width) % self.spacing_mm
-        white = np.hypot(down - self.spacing_mm / 2, right - self.spacing_mm / 2) > self.diameter_mm / 2
+        white = (
+            np.hypot(down - self.spacing_mm / 2, right - self.spacing_mm / 2)
+            > self.diameter_mm / 2
+        )
         return np.where(inside, white.astype(np.float64), self.surround or 0.0)
 
     def _middles(self) -> tuple[Floats, Floats]:
         """y of each row of disks, x of each column, in mm."""
-        rows, cols = (np.asarray((np.arange(n) - (n - 1) / 2) * self.spacing_mm, dtype=np.float64) for n in self.grid)
+        rows, cols = (
+            np.asarray((np.arange(n) - (n - 1) / 2) * self.spacing_mm, dtype=np.float64)
+            for n in self.grid
+        )
         return rows, cols
 
 
 def open_target(spec: TargetSpec) -> Disks:
     """``spec.grid`` disks of ``spec.diameter_mm``; all rows together are ``spec.size_mm`` high. Raises TargetError."""
     if spec.grid is None or spec.diameter_mm is None:
-        raise TargetError('[target] kind = "disks" needs grid = [rows, columns] and diameter_mm')
-    return Disks(spec.grid, spec.size_mm / spec.grid[0], spec.diameter_mm, SURROUNDS[spec.surround])
+        raise TargetError(
+            '[target] kind = "disks" needs grid = [rows, columns] and diameter_mm'
+        )
+    return Disks(
+        spec.grid, spec.size_mm / spec.grid[0], spec.diameter_mm, SURROUNDS[spec.surround]
+    )
 
 
 def _gauss(panels: int) -> tuple[Floats, Floats]:
@@ -105,4 +127,6 @@ def _gauss(panels: int) -> tuple[Floats, Floats]:
     node, weight = np.polynomial.legendre.leggauss(NODES)
     width = math.pi / panels
     middles = -math.pi / 2 + (np.arange(panels) + 0.5) * width
-    return (middles[:, None] + node * width / 2).ravel(), np.tile(weight * width / 2, panels)
+    return (middles[:, None] + node * width / 2).ravel(), np.tile(
+        weight * width / 2, panels
+    )

@@ -27,7 +27,11 @@ def open_target(spec: TargetSpec) -> CellTarget:
     if spec.file is None:
         raise TargetError('[target] kind = "image" needs file = "picture.png"')
     cells = read_radiance(Path(spec.file))
-    return CellTarget(cells, (spec.size_mm, spec.size_mm * cells.shape[1] / cells.shape[0]), SURROUNDS[spec.surround])
+    return CellTarget(
+        cells,
+        (spec.size_mm, spec.size_mm * cells.shape[1] / cells.shape[0]),
+        SURROUNDS[spec.surround],
+    )
 
 
 def read_radiance(path: Path) -> Floats:

@@ -30,5 +30,11 @@ def open_target(spec: TargetSpec) -> CellTarget:
     Raises TargetError without the number of squares.
     """
     if spec.cells is None:
-        raise TargetError('[target] kind = "noise" needs cells, the number of squares along a side')
-    return CellTarget(noise_cells(spec.cells, spec.seed), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround])
+        raise TargetError(
+            '[target] kind = "noise" needs cells, the number of squares along a side'
+        )
+    return CellTarget(
+        noise_cells(spec.cells, spec.seed),
+        (spec.size_mm, spec.size_mm),
+        SURROUNDS[spec.surround],
+    )

@@ -28,5 +28,9 @@ def carpet_cells(order: int) -> Floats:
 def open_target(spec: TargetSpec) -> CellTarget:
     """A carpet of ``spec.order``, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8."""
     if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
-        raise TargetError(f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MAX_ORDER}")
-    return CellTarget(carpet_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround])
+        raise TargetError(
+            f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MAX_ORDER}"
+        )
+    return CellTarget(
+        carpet_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround]
+    )

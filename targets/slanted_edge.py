@@ -36,9 +36,13 @@ class SlantedEdge:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.side_mm) and self.side_mm > 0):
-            raise TargetError(f"a target's side is longer than 0 mm, not {self.side_mm:g} mm")
+            raise TargetError(
+                f"a target's side is longer than 0 mm, not {self.side_mm:g} mm"
+            )
         if not abs(self.angle_deg) <= MAX_ANGLE_DEG:
-            raise TargetError(f"[target] angle_deg = {self.angle_deg:g}: an edge leans by -45 to 45 degrees")
+            raise TargetError(
+                f"[target] angle_deg = {self.angle_deg:g}: an edge leans by -45 to 45 degrees"
+            )
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -59,7 +63,10 @@ class SlantedEdge:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        y, x = real_array("y_mm", y_mm, (None,), "mm"), real_array("x_mm", x_mm, (None,), "mm")
+        y, x = (
+            real_array("y_mm", y_mm, (None,), "mm"),
+            real_array("x_mm", x_mm, (None,), "mm"),
+        )
         half, around = self.side_mm / 2, self.surround or 0.0
         reach, step = low_pass()
 
@@ -70,7 +77,11 @@ class SlantedEdge:
         square = passed(x + half) - passed(x - half)
         white = passed(x - self.slope * at[:, None]) - passed(x - half)
         distance = (y[:, None] - at) * bandwidth_per_mm
-        kernel = np.where(np.abs(distance) < reach, step.derivative()(np.clip(distance, -reach, reach)), 0.0)
+        kernel = np.where(
+            np.abs(distance) < reach,
+            step.derivative()(np.clip(distance, -reach, reach)),
+            0.0,
+        )
         height = passed(y + half) - passed(y - half)
         blurred: Floats = (kernel * (weight * bandwidth_per_mm)) @ white
         if around:
@@ -79,9 +90,13 @@ class SlantedEdge:
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
         """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
-        y, x = np.broadcast_arrays(real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm"))
+        y, x = np.broadcast_arrays(
+            real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
+        )
         inside = (np.abs(y) <= self.side_mm / 2) & (np.abs(x) <= self.side_mm / 2)
-        return np.where(inside, (x > self.slope * y).astype(np.float64), self.surround or 0.0)
+        return np.where(
+            inside, (x > self.slope * y).astype(np.float64), self.surround or 0.0
+        )
 
 
 def open_target(spec: TargetSpec) -> SlantedEdge:
@@ -95,4 +110,6 @@ def _gauss(half_mm: float, bandwidth_per_mm: float) -> tuple[Floats, Floats]:
     node, weight = np.polynomial.legendre.leggauss(NODES)
     width = 2 * half_mm / panels
     middles = -half_mm + (np.arange(panels) + 0.5) * width
-    return (middles[:, None] + node * width / 2).ravel(), np.tile(weight * width / 2, panels)
+    return (middles[:, None] + node * width / 2).ravel(), np.tile(
+        weight * width / 2, panels
+    )

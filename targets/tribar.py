@@ -41,5 +41,9 @@ def open_target(spec: TargetSpec) -> CellTarget:
     The widest bars are a twelfth of the side wide, those of octave k a twelfth over 2**(k - 1).
     """
     if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
-        raise TargetError(f"[target] order = {spec.order}: a tri-bar target has an order of 1 to {MAX_ORDER} octaves")
-    return CellTarget(tribar_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround])
+        raise TargetError(
+            f"[target] order = {spec.order}: a tri-bar target has an order of 1 to {MAX_ORDER} octaves"
+        )
+    return CellTarget(
+        tribar_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround]
+    )

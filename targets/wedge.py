@@ -51,4 +51,6 @@ def wedge_cells() -> Floats:
 
 def open_target(spec: TargetSpec) -> CellTarget:
     """The wedge, ``spec.size_mm`` high and twice as wide."""
-    return CellTarget(wedge_cells(), (spec.size_mm, 2 * spec.size_mm), SURROUNDS[spec.surround])
+    return CellTarget(
+        wedge_cells(), (spec.size_mm, 2 * spec.size_mm), SURROUNDS[spec.surround]
+    )

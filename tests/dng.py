@@ -47,7 +47,13 @@ def write_dng(
         tags += [(33421, "H", 2, (2, 2), True), (33422, "B", 4, pattern, True)]
     with tifffile.TiffWriter(path) as writer:
         photometric = "minisblack" if cfa == "mono" else CFA
-        writer.write(counts, photometric=photometric, extratags=tags, metadata=None, rowsperstrip=counts.shape[0])
+        writer.write(
+            counts,
+            photometric=photometric,
+            extratags=tags,
+            metadata=None,
+            rowsperstrip=counts.shape[0],
+        )
     if cfa == "mono":
         with tifffile.TiffFile(path, mode="r+") as file:
             file.pages.first.tags[262].overwrite(LINEAR_RAW)

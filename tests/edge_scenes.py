@@ -22,7 +22,12 @@ SIDE = 40  # of an edge's square, pixels
 GAIN, READ, BLACK = 0.5, 2.0, 500
 TABLES = {
     "lens": {"focal_length_mm": FOCAL_MM, "f_number": F_NUMBER},
-    "sensor": {"pixel_pitch_um": 4.78, "cfa_pattern": "mono", "black_level": BLACK, "white_level": 16383},
+    "sensor": {
+        "pixel_pitch_um": 4.78,
+        "cfa_pattern": "mono",
+        "black_level": BLACK,
+        "white_level": 16383,
+    },
     "channel": [{"name": "M", "wavelength_nm": NM}],
     "target": {"kind": "sierpinski", "order": 4, "size_mm": 15.6},
     "fit": {"zernike_noll": [4, 11]},

@@ -25,7 +25,9 @@ MODE_STD = 1e-3
 """Of a mode above defocus, waves RMS."""
 
 
-def laws(range_mm: Any, focus_mm: Any, reference_mm: Any, f: Any, n: Any, mp: Any) -> list[Any]:
+def laws(
+    range_mm: Any, focus_mm: Any, reference_mm: Any, f: Any, n: Any, mp: Any
+) -> list[Any]:
     """Waves RMS of defocus, ln of the cone's f-number, ln of the scale; of real numbers or complex ones.
 
     All ranges are true; reference_mm: best focus of the colour that sizes are held to, and whose f and n are given. Others have
@@ -47,17 +49,23 @@ def laws(range_mm: Any, focus_mm: Any, reference_mm: Any, f: Any, n: Any, mp: An
 def covariance(waves: float, *, size_std: float = SIZE_STD) -> Floats:
     """(3, 3) of defocus, ln cone, ln scale of one fit: defocus times cone is known better than either."""
     slope = np.array([-waves, 1.0, 0.0])
-    return np.diag([DEFOCUS_STD**2, 0.0, size_std**2]) + CONE_STD**2 * np.outer(slope, slope)
+    return np.diag([DEFOCUS_STD**2, 0.0, size_std**2]) + CONE_STD**2 * np.outer(
+        slope, slope
+    )
 
 
-def measured(values: Floats, modes: Mapping[int, float] | None = None, *, size_std: float = SIZE_STD) -> Measured:
+def measured(
+    values: Floats, modes: Mapping[int, float] | None = None, *, size_std: float = SIZE_STD
+) -> Measured:
     """What one fit measures. values: (3,) of the laws; modes: waves RMS above defocus, by Noll index."""
     modes = modes or {}
     inserted = [1] * len(modes)
     cov = np.diag(np.insert(np.zeros(3), inserted, MODE_STD**2))
     of = [0, -2, -1]
     cov[np.ix_(of, of)] = covariance(float(values[0]), size_std=size_std)
-    return Measured((4, *modes), np.insert(values, inserted, [*modes.values()]), cov, np.zeros_like(cov))
+    return Measured(
+        (4, *modes), np.insert(values, inserted, [*modes.values()]), cov, np.zeros_like(cov)
+    )
 
 
 def reading(range_mm: float, channel: str, tile: tuple[int, int] | None = None) -> Reading:
@@ -65,7 +73,9 @@ def reading(range_mm: float, channel: str, tile: tuple[int, int] | None = None) 
     return Reading(Key(range_mm, channel, tile), range_mm, range_mm)
 
 
-def observed(range_mm: float, channel: str, optimum: Measured, *others: Candidate) -> Observed:
+def observed(
+    range_mm: float, channel: str, optimum: Measured, *others: Candidate
+) -> Observed:
     """An observation with an optimum that explains its frames, and with others."""
     return Observed(reading(range_mm, channel), (Candidate(optimum), *others))
 
@@ -82,7 +92,13 @@ def members(
 ) -> list[Observed]:
     """Of three colours, all focused at one range, ranges as stated."""
     return [
-        observed(r, colour, measured(np.array(laws(r, focus_mm, focus_mm, f, n, mp)), modes, size_std=size_std))
+        observed(
+            r,
+            colour,
+            measured(
+                np.array(laws(r, focus_mm, focus_mm, f, n, mp)), modes, size_std=size_std
+            ),
+        )
         for r in ranges_mm
         for colour in COLOURS
     ]
@@ -104,7 +120,9 @@ def with_values(one: Observed, values: Floats) -> Observed:
     return with_measured(one, replace(measured_of(one), values=values))
 
 
-def moved(one: Observed, waves: float = 0.0, cone: float = 0.0, modes: float = 0.0) -> Observed:
+def moved(
+    one: Observed, waves: float = 0.0, cone: float = 0.0, modes: float = 0.0
+) -> Observed:
     """A fit that ended elsewhere, by waves of defocus, by ln of its cone, by waves of each mode above defocus."""
     values = measured_of(one).values.copy()
     values[0] += waves
@@ -136,7 +154,9 @@ def stated(f: float, n: float, **changed: Any) -> Stated:
 def lens_of(every: Sequence[Observed], plan: Stated, of: Laws | None = None) -> LensFit:
     """The lens of observations that all belong, with the signs that they have, under given laws: the strictest, if none."""
     n = len(every)
-    return exact_lens(every, np.zeros(n, np.intp), np.ones(n, bool), plan, laws=of or Laws())
+    return exact_lens(
+        every, np.zeros(n, np.intp), np.ones(n, bool), plan, laws=of or Laws()
+    )
 
 
 def best_focus(lens: LensFit, channel: str) -> Uncertain:

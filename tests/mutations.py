@@ -6,10 +6,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-NASTY = (b"\0", b"\xff", b"\x1b[31m", b"\xef\xbb\xbf", b"\r", b"\n", b'"', b"9" * 5000, b"-", b"nan", b"1e999", b"../")
+NASTY = (
+    b"\0",
+    b"\xff",
+    b"\x1b[31m",
+    b"\xef\xbb\xbf",
+    b"\r",
+    b"\n",
+    b'"',
+    b"9" * 5000,
+    b"-",
+    b"nan",
+    b"1e999",
+    b"../",
+)
 
 
-def mutated(content: bytes, number: int, *, tokens: Sequence[bytes] = NASTY, seed: int = 0) -> Iterator[bytes]:
+def mutated(
+    content: bytes, number: int, *, tokens: Sequence[bytes] = NASTY, seed: int = 0
+) -> Iterator[bytes]:
     """So many damaged copies: bytes changed, cut, doubled, moved, tokens put in, one to four at a time."""
     rng = np.random.default_rng(seed)
     for _ in range(number):
@@ -33,6 +48,10 @@ def _once(content: bytes, rng: np.random.Generator, tokens: Sequence[bytes]) -> 
         case 3:
             return head + tokens[int(rng.integers(len(tokens)))] + tail
         case 4:
-            return head + (bytes([part[0] ^ (1 << rng.integers(8))]) + part[1:] if part else b"") + tail
+            return (
+                head
+                + (bytes([part[0] ^ (1 << rng.integers(8))]) + part[1:] if part else b"")
+                + tail
+            )
         case _:
             return head if rng.random() < 0.2 else tail[: len(tail) // 2] + part + head

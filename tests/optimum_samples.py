@@ -29,9 +29,16 @@ from tests.plans import PORTRAIT
 NOISE = NoisePrior(0.5, 0.01, 4.0, 0.02)
 TARGET = CellTarget(np.eye(2), (9.0, 9.0), 0.0)
 POSE = Pose.from_corners(np.array([[0.0, 0], [0, 9], [9, 9], [9, 0]]), (9.0, 9.0))
-LIGHTS = [{"name": name, "wavelength_nm": nm} for name, nm in (("G", 550.0), ("R", 620.0), ("B", 470.0))]
+LIGHTS = [
+    {"name": name, "wavelength_nm": nm}
+    for name, nm in (("G", 550.0), ("R", 620.0), ("B", 470.0))
+]
 PLAN = Plan.from_tables(
-    {**PORTRAIT, "channel": LIGHTS, "fit": {"zernike_noll": [4, 5], "reference_wavelength_nm": 450.0}}
+    {
+        **PORTRAIT,
+        "channel": LIGHTS,
+        "fit": {"zernike_noll": [4, 5], "reference_wavelength_nm": 450.0},
+    }
 )
 RANGES_MM = (2900.0, 3010.0, 3100.0, 3200.0)
 FOCUS_MM = 3000.0
@@ -41,7 +48,9 @@ PIXELS = 1000
 """Of each photograph."""
 
 
-def observations(channels: str = "G", ranges_mm: Sequence[float] = RANGES_MM) -> list[Observation]:
+def observations(
+    channels: str = "G", ranges_mm: Sequence[float] = RANGES_MM
+) -> list[Observation]:
     """One photograph at each range, cut for each channel from the same pixel."""
     return [
         Observation(r, r, c, (f"{r:g}.dng",), (), (), NOISE, ((0, 0),), 1, order=k)
@@ -56,7 +65,9 @@ def true_values(range_mm: float) -> Floats:
     return np.array([waves, ASTIGMATISM, cone, scale])
 
 
-def measured_by(optics: Optics, range_mm: float, off: Sequence[float], square: float) -> Measured:
+def measured_by(
+    optics: Optics, range_mm: float, off: Sequence[float], square: float
+) -> Measured:
     """What a fit measures whose modes are off by some waves, and whose camera parts have one number, known to 0.01."""
     defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
     plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
@@ -66,7 +77,13 @@ def measured_by(optics: Optics, range_mm: float, off: Sequence[float], square: f
     others = [0, 1, -2, -1]
     covariance[np.ix_(others, others)] = plain.covariance
     values = np.insert(plain.values, inserted, square)
-    return replace(plain, values=values, covariance=covariance, calibration=0 * covariance, parts=labels)
+    return replace(
+        plain,
+        values=values,
+        covariance=covariance,
+        calibration=0 * covariance,
+        parts=labels,
+    )
 
 
 def optimum(
@@ -122,11 +139,19 @@ class Play:
     order: Callable[[int], Sequence[int]] = range
     batches: list[list[Task]] = field(default_factory=list)
 
-    def __call__(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def __call__(
+        self, function: Callable[[Any], Any], tasks: Sequence[Any]
+    ) -> Iterator[tuple[int, Any]]:
         self.batches.append([*tasks])
         results = [self.ends(task) for task in tasks]
-        yield from ((k, results[k]) for k in self.order(len(tasks)) if results[k] is not None)
-        if lost := [(task, "killed") for task, result in zip(tasks, results, strict=True) if result is None]:
+        yield from (
+            (k, results[k]) for k in self.order(len(tasks)) if results[k] is not None
+        )
+        if lost := [
+            (task, "killed")
+            for task, result in zip(tasks, results, strict=True)
+            if result is None
+        ]:
             raise LostTasksError(lost)
 
     @property
@@ -136,7 +161,12 @@ class Play:
 
 
 def played(
-    play: Play, channels: str = "G", *, ranges_mm: Sequence[float] = RANGES_MM, plan: Plan = PLAN, plain: bool = False
+    play: Play,
+    channels: str = "G",
+    *,
+    ranges_mm: Sequence[float] = RANGES_MM,
+    plan: Plan = PLAN,
+    plain: bool = False,
 ) -> Estimate:
     """The estimate of a session whose searches are played."""
     shown = dict.fromkeys(channels, TARGET)

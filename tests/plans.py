@@ -24,17 +24,28 @@ PORTRAIT: Tables = {
 }
 """The lens and sensor of the thesis, before a target that is small enough to be fitted fast."""
 
-RED_AND_GREEN: Tables = {"channel": [{"name": "R", "wavelength_nm": 650.0}, {"name": "G", "wavelength_nm": 550.0}]}
+RED_AND_GREEN: Tables = {
+    "channel": [
+        {"name": "R", "wavelength_nm": 650.0},
+        {"name": "G", "wavelength_nm": 550.0},
+    ]
+}
 
 IPAD: Tables = {"panel": "ipad-9.7-retina", "pixel_pitch_mm": None, "pixels": None}
 """Of [display], in place of a small panel."""
 
 
-def simulated(ranges_mm: Sequence[float], range_at_zero_mm: float, address: str = "simulated:") -> Tables:
+def simulated(
+    ranges_mm: Sequence[float], range_at_zero_mm: float, address: str = "simulated:"
+) -> Tables:
     """All three devices, on one simulated bench."""
     return {
         "camera": {"address": address, "exposure_s": 0.02},
-        "rail": {"address": address, "ranges_mm": [*ranges_mm], "range_at_zero_mm": range_at_zero_mm},
+        "rail": {
+            "address": address,
+            "ranges_mm": [*ranges_mm],
+            "range_at_zero_mm": range_at_zero_mm,
+        },
         "display": {"address": address, "pixel_pitch_mm": 0.1, "pixels": [400, 400]},
     }
 
@@ -47,10 +58,15 @@ def plan_text(*tables: Tables) -> str:
         if isinstance(given[-1], list):
             lines += [line for item in given[-1] for line in (f"[[{name}]]", *_pairs(item))]
         else:
-            lines += [f"[{name}]", *_pairs({key: value for one in given for key, value in one.items()})]
+            lines += [
+                f"[{name}]",
+                *_pairs({key: value for one in given for key, value in one.items()}),
+            ]
     return "\n".join(lines) + "\n"
 
 
 def _pairs(table: Tables) -> list[str]:
     # the strings, numbers, booleans and lists of JSON are those of TOML
-    return [f"{key} = {json.dumps(value)}" for key, value in table.items() if value is not None]
+    return [
+        f"{key} = {json.dumps(value)}" for key, value in table.items() if value is not None
+    ]

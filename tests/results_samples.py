@@ -12,13 +12,29 @@ from labkit.finding import Finding
 from labkit.findings import found
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
-from labkit.results import Focus, Lens, OptimumTest, Placement, Residuals, Results, Wavefront
+from labkit.results import (
+    Focus,
+    Lens,
+    OptimumTest,
+    Placement,
+    Residuals,
+    Results,
+    Wavefront,
+)
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
 
 PLAN = Plan.parse(
-    plan_text(PORTRAIT, {"channel": [{"name": "R", "wavelength_nm": 650.0}, {"name": "B", "wavelength_nm": 450.0}]}),
+    plan_text(
+        PORTRAIT,
+        {
+            "channel": [
+                {"name": "R", "wavelength_nm": 650.0},
+                {"name": "B", "wavelength_nm": 450.0},
+            ]
+        },
+    ),
     Path(),
 )
 STD = np.array([0.0011, 0.0012, 0.0013])
@@ -31,7 +47,10 @@ FOCUS = Focus(
     covariance=np.eye(3),
 )
 LENS = Lens(
-    Uncertain(69.31, 0.12, "mm"), Uncertain(2.874, 0.011), FOCUS.pupil_magnification, Uncertain(-5.8, 4.0, "mm")
+    Uncertain(69.31, 0.12, "mm"),
+    Uncertain(2.874, 0.011),
+    FOCUS.pupil_magnification,
+    Uncertain(-5.8, 4.0, "mm"),
 )
 BUDGET = {
     "best_focus_mm.R": {"photons": 0.3, "calibration": 0.1, "geometry": 0.2, "model": 0.2},
@@ -40,7 +59,10 @@ BUDGET = {
 
 
 def a_wavefront(
-    range_mm: float | None = 3000.0, channel: str = "R", defocus: float = 0.0751, **changed: Any
+    range_mm: float | None = 3000.0,
+    channel: str = "R",
+    defocus: float = 0.0751,
+    **changed: Any,
 ) -> Wavefront:
     """Defocus, oblique astigmatism and horizontal coma, with residuals of pure noise."""
     fields: dict[str, Any] = {
@@ -81,7 +103,11 @@ def some_results(**changed: Any) -> Results:
     fields: dict[str, Any] = {
         "plan": PLAN,
         "plan_sha256": "ab" * 32,
-        "wavefronts": tuple(a_wavefront(r, c, d) for r, d in ((3000.0, 0.0751), (3200.0, 1.1432)) for c in ("R", "B")),
+        "wavefronts": tuple(
+            a_wavefront(r, c, d)
+            for r, d in ((3000.0, 0.0751), (3200.0, 1.1432))
+            for c in ("R", "B")
+        ),
         "focus": FOCUS,
         "lens": LENS,
         "budget": BUDGET,
@@ -101,10 +127,19 @@ BROAD = Spectrum((0.98, 1.0, 1.02), (0.25, 0.5, 0.25))
 def full_results() -> Results:
     """Results that hold everything that results can hold."""
     others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
-    left = ResidualSpectrum(np.array([0.1, 0.4]), np.array([1.2, 1.0]), np.array([1.5, 1.1]))
+    left = ResidualSpectrum(
+        np.array([0.1, 0.4]), np.array([1.2, 1.0]), np.array([1.5, 1.1])
+    )
     test = replace(ACCEPTED, undetermined=("mode 4",), others=others)
     return some_results(
-        wavefronts=(a_wavefront(test=test, missing=("low_pass_filter",), spectrum=BROAD, residual_spectrum=left),),
+        wavefronts=(
+            a_wavefront(
+                test=test,
+                missing=("low_pass_filter",),
+                spectrum=BROAD,
+                residual_spectrum=left,
+            ),
+        ),
         joint={"focal_length_mm": 0.1},
         model_parts={"low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px")},
         parts_tried=(PartTried("low_pass_filter", 120.0, adopted=True),),

@@ -23,7 +23,11 @@ def light_at(range_mm: float) -> Floats:
     """Vignetting times a display's fall-off that differs between ranges; about 1."""
     y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
     shift = (range_mm - 2000.0) / 500.0
-    return np.asarray((1.1 - 0.25 * (x**2 + y**2) / 2) * (1 + 0.05 * (x - shift) * y) / (1 + 0.02 * (x + shift) ** 2))
+    return np.asarray(
+        (1.1 - 0.25 * (x**2 + y**2) / 2)
+        * (1 + 0.05 * (x - shift) * y)
+        / (1 + 0.02 * (x + shift) ** 2)
+    )
 
 
 @dataclass
@@ -39,12 +43,18 @@ class Sensor:
         self.response = 1 + PRNU * self.rng.standard_normal(SHAPE)
         self.offset = np.zeros(SHAPE)
         self.colour = np.tile(
-            [[COLOURS["R"], COLOURS["G"]], [COLOURS["G"], COLOURS["B"]]], (SHAPE[0] // 2, SHAPE[1] // 2)
+            [[COLOURS["R"], COLOURS["G"]], [COLOURS["G"], COLOURS["B"]]],
+            (SHAPE[0] // 2, SHAPE[1] // 2),
         )
 
     def expose(self, mean_e: Floats | float) -> NDArray[np.uint16]:
         electrons = self.rng.poisson(np.maximum(mean_e * self.colour * self.response, 0))
-        counts = GAIN * electrons + self.offset + READ_NOISE * self.rng.standard_normal(SHAPE) + BLACK
+        counts = (
+            GAIN * electrons
+            + self.offset
+            + READ_NOISE * self.rng.standard_normal(SHAPE)
+            + BLACK
+        )
         return np.clip(np.rint(counts), 0, WHITE).astype(np.uint16)
 
 
@@ -62,11 +72,19 @@ class Bench:
         channels = [{"name": name, "wavelength_nm": 550.0} for name in colours]
         self.folder = folder
         self.session = Session.create(
-            folder / "session", plan_text(PORTRAIT, WITH_LEVELS, {"channel": channels}), folder
+            folder / "session",
+            plan_text(PORTRAIT, WITH_LEVELS, {"channel": channels}),
+            folder,
         )
         self.sensor = Sensor(np.random.default_rng(seed))
 
-    def add(self, kind: FrameKind, range_mm: float | None, mean_e: Floats | float, frames: int = 1) -> Frame:
+    def add(
+        self,
+        kind: FrameKind,
+        range_mm: float | None,
+        mean_e: Floats | float,
+        frames: int = 1,
+    ) -> Frame:
         """Expose that many frames; the last of them."""
         for _ in range(frames):
             name = f"{kind}{len(self.session.frames)}.tif"

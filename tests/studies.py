@@ -8,7 +8,12 @@ import pytest
 
 from labkit.cli import run
 
-FIELDS: dict[str, Any] = {"what": str, "measured": (int, float, type(None)), "unit": str, "n": int}
+FIELDS: dict[str, Any] = {
+    "what": str,
+    "measured": (int, float, type(None)),
+    "unit": str,
+    "n": int,
+}
 
 
 def quick(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:

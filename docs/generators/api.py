@@ -45,7 +45,9 @@ DEVICES = {
 def public_api() -> str:
     """Every name of `labkit.__all__`."""
     return "\n".join(
-        _entry(f"labkit.{name}", getattr(labkit, name)) for name in labkit.__all__ if name != "__version__"
+        _entry(f"labkit.{name}", getattr(labkit, name))
+        for name in labkit.__all__
+        if name != "__version__"
     )
 
 
@@ -63,7 +65,11 @@ def _modules(wanted: dict[str, tuple[str, ...]]) -> str:
     parts = []
     for dotted, names in wanted.items():
         module = import_module(dotted)
-        own = [name for name, value in vars(module).items() if getattr(value, "__module__", None) == dotted]
+        own = [
+            name
+            for name, value in vars(module).items()
+            if getattr(value, "__module__", None) == dotted
+        ]
         for name in names or [name for name in own if not name.startswith("_")]:
             if not hasattr(labkit, name):
                 parts.append(_entry(f"{dotted}.{name}", getattr(module, name)))
@@ -72,7 +78,9 @@ def _modules(wanted: dict[str, tuple[str, ...]]) -> str:
 
 def _entry(dotted: str, value: Any) -> str:
     if not inspect.isclass(value):
-        return directive("py:function", f"{dotted}{_signature(value)}", _text(value.__doc__), depth=6)
+        return directive(
+            "py:function", f"{dotted}{_signature(value)}", _text(value.__doc__), depth=6
+        )
     members = [_member(name, member) for name, member in _members(value)]
     body = "\n".join([_text(value.__doc__), "", *members])
     return directive("py:class", f"{dotted}{_fields(value)}", body, depth=6)
@@ -80,12 +88,20 @@ def _entry(dotted: str, value: Any) -> str:
 
 def _members(value: type) -> Iterator[tuple[str, Any]]:
     """The public functions and properties that a class has of labkit, with a docstring."""
-    bases = [base for base in reversed(value.__mro__) if base.__module__.startswith("labkit.")]
+    bases = [
+        base for base in reversed(value.__mro__) if base.__module__.startswith("labkit.")
+    ]
     members = {name: member for base in bases for name, member in vars(base).items()}
     for name, member in members.items():
         if not name.startswith("_") or name == "__getitem__":
-            plain = member.__func__ if isinstance(member, classmethod | staticmethod) else member
-            documented = isinstance(plain, property | cached_property) or inspect.isfunction(plain)
+            plain = (
+                member.__func__
+                if isinstance(member, classmethod | staticmethod)
+                else member
+            )
+            documented = isinstance(
+                plain, property | cached_property
+            ) or inspect.isfunction(plain)
             if documented and plain.__doc__:
                 yield name, member
 
@@ -95,14 +111,27 @@ def _member(name: str, member: Any) -> str:
         return directive("py:property", name, _text(member.__doc__), depth=5)
     plain = member.__func__ if isinstance(member, classmethod | staticmethod) else member
     options = {"classmethod": ""} if isinstance(member, classmethod) else None
-    return directive("py:method", f"{name}{_signature(plain, bound=True)}", _text(plain.__doc__), options, depth=5)
+    return directive(
+        "py:method",
+        f"{name}{_signature(plain, bound=True)}",
+        _text(plain.__doc__),
+        options,
+        depth=5,
+    )
 
 
 def _signature(function: Any, *, bound: bool = False) -> str:
     signature = inspect.signature(function)
-    given = [p.replace(default=_default(p), annotation=_shown(p.annotation)) for p in signature.parameters.values()]
+    given = [
+        p.replace(default=_default(p), annotation=_shown(p.annotation))
+        for p in signature.parameters.values()
+    ]
     returned = _shown(signature.return_annotation)
-    return str(signature.replace(parameters=given[1:] if bound else given, return_annotation=returned))
+    return str(
+        signature.replace(
+            parameters=given[1:] if bound else given, return_annotation=returned
+        )
+    )
 
 
 class _Shown(str):
@@ -118,7 +147,9 @@ def _shown(annotation: Any) -> Any:
     """A type by the name that the source has for it, without the modules that it lies in."""
     if annotation is inspect.Signature.empty:
         return annotation
-    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    text = (
+        annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    )
     for name, alias in ALIASES.items():
         text = text.replace(inspect.formatannotation(alias), name)
     return _Shown(re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", text))
@@ -126,14 +157,20 @@ def _shown(annotation: Any) -> Any:
 
 def _default(parameter: inspect.Parameter) -> Any:
     default = parameter.default
-    if default is parameter.empty or isinstance(default, int | float | str | type(None) | tuple):
+    if default is parameter.empty or isinstance(
+        default, int | float | str | type(None) | tuple
+    ):
         return default
     return _Shown("...")
 
 
 def _fields(value: type) -> str:
     """What a class that scripts make themselves takes: not plans or errors, which come otherwise."""
-    if issubclass(value, BaseException) or hasattr(value, "model_fields") or getattr(value, "_is_protocol", False):
+    if (
+        issubclass(value, BaseException)
+        or hasattr(value, "model_fields")
+        or getattr(value, "_is_protocol", False)
+    ):
         return ""
     return _signature(value).partition(" ->")[0]
 

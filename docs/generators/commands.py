@@ -18,7 +18,10 @@ assert sessions  # they add their commands to the app
 def commands() -> str:
     """A section for each command."""
     root = typer.main.get_command(app)
-    parts = [_options("labkit", root), *(_section(path, command) for path, command in leaves())]
+    parts = [
+        _options("labkit", root),
+        *(_section(path, command) for path, command in leaves()),
+    ]
     return "\n".join(parts)
 
 
@@ -39,7 +42,14 @@ def _section(path: str, command: Any) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     words = [p.metavar if p.required else f"[{p.metavar.strip('[]')}]" for p in arguments]
     usage = " ".join([path, *words, "[OPTIONS]"])
-    lines = [f"## {code(path)}", "", f"```text\n{usage}\n```", "", " ".join((command.help or "").split()), ""]
+    lines = [
+        f"## {code(path)}",
+        "",
+        f"```text\n{usage}\n```",
+        "",
+        " ".join((command.help or "").split()),
+        "",
+    ]
     lines += [f"- {code(p.metavar.strip('[]'))}: {p.help}{_default(p)}" for p in arguments]
     return "\n".join([*lines, "", _options(path, command)])
 
@@ -49,7 +59,13 @@ def _options(path: str, command: Any) -> str:
     parts = [directive("program", path, "")]
     for option in options:
         value = "" if option.is_flag else f" {option.metavar or option.name.upper()}"
-        parts.append(directive("option", f"{', '.join(option.opts)}{value}", f"{option.help or ''}{_default(option)}"))
+        parts.append(
+            directive(
+                "option",
+                f"{', '.join(option.opts)}{value}",
+                f"{option.help or ''}{_default(option)}",
+            )
+        )
     return "\n".join(parts)
 
 

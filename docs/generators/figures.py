@@ -34,7 +34,12 @@ def wavefront() -> FittedWavefront:
 def chain() -> Figure:
     """Target, wavefront, PSF, light, counts."""
     spacing_um = PITCH_UM / FINER
-    at_mm = (np.arange(SIDE_PX * FINER) - SIDE_PX * FINER / 2 + 0.5) * spacing_um * 1e-3 / PER_MM
+    at_mm = (
+        (np.arange(SIDE_PX * FINER) - SIDE_PX * FINER / 2 + 0.5)
+        * spacing_um
+        * 1e-3
+        / PER_MM
+    )
     target = open_target(f"sierpinski:order=4,size_mm={SIZE_MM}")
     scene = target.sample(at_mm, at_mm, 0.4 / (at_mm[1] - at_mm[0]))
     psf = psf_value(wavefront(), spacing_um, 161)
@@ -49,7 +54,9 @@ def chain() -> Figure:
         ("light on the sensor", light, "gray"),
         ("counts, one colour", counts.astype(float), "gray"),
     ]
-    for axes, (title, picture, colours) in zip(figure.subplots(1, 5), pictures, strict=True):
+    for axes, (title, picture, colours) in zip(
+        figure.subplots(1, 5), pictures, strict=True
+    ):
         axes.imshow(picture, cmap=colours, interpolation="nearest")
         axes.set_title(title)
         axes.set_axis_off()
@@ -66,7 +73,9 @@ def defocus_against_range() -> Figure:
     axes.plot(at, defocus_waves(lens, at, focus_mm, 450.0), color=SOFT)
     axes.axhline(0, color=SOFT, linewidth=0.6)
     axes.plot(ranges, waves, "o", color="#1f5fa8", label="as measured, signs by the law")
-    axes.plot(ranges, -waves, "o", color="#1f5fa8", markerfacecolor="white", label="their twins")
+    axes.plot(
+        ranges, -waves, "o", color="#1f5fa8", markerfacecolor="white", label="their twins"
+    )
     axes.axvline(focus_mm, color=SOFT, linestyle=":")
     axes.annotate("best focus", (focus_mm, -1.2), xytext=(6, 0), textcoords="offset points")
     axes.set_xlabel("range / mm")

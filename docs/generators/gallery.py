@@ -32,7 +32,12 @@ EXAMPLES = (
     Example(
         "tutorial",
         "The tutorial's lens",
-        (MAKE_PHOTOGRAPHS, "labkit import frames.csv plan.toml lens", "labkit fit lens", "labkit report lens"),
+        (
+            MAKE_PHOTOGRAPHS,
+            "labkit import frames.csv plan.toml lens",
+            "labkit fit lens",
+            "labkit report lens",
+        ),
         "Two small photographs, one colour, as in the [tutorial](tutorials/files.md), which has `plan.toml` and `frames.csv`.",
         "lens/results/latest/report.html",
     ),
@@ -47,7 +52,10 @@ EXAMPLES = (
     Example(
         "real",
         "A lone real photograph",
-        (f"python examples/real_photograph.py {PHOTOGRAPHS} real", "labkit report real/session"),
+        (
+            f"python examples/real_photograph.py {PHOTOGRAPHS} real",
+            "labkit report real/session",
+        ),
         "A printed noise target, photographed by others: once, by an unknown lens, without range, darks or flats. "
         "`PHOTOGRAPHS` is the folder with their files (Delbracio, Muse, Almansa, *Non-parametric sub-pixel local PSF "
         "estimation*, IPOL); their photograph is not ours to show, so the picture ends above it. The first command also "
@@ -62,6 +70,12 @@ def gallery() -> str:
     """A section for each report."""
     parts = []
     for example in EXAMPLES:
-        parts += [f"## {example.title}\n", f"{example.words}\n", "```text\n" + "\n".join(example.commands) + "\n```\n"]
-        parts.append(f"![The top of the report: {example.title}](gallery/{example.name}.png)\n")
+        parts += [
+            f"## {example.title}\n",
+            f"{example.words}\n",
+            "```text\n" + "\n".join(example.commands) + "\n```\n",
+        ]
+        parts.append(
+            f"![The top of the report: {example.title}](gallery/{example.name}.png)\n"
+        )
     return "\n".join(parts)

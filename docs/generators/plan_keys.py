@@ -29,10 +29,24 @@ def plan_keys() -> str:
 
 def panels() -> str:
     """The panels that a plan can name."""
-    rows = [["`display.panel`", "pixels, height × width", "pitch / mm", "lit area, height × width / mm"]]
+    rows = [
+        [
+            "`display.panel`",
+            "pixels, height × width",
+            "pitch / mm",
+            "lit area, height × width / mm",
+        ]
+    ]
     for name, panel in PANELS.items():
         (height, width), (high_mm, wide_mm) = panel.pixels, panel.size_mm
-        rows.append([code(name), f"{height} × {width}", f"{panel.pitch_mm:.5f}", f"{high_mm:.1f} × {wide_mm:.1f}"])
+        rows.append(
+            [
+                code(name),
+                f"{height} × {width}",
+                f"{panel.pitch_mm:.5f}",
+                f"{high_mm:.1f} × {wide_mm:.1f}",
+            ]
+        )
     return table(rows)
 
 
@@ -56,9 +70,18 @@ def _section(name: str, field: FieldInfo) -> str:
     brackets = f"[[{name}]]" if name == "channel" else f"[{name}]"
     parts = [f"## {code(brackets)}", "", _text(model.__doc__), ""]
     if not field.is_required():
-        parts += ["This table may be left out." if field.default is not None else "Needed to capture, not to fit.", ""]
+        parts += [
+            "This table may be left out."
+            if field.default is not None
+            else "Needed to capture, not to fit.",
+            "",
+        ]
     for dotted, inner in _keys_of(name, model):
-        parts.append(directive("confval", dotted, f"{_text(inner.description)}\n\n{_facts(dotted, inner)}"))
+        parts.append(
+            directive(
+                "confval", dotted, f"{_text(inner.description)}\n\n{_facts(dotted, inner)}"
+            )
+        )
     return "\n".join(parts)
 
 
@@ -89,7 +112,11 @@ def _default(dotted: str, field: FieldInfo) -> str:
     """As TOML has it, or in the words that end the field's text."""
     if field.is_required():
         return "none, it is required"
-    kinds = [kind for kind, needed in NEEDED.items() if dotted in [f"target.{key}" for key in needed]]
+    kinds = [
+        kind
+        for kind, needed in NEEDED.items()
+        if dotted in [f"target.{key}" for key in needed]
+    ]
     if kinds:
         return f"none, {', '.join(kinds)} {'needs' if len(kinds) == 1 else 'need'} it"
     if field.default is None:
@@ -99,7 +126,11 @@ def _default(dotted: str, field: FieldInfo) -> str:
 
 
 def _stated_default(text: str) -> str:
-    return " ".join(text.rpartition("Default: ")[2].split()).removesuffix(".") if "Default: " in text else "none"
+    return (
+        " ".join(text.rpartition("Default: ")[2].split()).removesuffix(".")
+        if "Default: " in text
+        else "none"
+    )
 
 
 def _text(text: str | None) -> str:

@@ -15,7 +15,9 @@ def results_keys() -> str:
     keys = list(dict.fromkeys(_keys("", full_results().as_json())))
     unknown, stale = set(keys) - set(MEANINGS), set(MEANINGS) - set(keys)
     if unknown or stale:
-        raise ValueError(f"docs/generators/results_meanings.py: lacks {sorted(unknown)}, has too much {sorted(stale)}")
+        raise ValueError(
+            f"docs/generators/results_meanings.py: lacks {sorted(unknown)}, has too much {sorted(stale)}"
+        )
     return "\n".join(f"{code(key)}\n: {MEANINGS[key]}\n" for key in keys)
 
 
@@ -33,5 +35,12 @@ def _keys(where: str, value: Any) -> Iterator[str]:
             yield from _keys(f"{where.removesuffix('.')}[].", item)
 
 
-NAMED = {"focus.best_focus_mm.", "focus.residual_waves.", "budget.", "joint.", "model_parts.", "widest_light_nm."}
+NAMED = {
+    "focus.best_focus_mm.",
+    "focus.residual_waves.",
+    "budget.",
+    "joint.",
+    "model_parts.",
+    "widest_light_nm.",
+}
 """Tables whose keys depend on the session."""

@@ -19,7 +19,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import CameraInfo, Check, ClosesItself, ExposureSettings, RawFrame, Setting
+from labkit.devices.protocols import (
+    CameraInfo,
+    Check,
+    ClosesItself,
+    ExposureSettings,
+    RawFrame,
+    Setting,
+)
 from labkit.drivers.gphoto2.files import clear_folder, fresh_folder, kept
 from labkit.drivers.gphoto2.link import (
     BUSY,
@@ -35,7 +42,15 @@ from labkit.drivers.gphoto2.link import (
     Link,
     Trouble,
 )
-from labkit.drivers.gphoto2.settings import ISO, SHUTTER, Wanted, number_of, percent_of, seconds_of, wanted
+from labkit.drivers.gphoto2.settings import (
+    ISO,
+    SHUTTER,
+    Wanted,
+    number_of,
+    percent_of,
+    seconds_of,
+    wanted,
+)
 from labkit.errors import CameraError, DeviceTimeoutError, PlanError
 from labkit.plan import Plan
 
@@ -78,7 +93,9 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
             "gphoto2:ptpip:192.168.1.5 with the camera's address"
         )
     if find_spec("gphoto2") is None:
-        raise PlanError(f'address "{address}" needs the package gphoto2: pip install gphoto2')
+        raise PlanError(
+            f'address "{address}" needs the package gphoto2: pip install gphoto2'
+        )
     settings = plan.camera
     return Gphoto2Camera(
         _network_port(port) or port,
@@ -105,7 +122,10 @@ def find_cameras() -> list[tuple[str, str]]:
         raise CameraError("the package gphoto2 is missing: pip install gphoto2")
     link = Link()
     try:
-        return [(f"gphoto2:{port}", _printable(model)) for model, port in link.ask("find", ASK_S)]
+        return [
+            (f"gphoto2:{port}", _printable(model))
+            for model, port in link.ask("find", ASK_S)
+        ]
     finally:
         link.close(CLOSE_S)
 
@@ -168,13 +188,17 @@ class Gphoto2Camera(ClosesItself):
 
     def expose(self, path: Path) -> RawFrame:
         """Expose once into `path` with the raw format's suffix after it; as the body is set, if not configured."""
-        return self._doing(f"photographing {path.name}", lambda: self._expose(path), path.parent)
+        return self._doing(
+            f"photographing {path.name}", lambda: self._expose(path), path.parent
+        )
 
     def preview(self, path: Path) -> Path | None:
         """A picture of its live view, written to `path` with ".jpg" after it; None from a body that has none."""
         made = path.with_name(f"{path.name}.jpg")
         try:
-            self._doing("live view", lambda: self._link.ask("preview", ASK_S, path=str(made)))
+            self._doing(
+                "live view", lambda: self._link.ask("preview", ASK_S, path=str(made))
+            )
         except (CameraError, DeviceTimeoutError) as error:
             if isinstance(error.__cause__, Trouble) and error.__cause__.code == UNSUPPORTED:
                 return None
@@ -191,10 +215,14 @@ class Gphoto2Camera(ClosesItself):
         state = self._doing("asking the camera for battery and storage", self._state)
         charge = percent_of(state.get("battery"))
         if charge is not None and charge < LOW_PERCENT:
-            problems.append(f"the camera's battery is at {charge:g} %: charge it, or feed it from the mains")
+            problems.append(
+                f"the camera's battery is at {charge:g} %: charge it, or feed it from the mains"
+            )
         free = state.get("free_images")
         if self._keep and free is not None and free < frames:
-            problems.append(f"the camera's card has room for {free} photographs, {frames} are to come: empty it")
+            problems.append(
+                f"the camera's card has room for {free} photographs, {frames} are to come: empty it"
+            )
         return Check(tuple(problems), self._wanted.by_hand if self._wanted else ())
 
     def close(self) -> None:
@@ -202,7 +230,9 @@ class Gphoto2Camera(ClosesItself):
         self._is_open = False
         self._link.close(CLOSE_S)
 
-    def _doing(self, what: str, action: Callable[[], Result], folder: Path | None = None) -> Result:
+    def _doing(
+        self, what: str, action: Callable[[], Result], folder: Path | None = None
+    ) -> Result:
         """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""
         pauses = iter((*PAUSES_S, None))
         for attempt, pause_s in enumerate(pauses, 1):
@@ -243,16 +273,24 @@ class Gphoto2Camera(ClosesItself):
         if self._on_network:
             model, port = ON_NETWORK, self._port
         else:
-            model, port = self._choose([(model, port) for model, port in self._link.ask("find", ASK_S)])
+            model, port = self._choose(
+                [(model, port) for model, port in self._link.ask("find", ASK_S)]
+            )
         self._seen_at = "" if self._on_network else port
         version = self._link.ask("open", OPEN_S, model=model, port=port)
         try:
             self._list()
             said = {name: str(setting.value) for name, setting in self._body.items()}
             model = said.get("cameramodel", model) if self._on_network else model
-            info = CameraInfo(_printable(model), _printable(said.get("serialnumber", "")), f"libgphoto2 {version}")
+            info = CameraInfo(
+                _printable(model),
+                _printable(said.get("serialnumber", "")),
+                f"libgphoto2 {version}",
+            )
             if self._info not in (None, info):
-                raise CameraError(f"another camera came back: {info}; the session's is {self._info}: plug that in")
+                raise CameraError(
+                    f"another camera came back: {info}; the session's is {self._info}: plug that in"
+                )
             self._info = info
             if self._wanted is not None:
                 self._set_all()
@@ -270,18 +308,32 @@ class Gphoto2Camera(ClosesItself):
             if port == self._port:
                 return model, port
         if self._info is not None:  # plugged in again, it has another number
-            found = [(model, port) for model, port in found if _printable(model) == self._info.model]
+            found = [
+                (model, port)
+                for model, port in found
+                if _printable(model) == self._info.model
+            ]
         elif self._port:
-            raise CameraError(f"no camera at {self._port}; there is {listed}: give camera.address as one of these")
+            raise CameraError(
+                f"no camera at {self._port}; there is {listed}: give camera.address as one of these"
+            )
         if len(found) > 1:
-            raise CameraError(f'several cameras: {listed}; say which, as camera.address = "gphoto2:{found[0][1]}"')
+            raise CameraError(
+                f'several cameras: {listed}; say which, as camera.address = "gphoto2:{found[0][1]}"'
+            )
         if not found:
             raise Trouble(NO_CAMERA, f"only {listed} found")
         return found[0]
 
     def _list(self) -> tuple[Setting, ...]:
         listed = tuple(
-            Setting(one["name"], one["label"], one["value"], tuple(one["choices"]), one["readonly"])
+            Setting(
+                one["name"],
+                one["label"],
+                one["value"],
+                tuple(one["choices"]),
+                one["readonly"],
+            )
             for one in self._link.ask("settings", OPEN_S)
         )
         self._body = {setting.name: setting for setting in listed}
@@ -290,7 +342,9 @@ class Gphoto2Camera(ClosesItself):
     def _set_all(self) -> None:
         assert self._exposure is not None
         self._list()
-        self._wanted = wanted(self._body, self._exposure, self._f_number, "card" if self._keep else "ram")
+        self._wanted = wanted(
+            self._body, self._exposure, self._f_number, "card" if self._keep else "ram"
+        )
         for name, value in self._wanted.changes:
             if self._body[name].value != value:
                 self._set(name, value)
@@ -318,7 +372,9 @@ class Gphoto2Camera(ClosesItself):
         """Battery and free storage, as far as the body reports it."""
         state: dict[str, Any] = {}
         if "batterylevel" in self._body:
-            state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])["batterylevel"]
+            state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])[
+                "batterylevel"
+            ]
         try:
             stores = self._link.ask("storage", ASK_S)
         except Trouble as trouble:
@@ -331,7 +387,9 @@ class Gphoto2Camera(ClosesItself):
         return state
 
     def _expose(self, path: Path) -> RawFrame:
-        if self._exposure is not None and self._wanted is None:  # setting it was given up half-way
+        if (
+            self._exposure is not None and self._wanted is None
+        ):  # setting it was given up half-way
             self._set_all()
         now, state = self._set_right(), self._state()
         charge = percent_of(state.get("battery"))
@@ -354,21 +412,32 @@ class Gphoto2Camera(ClosesItself):
             bulb=bulb,
         )
         made = kept(answer["files"], path, wait_s)
-        meta = {**now, **state, **({"strays": answer["strays"]} if answer["strays"] else {})}
+        meta = {
+            **now,
+            **state,
+            **({"strays": answer["strays"]} if answer["strays"] else {}),
+        }
         return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
 
     def _exposed(self, now: Mapping[str, Any]) -> tuple[float, int]:
         """Shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
         values = {name: setting.value for name, setting in self._body.items()} | dict(now)
-        seconds = next((s for name in SHUTTER if name in values and (s := seconds_of(values[name]))), None)
-        iso = next((n for name in ISO if name in values and (n := number_of(values[name]))), None)
+        seconds = next(
+            (s for name in SHUTTER if name in values and (s := seconds_of(values[name]))),
+            None,
+        )
+        iso = next(
+            (n for name in ISO if name in values and (n := number_of(values[name]))), None
+        )
         if self._exposure is not None:
             seconds = self._wanted.exposure_s if self._wanted else self._exposure.exposure_s
             iso = iso or self._exposure.iso
         return seconds or 1.0, round(iso or 0)
 
 
-def _error(what: str, trouble: Trouble, tries: int, on_network: bool) -> CameraError | DeviceTimeoutError:
+def _error(
+    what: str, trouble: Trouble, tries: int, on_network: bool
+) -> CameraError | DeviceTimeoutError:
     """A trouble as a line for people."""
     text = str(trouble)
     if on_network and trouble.code in (IO, TIMEOUT, HUNG, GONE):
@@ -378,7 +447,9 @@ def _error(what: str, trouble: Trouble, tries: int, on_network: bool) -> CameraE
     elif trouble.code in (HUNG, DIED):
         text = f"{text}: switch the camera off and on, look at its cable"
     line = f"{what} failed {tries} times: {text}"
-    return DeviceTimeoutError(line) if trouble.code in (TIMEOUT, HUNG) else CameraError(line)
+    return (
+        DeviceTimeoutError(line) if trouble.code in (TIMEOUT, HUNG) else CameraError(line)
+    )
 
 
 def _printable(text: str) -> str:
@@ -388,11 +459,18 @@ def _printable(text: str) -> str:
 
 def _refuse_other(name: str, asked: Any, is_now: Any) -> None:
     if asked != is_now:
-        raise CameraError(f"{name} was set to {asked}, but the camera has {is_now}: look at its dials and locks")
+        raise CameraError(
+            f"{name} was set to {asked}, but the camera has {is_now}: look at its dials and locks"
+        )
 
 
 def _unmount() -> None:
     """Ask the desktop's file manager to let cameras go."""
     if gio := shutil.which("gio"):
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-            subprocess.run([gio, "mount", "-s", "gphoto2"], timeout=10, capture_output=True, check=False)
+            subprocess.run(
+                [gio, "mount", "-s", "gphoto2"],
+                timeout=10,
+                capture_output=True,
+                check=False,
+            )

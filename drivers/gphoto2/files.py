@@ -17,7 +17,14 @@ SUFFIXES = (
     (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),
     (b"IIRO", ".orf"), (b"IIRS", ".orf"), (b"MMOR", ".orf"),
 )  # fmt: skip
-MAKERS = {"nikon": ".nef", "sony": ".arw", "canon": ".cr2", "pentax": ".pef", "ricoh": ".pef", "samsung": ".srw"}
+MAKERS = {
+    "nikon": ".nef",
+    "sony": ".arw",
+    "canon": ".cr2",
+    "pentax": ".pef",
+    "ricoh": ".pef",
+    "samsung": ".srw",
+}
 
 
 def fresh_folder(folder: Path) -> Path:
@@ -42,7 +49,9 @@ def kept(files: list[dict[str, Any]], path: Path, wait_s: float) -> Path:
     if not files:
         raise Trouble(TIMEOUT, f"no photograph came within {wait_s:g} s")
     if not raws:
-        raise CameraError(f"the camera sent {files[0]['name']}, a JPEG, and no raw file: set its image quality to raw")
+        raise CameraError(
+            f"the camera sent {files[0]['name']}, a JPEG, and no raw file: set its image quality to raw"
+        )
     if len(raws) > 1:
         raise Trouble(TIMEOUT, f"{len(raws)} raw files came of one exposure")
     made = path.with_name(path.name + _checked_suffix(raws[0]))

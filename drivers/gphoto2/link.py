@@ -16,7 +16,16 @@ from labkit.errors import CameraError
 
 COMMAND = (sys.executable, "-m", "labkit.drivers.gphoto2.worker")
 
-FULL, UNSUPPORTED, IO, TIMEOUT, GONE, CLAIM, NO_CAMERA, BUSY = -3, -6, -7, -10, -52, -53, -105, -110
+FULL, UNSUPPORTED, IO, TIMEOUT, GONE, CLAIM, NO_CAMERA, BUSY = (
+    -3,
+    -6,
+    -7,
+    -10,
+    -52,
+    -53,
+    -105,
+    -110,
+)
 """Codes of libgphoto2 and its ports."""
 
 HUNG, DIED = 1, 2
@@ -54,12 +63,17 @@ class Link:
             while True:
                 if not channel.poll(max(0.0, end - time.monotonic())):
                     self.kill()
-                    raise Trouble(HUNG, f"libgphoto2 did not come back from '{do}' within {limit_s:g} s")
+                    raise Trouble(
+                        HUNG,
+                        f"libgphoto2 did not come back from '{do}' within {limit_s:g} s",
+                    )
                 answer = json.loads(channel.recv_bytes())
                 if answer["id"] == self._asked:  # else to a question that was broken off
                     break
         except (EOFError, OSError) as error:
-            raise Trouble(DIED, f"libgphoto2 crashed in '{do}'{self._last_words()}") from error
+            raise Trouble(
+                DIED, f"libgphoto2 crashed in '{do}'{self._last_words()}"
+            ) from error
         if "error" in answer:
             raise Trouble(answer["code"], answer["error"])
         return answer["value"]
@@ -107,4 +121,8 @@ class Link:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 status = process.wait(KILL_S)
         self.kill()
-        return f" (signal {-status})" if status is not None and status < 0 else f" (exit status {status})"
+        return (
+            f" (signal {-status})"
+            if status is not None and status < 0
+            else f" (exit status {status})"
+        )

@@ -17,15 +17,23 @@ from labkit.errors import CameraError
 Body = Mapping[str, Setting]
 Choice = str | int | float
 
-SHUTTER, ISO, APERTURE = ("shutterspeed2", "shutterspeed"), ("iso",), ("f-number", "aperture")
+SHUTTER, ISO, APERTURE = (
+    ("shutterspeed2", "shutterspeed"),
+    ("iso",),
+    ("f-number", "aperture"),
+)
 FORMAT, TARGET = ("imagequality", "imageformat"), ("capturetarget",)
 
 TOLERANCE = 0.02
 """A choice this near to what was asked is it: bodies round 1/60 s to 0.0167."""
 
 BULB = re.compile(r"bulb", re.IGNORECASE)
-RAW = re.compile(r"(?<![a-z])(raw|nef|nrw|cr2|cr3|arw|dng|orf|raf|rw2|pef|3fr)", re.IGNORECASE)
-LOSSY = re.compile(r"jpe?g|heif|fine|normal|basic|large|medium|small|superfine|\+", re.IGNORECASE)
+RAW = re.compile(
+    r"(?<![a-z])(raw|nef|nrw|cr2|cr3|arw|dng|orf|raf|rw2|pef|3fr)", re.IGNORECASE
+)
+LOSSY = re.compile(
+    r"jpe?g|heif|fine|normal|basic|large|medium|small|superfine|\+", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +50,17 @@ class Insist:
 
 
 INSISTED = (
-    Insist(("expprogram", "autoexposuremode", "autoexposuremodedial"), r"m|manual.*|bulb", "exposure mode M"),
-    Insist(("focusmode", "focusmode2"), r"m|mf.*|manual.*", "manual focus, at the lens or the body", "MF (fixed)"),
+    Insist(
+        ("expprogram", "autoexposuremode", "autoexposuremodedial"),
+        r"m|manual.*|bulb",
+        "exposure mode M",
+    ),
+    Insist(
+        ("focusmode", "focusmode2"),
+        r"m|mf.*|manual.*",
+        "manual focus, at the lens or the body",
+        "MF (fixed)",
+    ),
     Insist(("autofocus",), r"off|0", ""),
     Insist(("imagestabilization",), r"off|0", "vibration reduction off"),
     Insist(("longexpnr",), r"off|0|no", "long exposure noise reduction off"),
@@ -74,7 +91,10 @@ class Wanted:
 
 
 def wanted(
-    body: Body, exposure: ExposureSettings, f_number: float | None, target: Literal["ram", "card"] = "ram"
+    body: Body,
+    exposure: ExposureSettings,
+    f_number: float | None,
+    target: Literal["ram", "card"] = "ram",
 ) -> Wanted:
     """Every setting that matters, as this body calls it. Raises CameraError, one line with all that cannot be."""
     problems: list[str] = []
@@ -93,21 +113,29 @@ def wanted(
         _target(body, target),
     ]
     if problems:
-        raise CameraError("the camera cannot be set as the plan wants it: " + "; ".join(problems))
+        raise CameraError(
+            "the camera cannot be set as the plan wants it: " + "; ".join(problems)
+        )
     changes += [choice for choice in picked if choice]
     seconds = exposure.exposure_s if shutter is None or bulb else seconds_of(shutter[1])
     files = None if image is None else 2 if LOSSY.search(str(image[1])) else 1
-    return Wanted(tuple(changes), seconds or exposure.exposure_s, bulb, files, tuple(by_hand))
+    return Wanted(
+        tuple(changes), seconds or exposure.exposure_s, bulb, files, tuple(by_hand)
+    )
 
 
 def seconds_of(value: Choice) -> float | None:
     """A shutter time: "1/50", "0.0200s", "1.3", "2''", "30 s"; None for "Bulb" and the like."""
-    return _fraction(re.fullmatch(r"([\d./]+)\s*(?:s|sec|\"|'')?", str(value).strip(), re.IGNORECASE))
+    return _fraction(
+        re.fullmatch(r"([\d./]+)\s*(?:s|sec|\"|'')?", str(value).strip(), re.IGNORECASE)
+    )
 
 
 def number_of(value: Choice) -> float | None:
     """An aperture or sensitivity: "f/2.8", "2.8", "ISO 100", "100"; None for "Auto" and the like."""
-    return _fraction(re.fullmatch(r"(?:f/?|iso)?\s*([\d./]+)", str(value).strip(), re.IGNORECASE))
+    return _fraction(
+        re.fullmatch(r"(?:f/?|iso)?\s*([\d./]+)", str(value).strip(), re.IGNORECASE)
+    )
 
 
 def percent_of(value: Any) -> float | None:
@@ -132,7 +160,11 @@ def _first(body: Body, names: Sequence[str]) -> Iterator[Setting]:
 
 
 def _insist(
-    body: Body, insisted: Insist, changes: list[tuple[str, Choice]], problems: list[str], by_hand: list[str]
+    body: Body,
+    insisted: Insist,
+    changes: list[tuple[str, Choice]],
+    problems: list[str],
+    by_hand: list[str],
 ) -> None:
     def right(value: object) -> bool:
         return bool(re.fullmatch(insisted.value, str(value).strip(), re.IGNORECASE))
@@ -142,11 +174,17 @@ def _insist(
         by_hand.append(insisted.by_hand)
     settled = False
     for setting in here:
-        choices = [choice for choice in setting.choices if right(choice) and choice != insisted.switch]
+        choices = [
+            choice
+            for choice in setting.choices
+            if right(choice) and choice != insisted.switch
+        ]
         if right(setting.value):
             settled = True
             # it is set all the same where it can be: a body that turns it by itself is turned back
-            changes += [(setting.name, setting.value)] if setting.value in setting.choices else []
+            changes += (
+                [(setting.name, setting.value)] if setting.value in setting.choices else []
+            )
         elif choices and not setting.readonly:
             settled = True
             changes.append((setting.name, choices[0]))
@@ -157,13 +195,17 @@ def _insist(
         problems.append(f"{here[0].name} is {here[0].value}: set {advice} at the camera")
 
 
-def _shutter(body: Body, exposure_s: float, problems: list[str], by_hand: list[str]) -> tuple[str, Choice] | None:
+def _shutter(
+    body: Body, exposure_s: float, problems: list[str], by_hand: list[str]
+) -> tuple[str, Choice] | None:
     times: dict[float, tuple[str, Choice]] = {}
     bulb: tuple[str, Choice] | None = None
     for setting in _first(body, SHUTTER):
         for choice in setting.choices:
             seconds = seconds_of(choice)
-            if seconds and _nearest(times, seconds) is None:  # two settings of one shutter round differently
+            if (
+                seconds and _nearest(times, seconds) is None
+            ):  # two settings of one shutter round differently
                 times[seconds] = (setting.name, choice)
             elif bulb is None and BULB.fullmatch(str(choice).strip()):
                 bulb = (setting.name, choice)
@@ -174,7 +216,9 @@ def _shutter(body: Body, exposure_s: float, problems: list[str], by_hand: list[s
     if not times:
         by_hand.append(f"shutter time {exposure_s:g} s")
         return None
-    problems.append(f"exposure_s = {exposure_s:g}: allowed are {_listed(times, exposure_s)}{_longer(bulb)}")
+    problems.append(
+        f"exposure_s = {exposure_s:g}: allowed are {_listed(times, exposure_s)}{_longer(bulb)}"
+    )
     return None
 
 
@@ -183,13 +227,22 @@ def _longer(bulb: object) -> str:
 
 
 def _number(
-    body: Body, names: Sequence[str], what: str, asked: float, problems: list[str], by_hand: list[str]
+    body: Body,
+    names: Sequence[str],
+    what: str,
+    asked: float,
+    problems: list[str],
+    by_hand: list[str],
 ) -> tuple[str, Choice] | None:
     for setting in _first(body, names):
         now = number_of(setting.value)
         if setting.readonly and now and abs(now / asked - 1) <= TOLERANCE:
             return None
-        offered = {number: (setting.name, choice) for choice in setting.choices if (number := number_of(choice))}
+        offered = {
+            number: (setting.name, choice)
+            for choice in setting.choices
+            if (number := number_of(choice))
+        }
         if setting.readonly or not offered:
             break
         if near := _nearest(offered, asked):
@@ -200,9 +253,13 @@ def _number(
     return None
 
 
-def _nearest(offered: Mapping[float, tuple[str, Choice]], asked: float) -> tuple[str, Choice] | None:
+def _nearest(
+    offered: Mapping[float, tuple[str, Choice]], asked: float
+) -> tuple[str, Choice] | None:
     near = min(offered, key=lambda value: abs(value / asked - 1), default=None)
-    return offered[near] if near is not None and abs(near / asked - 1) <= TOLERANCE else None
+    return (
+        offered[near] if near is not None and abs(near / asked - 1) <= TOLERANCE else None
+    )
 
 
 def _listed(offered: Mapping[float, tuple[str, Choice]], asked: float) -> str:
@@ -216,30 +273,42 @@ def _listed(offered: Mapping[float, tuple[str, Choice]], asked: float) -> str:
 def _bulb(body: Body, problems: list[str]) -> Bulb | None:
     if "eosremoterelease" in body:
         choices = [str(choice) for choice in body["eosremoterelease"].choices]
-        press = next((name for name in ("Immediate", "Press Full") if name in choices), None)
-        release = next((name for name in ("Release Full", "Release 1") if name in choices), None)
+        press = next(
+            (name for name in ("Immediate", "Press Full") if name in choices), None
+        )
+        release = next(
+            (name for name in ("Release Full", "Release 1") if name in choices), None
+        )
         if press and release:
             return Bulb(("eosremoterelease", press), ("eosremoterelease", release))
     if "bulb" in body:
         return Bulb(("bulb", 1), ("bulb", 0))
-    problems.append("exposure_s is longer than the body times by itself, and it offers no bulb release")
+    problems.append(
+        "exposure_s is longer than the body times by itself, and it offers no bulb release"
+    )
     return None
 
 
-def _format(body: Body, problems: list[str], by_hand: list[str]) -> tuple[str, Choice] | None:
+def _format(
+    body: Body, problems: list[str], by_hand: list[str]
+) -> tuple[str, Choice] | None:
     """Raw alone if there is such a choice, else raw with a JPEG beside it."""
     for setting in _first(body, FORMAT):
         if not setting.choices:
             continue
         raw = [choice for choice in setting.choices if RAW.search(str(choice))]
         if not raw:
-            problems.append(f"{setting.name}: offers no raw format, only {', '.join(map(str, setting.choices))}")
+            problems.append(
+                f"{setting.name}: offers no raw format, only {', '.join(map(str, setting.choices))}"
+            )
             return None
         alone = [choice for choice in raw if not LOSSY.search(str(choice))]
         best = alone or raw
         chosen = setting.value if setting.value in best else best[0]
         if setting.readonly and setting.value != chosen:
-            problems.append(f"{setting.name} is {setting.value}: set it to {chosen} at the camera")
+            problems.append(
+                f"{setting.name} is {setting.value}: set it to {chosen} at the camera"
+            )
         return None if setting.readonly else (setting.name, chosen)
     by_hand.append("image quality raw")
     return None
@@ -248,6 +317,10 @@ def _format(body: Body, problems: list[str], by_hand: list[str]) -> tuple[str, C
 def _target(body: Body, target: Literal["ram", "card"]) -> tuple[str, Choice] | None:
     for setting in _first(body, TARGET):
         for choice in setting.choices:
-            if re.search(r"^(?!.*card).*ram" if target == "ram" else r"^(memory )?card", str(choice), re.IGNORECASE):
+            if re.search(
+                r"^(?!.*card).*ram" if target == "ram" else r"^(memory )?card",
+                str(choice),
+                re.IGNORECASE,
+            ):
                 return setting.name, choice
     return None

@@ -48,7 +48,9 @@ class StoppedError(Exception):
 class Worker:
     """The requests, each a method whose arguments and result JSON can hold. gp: the gphoto2 package."""
 
-    def __init__(self, channel: Connection, gp: Any, pauses_s: Sequence[float] = PAUSES_S) -> None:
+    def __init__(
+        self, channel: Connection, gp: Any, pauses_s: Sequence[float] = PAUSES_S
+    ) -> None:
         self._channel = channel
         self._gp = gp
         self._pauses_s = pauses_s
@@ -56,7 +58,18 @@ class Worker:
         self._added: deque[tuple[str, str]] = deque()
         self.requests: dict[str, Callable[..., Any]] = {
             name: getattr(self, name)
-            for name in ("find", "open", "settings", "read", "set", "expose", "preview", "storage", "reset", "close")
+            for name in (
+                "find",
+                "open",
+                "settings",
+                "read",
+                "set",
+                "expose",
+                "preview",
+                "storage",
+                "reset",
+                "close",
+            )
         }
 
     def find(self) -> list[list[str]]:
@@ -83,7 +96,10 @@ class Worker:
 
     def read(self, names: list[str]) -> dict[str, Any]:
         """The values of some settings now."""
-        return {name: self._value(self._patiently(self._camera.get_single_config, name)) for name in names}
+        return {
+            name: self._value(self._patiently(self._camera.get_single_config, name))
+            for name in names
+        }
 
     def set(self, name: str, value: Any) -> Any:
         """Change a setting; what the body then says it is."""
@@ -99,7 +115,13 @@ class Worker:
         return now
 
     def expose(
-        self, folder: str, files: int | None, wait_s: float, keep: bool, live_view: bool = False, bulb: Any = None
+        self,
+        folder: str,
+        files: int | None,
+        wait_s: float,
+        keep: bool,
+        live_view: bool = False,
+        bulb: Any = None,
     ) -> dict[str, Any]:
         """Take a photograph and fetch what comes of it into `folder`, each file numbered.
 
@@ -128,8 +150,12 @@ class Worker:
         gp, stores = self._gp, self._patiently(self._camera.get_storageinfo)
         return [
             {
-                "images": store.freeimages if store.fields & gp.GP_STORAGEINFO_FREESPACEIMAGES else None,
-                "kilobytes": store.freekbytes if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES else None,
+                "images": store.freeimages
+                if store.fields & gp.GP_STORAGEINFO_FREESPACEIMAGES
+                else None,
+                "kilobytes": store.freekbytes
+                if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES
+                else None,
             }
             for store in stores
         ]
@@ -155,7 +181,10 @@ class Worker:
 
     def _leaves(self, widget: Any) -> Iterator[dict[str, Any]]:
         children = widget.count_children()
-        if not children and widget.get_type() not in (self._gp.GP_WIDGET_WINDOW, self._gp.GP_WIDGET_SECTION):
+        if not children and widget.get_type() not in (
+            self._gp.GP_WIDGET_WINDOW,
+            self._gp.GP_WIDGET_SECTION,
+        ):
             yield {
                 "name": widget.get_name(),
                 "label": widget.get_label(),
@@ -174,7 +203,9 @@ class Worker:
 
     def _value(self, widget: Any) -> Any:
         value = widget.get_value()
-        return value if isinstance(value, (int, float, str)) or value is None else str(value)
+        return (
+            value if isinstance(value, (int, float, str)) or value is None else str(value)
+        )
 
     def _patiently(self, call: Callable[..., Any], *args: Any) -> Any:
         """Call the library; while I/O is in progress, take events and call again."""
@@ -239,7 +270,9 @@ class Worker:
         widget.set_value(value)
         self._patiently(self._camera.set_single_config, name, widget)
 
-    def _collect(self, folder: Path, files: int | None, wait_s: float, keep: bool) -> list[dict[str, Any]]:
+    def _collect(
+        self, folder: Path, files: int | None, wait_s: float, keep: bool
+    ) -> list[dict[str, Any]]:
         """Fetch files as they are announced, at once: some bodies keep them only until the next exposure."""
         found: list[dict[str, Any]] = []
         end = last = time.monotonic()
@@ -247,9 +280,13 @@ class Worker:
         while time.monotonic() < end:
             self._look(POLL_S)
             while self._added:
-                found.append(self._fetch(self._added.popleft(), folder / str(len(found)), keep))
+                found.append(
+                    self._fetch(self._added.popleft(), folder / str(len(found)), keep)
+                )
                 last = time.monotonic()
-            enough = time.monotonic() - last > QUIET_S if files is None else len(found) >= files
+            enough = (
+                time.monotonic() - last > QUIET_S if files is None else len(found) >= files
+            )
             if enough and any(file["raw"] for file in found):
                 break
         return found

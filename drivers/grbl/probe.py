@@ -20,7 +20,9 @@ def answers(path: str) -> str | None:
         end_s = time.monotonic() + BOOT_S
         while time.monotonic() < end_s:
             wire.send(b"?")
-            while (line := wire.line(min(end_s, time.monotonic() + ASK_AGAIN_S))) is not None:
+            while (
+                line := wire.line(min(end_s, time.monotonic() + ASK_AGAIN_S))
+            ) is not None:
                 if found := BANNER.search(line):
                     return f"GRBL {found[1]}"
                 if read_report(line) is not None:

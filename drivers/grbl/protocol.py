@@ -88,7 +88,12 @@ def read_report(line: str) -> Report | None:
     if not found:
         return None
     offset = OFFSET.search(found["rest"])
-    return Report(found["state"], float(found["x"]), found["kind"] == "M", float(offset["x"]) if offset else None)
+    return Report(
+        found["state"],
+        float(found["x"]),
+        found["kind"] == "M",
+        float(offset["x"]) if offset else None,
+    )
 
 
 def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
@@ -99,9 +104,7 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
     if not int(settings[HOMING]) & 1:
         return "has homing turned off ($22=0), so its position cannot be known; set $22=1"
     if is_hal and not reports & (MACHINE_POSITION | HAL_OFFSET):
-        return (
-            f"reports work positions without their offset ($10={reports}), so its position cannot be known; set $10=511"
-        )
+        return f"reports work positions without their offset ($10={reports}), so its position cannot be known; set $10=511"
     if is_hal and reports & HAL_PARSER_STATE:
         return f"reports its parser's state unasked ($10={reports}), which labkit takes for an answer; set $10=511"
     return None

@@ -62,7 +62,9 @@ class GrblRail(SerialRail):
 
     def check(self, frames: int) -> Check:
         """What to look at by hand: settings that are not as docs/guides/bench.md asks."""
-        return Check((), tuple(f"the rail's {words}" for words in grbl.doubts(self._settings)))
+        return Check(
+            (), tuple(f"the rail's {words}" for words in grbl.doubts(self._settings))
+        )
 
     def home(self) -> None:
         """Find the zero at the limit switch; connects again where the line was lost, clears alarms.
@@ -120,13 +122,17 @@ class GrblRail(SerialRail):
 
     def _approach(self, position_mm: float) -> float:
         below_mm = position_mm - self._run_up_mm
-        allowed_s = grbl.moving_s(self._settings, abs(below_mm - self._at_mm) + self._run_up_mm)
+        allowed_s = grbl.moving_s(
+            self._settings, abs(below_mm - self._at_mm) + self._run_up_mm
+        )
         moves = [f"G53 G0 X{mm:.4f}" for mm in (below_mm, position_mm)]
         self._refuse_stopped()
         self._carry_out([*moves, "G4 P0.01"], 2 * allowed_s)
         at_mm = self._rest()
         if abs(at_mm - position_mm) > TOLERANCE_MM:
-            raise self._lost(f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm")
+            raise self._lost(
+                f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm"
+            )
         self._at_mm = at_mm
         return at_mm
 
@@ -137,7 +143,9 @@ class GrblRail(SerialRail):
             raise RailError(f"{self} does not know where it is; home it first")
         at_mm = self._rest()
         if abs(at_mm - self._at_mm) > TOLERANCE_MM:
-            raise self._lost(f"was left at {self._at_mm:.3f} mm and now reports {at_mm:.3f} mm")
+            raise self._lost(
+                f"was left at {self._at_mm:.3f} mm and now reports {at_mm:.3f} mm"
+            )
 
     def _wake(self) -> None:
         """A controller in a known state, its queue empty, whatever was before."""
@@ -176,7 +184,9 @@ class GrblRail(SerialRail):
                 self._under_way = self._homing = False
                 return
         self._homed = False
-        raise DeviceTimeoutError(f"{self} does not answer as GRBL at {self.BAUD} baud; look at its power and its cable")
+        raise DeviceTimeoutError(
+            f"{self} does not answer as GRBL at {self.BAUD} baud; look at its power and its cable"
+        )
 
     def _await_banner(self, within_s: float) -> bool:
         """Whether the banner comes in time. Raises RailError for firmware that this driver does not know."""
@@ -191,21 +201,31 @@ class GrblRail(SerialRail):
     def _get_to_know(self) -> None:
         """Firmware and settings. Raises RailError for settings that a rail cannot be driven with."""
         lines = self._carry_out(["$I", "$$"], 0.0, watch=False)
-        options = "".join(line[5:-1].partition(",")[0] for line in lines if line.startswith("[OPT:"))
+        options = "".join(
+            line[5:-1].partition(",")[0] for line in lines if line.startswith("[OPT:")
+        )
         is_hal = any("grblhal" in line.lower() for line in lines)
         read = [found for line in lines if (found := grbl.SETTING.fullmatch(line))]
         self._settings = {int(found[1]): float(found[2]) for found in read}
-        if missing := [f"${number}" for number in grbl.NEEDED if number not in self._settings]:
-            raise RailError(f"{self} did not report its settings {', '.join(missing)}; try again")
+        if missing := [
+            f"${number}" for number in grbl.NEEDED if number not in self._settings
+        ]:
+            raise RailError(
+                f"{self} did not report its settings {', '.join(missing)}; try again"
+            )
         if words := grbl.unfit(self._settings, is_hal):
             raise RailError(f"{self} {words}")
         try:
             self._reach = grbl.travel(self._settings, is_hal, options)
             _ = self.travel_mm
         except ValueError as error:
-            raise RailError(f"{self} has no room to move: travel $130 = {self._settings[130]:g} mm") from error
+            raise RailError(
+                f"{self} has no room to move: travel $130 = {self._settings[130]:g} mm"
+            ) from error
 
-    def _carry_out(self, commands: Sequence[str], allowed_s: float, watch: bool = True) -> list[str]:
+    def _carry_out(
+        self, commands: Sequence[str], allowed_s: float, watch: bool = True
+    ) -> list[str]:
         """Send lines and return all that was received until the last is done, at most `allowed_s` and a reply's time.
 
         watch: ask for reports meanwhile, and raise when they stay out. Raises RailError, DeviceTimeoutError.
@@ -229,7 +249,9 @@ class GrblRail(SerialRail):
                 asked_s = now_s
                 self._send(ASK)
         self._homed = False
-        raise DeviceTimeoutError(f"{self} did not finish {commands[0]} in time; look whether it can move, then home it")
+        raise DeviceTimeoutError(
+            f"{self} did not finish {commands[0]} in time; look whether it can move, then home it"
+        )
 
     def _rest(self) -> float:
         """Where it stands, in mm: two Idle reports that agree. Raises RailError, DeviceTimeoutError."""
@@ -244,7 +266,9 @@ class GrblRail(SerialRail):
         self._homed = False
         raise DeviceTimeoutError(f"{self} does not report where it stands; home it")
 
-    def _report(self, within_s: float, states: Sequence[str], in_hold: bool = False) -> grbl.Report | None:
+    def _report(
+        self, within_s: float, states: Sequence[str], in_hold: bool = False
+    ) -> grbl.Report | None:
         """The next report of one of these states, asking until it comes; None if none comes in time.
 
         in_hold: a hold is expected. Raises RailError for trouble.
@@ -266,7 +290,9 @@ class GrblRail(SerialRail):
         if grbl.BANNER.search(line):
             raise self._lost("restarted by itself")
         if found := grbl.ALARM.search(line):
-            raise self._lost(f"raised alarm {found[1]}: {grbl.ALARMS.get(int(found[1]), 'see its manual')}")
+            raise self._lost(
+                f"raised alarm {found[1]}: {grbl.ALARMS.get(int(found[1]), 'see its manual')}"
+            )
         if found := grbl.ERROR.search(line):
             reason = grbl.ERRORS.get(int(found[1]), "see its manual")
             self._homed = False

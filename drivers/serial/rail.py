@@ -22,11 +22,15 @@ def rail_settings(address: str, plan: Plan) -> RailSettings:
     """The [rail] of a plan whose address names a port, such as grbl:/dev/ttyUSB0. Raises PlanError."""
     driver, _, path = address.partition(":")
     if plan.rail is None or not path:
-        raise PlanError(f'rail.address = "{address}": give the port as well, such as {driver}:/dev/ttyUSB0')
+        raise PlanError(
+            f'rail.address = "{address}": give the port as well, such as {driver}:/dev/ttyUSB0'
+        )
     return plan.rail
 
 
-def open_port(address: str, plan: Plan, context: DeviceContext) -> tuple[str, Callable[[], None]]:
+def open_port(
+    address: str, plan: Plan, context: DeviceContext
+) -> tuple[str, Callable[[], None]]:
     """The port's device file, and what to call after use: grbl:simulated is a simulated controller's. Raises PlanError."""
     path = address.partition(":")[2]
     if path != "simulated":
@@ -48,7 +52,12 @@ class SerialRail(ClosesItself):
     BAUD: ClassVar[int] = 115_200
 
     def __init__(
-        self, path: str, run_up_mm: float, reply_s: float, back_s: float, after_close: Callable[[], None]
+        self,
+        path: str,
+        run_up_mm: float,
+        reply_s: float,
+        back_s: float,
+        after_close: Callable[[], None],
     ) -> None:
         self._path = path
         self._run_up_mm = run_up_mm
@@ -76,7 +85,9 @@ class SerialRail(ClosesItself):
         """
         travel = self.travel_mm
         if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+            raise RailLimitError(
+                f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm"
+            )
         with self._lock:
             self._check_ready()
             return self._approach(position_mm)
@@ -96,7 +107,9 @@ class SerialRail(ClosesItself):
 
     def _open(self, begin: Callable[[], None]) -> None:
         """Open the line and do what has to be done first; closes it again if that fails."""
-        self._wire = SerialWire(self._path, self.BAUD, self._back_s if self._opened_before else 0.0)
+        self._wire = SerialWire(
+            self._path, self.BAUD, self._back_s if self._opened_before else 0.0
+        )
         try:
             begin()
         except BaseException:

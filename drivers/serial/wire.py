@@ -35,7 +35,9 @@ class SerialWire:
         while True:
             try:
                 # on a pseudo-terminal and on some drivers a second open succeeds unless it is exclusive
-                self._port = serial.Serial(path, baud, timeout=GLANCE_S, write_timeout=2.0, exclusive=True)
+                self._port = serial.Serial(
+                    path, baud, timeout=GLANCE_S, write_timeout=2.0, exclusive=True
+                )
                 return
             except (serial.SerialException, OSError, ValueError, termios.error) as error:
                 if time.monotonic() >= deadline_s:
@@ -66,7 +68,9 @@ class SerialWire:
 
     def close(self) -> None:
         """Let the port go; again does nothing."""
-        with contextlib.suppress(OSError, termios.error):  # unplugged: there is nothing left to let go
+        with contextlib.suppress(
+            OSError, termios.error
+        ):  # unplugged: there is nothing left to let go
             self._port.close()
 
     def _listen(self) -> bool:

@@ -125,14 +125,18 @@ class Bench:
     def range_mm(self) -> float:
         """How far the panel's centre truly is from the lens's front principal plane, along its axis."""
         rail = self.settings.rail
-        return rail.range_at_zero_mm + rail.tape_error_mm + rail.direction * self.position_mm
+        return (
+            rail.range_at_zero_mm + rail.tape_error_mm + rail.direction * self.position_mm
+        )
 
     def light(self, picture: NDArray[np.uint8]) -> None:
         """Put grey values of panel pixels on the glass, centred and black around. Raises ValueError if too large."""
         rows, cols = self.settings.panel.pixels
         height, width = picture.shape
         if height > rows or width > cols:
-            raise ValueError(f"a picture of {height} × {width} pixels is larger than the panel, {rows} × {cols}")
+            raise ValueError(
+                f"a picture of {height} × {width} pixels is larger than the panel, {rows} × {cols}"
+            )
         top, left = (rows - height) // 2, (cols - width) // 2
         self._codes = np.zeros((rows, cols), dtype=np.int16)
         self._codes[top : top + height, left : left + width] = picture
@@ -149,7 +153,9 @@ class Bench:
             per_s = self._hot_electrons_per_s[rows].astype(np.float64)
             if picture is not None:
                 per_s += self._white_electrons_per_s[rows] * picture[rows]
-            electrons = rng.poisson(per_s * exposure_s) + rng.normal(0, sensor.read_noise_electrons, per_s.shape)
+            electrons = rng.poisson(per_s * exposure_s) + rng.normal(
+                0, sensor.read_noise_electrons, per_s.shape
+            )
             exact = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
             counts[rows] = np.clip(np.rint(exact), 0, sensor.white_level)
         return counts
@@ -157,10 +163,17 @@ class Bench:
     @property
     def truth(self) -> Truth:
         """What is true of this bench and of the stops at which it took pictures."""
-        lens, sensor, tape_error_mm = self.settings.lens, self.settings.sensor, self.settings.rail.tape_error_mm
+        lens, sensor, tape_error_mm = (
+            self.settings.lens,
+            self.settings.sensor,
+            self.settings.rail.tape_error_mm,
+        )
         return Truth(
             seed=self.settings.seed,
-            best_focus_mm={colour: range_mm - tape_error_mm for colour, range_mm in lens.best_focus_mm.items()},
+            best_focus_mm={
+                colour: range_mm - tape_error_mm
+                for colour, range_mm in lens.best_focus_mm.items()
+            },
             range_zero_mm=tape_error_mm,
             focal_length_mm=lens.focal_length_mm,
             f_number=lens.f_number,
@@ -172,7 +185,9 @@ class Bench:
             visits=tuple(self._visits.values()),
         )
 
-    def irradiance(self, colour: str, samples: int | None = None, halo_um: float | None = None) -> Floats32:
+    def irradiance(
+        self, colour: str, samples: int | None = None, halo_um: float | None = None
+    ) -> Floats32:
         """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
         return self._photograph(colour, self._scene(*self._look(colour), samples, halo_um))
 
@@ -186,36 +201,52 @@ class Bench:
             own = shared + lens.colour_share * rng.normal(size=shared.size)
             amounts = own * lens.aberration_waves / np.linalg.norm(own)
             self._modes[colour] = dict(zip(lens.noll, amounts.tolist(), strict=True))
-        self._tilt_deg = (rng.uniform(-1, 1) * pose.tilt_deg, rng.uniform(-1, 1) * pose.tilt_deg)
+        self._tilt_deg = (
+            rng.uniform(-1, 1) * pose.tilt_deg,
+            rng.uniform(-1, 1) * pose.tilt_deg,
+        )
         self._roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
         self._offset_px = tuple(rng.uniform(-pose.offset_px, pose.offset_px, 2))
-        self._waves = rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)), rng.uniform(0, 2 * np.pi, 5)
+        self._waves = (
+            rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)),
+            rng.uniform(0, 2 * np.pi, 5),
+        )
         high, wide = self.settings.panel.pixels
         y_mm = (np.arange(float(high)) - (high - 1) / 2) * self.settings.panel.pitch_mm
         x_mm = (np.arange(float(wide)) - (wide - 1) / 2) * self.settings.panel.pitch_mm
         self._evenness = self._shine(x_mm[None, :], y_mm[:, None]).astype(np.float32)
         shape = (sensor.rows, sensor.cols)
         response = 1 + sensor.response_std * rng.normal(size=shape)
-        bad = rng.choice(response.size, sensor.hot_pixels + sensor.dead_pixels, replace=False)
+        bad = rng.choice(
+            response.size, sensor.hot_pixels + sensor.dead_pixels, replace=False
+        )
         hot, dead = np.split(bad, [sensor.hot_pixels])
         response.flat[dead] *= rng.uniform(0, 0.4, dead.size)
         self._hot_electrons_per_s = np.zeros(shape)
         self._hot_electrons_per_s.flat[hot] = 10 ** rng.uniform(4.3, 5.6, hot.size)
-        self._white_electrons_per_s = sensor.white_electrons_per_s * response * self._colour_map() * self._vignette()
+        self._white_electrons_per_s = (
+            sensor.white_electrons_per_s * response * self._colour_map() * self._vignette()
+        )
         if max(shape) > MOST_AT_ONCE:
             self._white_electrons_per_s = self._white_electrons_per_s.astype(np.float32)
             self._hot_electrons_per_s = self._hot_electrons_per_s.astype(np.float32)
 
     def _generator(self, *purpose: str) -> np.random.Generator:
-        return np.random.default_rng([self.settings.seed, zlib.crc32("/".join(purpose).encode())])
+        return np.random.default_rng(
+            [self.settings.seed, zlib.crc32("/".join(purpose).encode())]
+        )
 
     def _colours(self) -> NDArray[np.str_]:
         """(rows, cols) name of each pixel's colour."""
         sensor = self.settings.sensor
         if sensor.pattern == "mono":
-            return np.full((sensor.rows, sensor.cols), next(iter(self.settings.lens.wavelength_nm)))
+            return np.full(
+                (sensor.rows, sensor.cols), next(iter(self.settings.lens.wavelength_nm))
+            )
         cell = np.array(list(sensor.pattern)).reshape(2, 2)
-        return np.tile(cell, (sensor.rows // 2 + 1, sensor.cols // 2 + 1))[: sensor.rows, : sensor.cols]
+        return np.tile(cell, (sensor.rows // 2 + 1, sensor.cols // 2 + 1))[
+            : sensor.rows, : sensor.cols
+        ]
 
     def _colour_map(self) -> Floats:
         colours = self._colours()
@@ -239,11 +270,16 @@ class Bench:
             np.cos(2 * np.pi * (v * y_mm / high + w * x_mm / wide) + phase)
             for (v, w), phase in zip(vectors, phases, strict=True)
         )
-        return np.asarray(1 + self.settings.panel.unevenness * np.sqrt(2 / len(phases)) * total)
+        return np.asarray(
+            1 + self.settings.panel.unevenness * np.sqrt(2 / len(phases)) * total
+        )
 
     def _radiance(self, codes: NDArray[np.int16]) -> Floats32:
         panel = self.settings.panel
-        lit = 1 / panel.contrast + (1 - 1 / panel.contrast) * (np.arange(256) / 255) ** panel.gamma
+        lit = (
+            1 / panel.contrast
+            + (1 - 1 / panel.contrast) * (np.arange(256) / 255) ** panel.gamma
+        )
         return lit.astype(np.float32)[codes]
 
     def _lateral(self, colour: str) -> float:
@@ -258,7 +294,11 @@ class Bench:
         """(3, 3): panel mm to pixels, by the camera's true pose at this stop: perspective from the entrance pupil."""
         lens, sensor = self.settings.lens, self.settings.sensor
         focal_mm, pupils = lens.focal_length_mm, lens.pupil_magnification
-        tangent_px = lateral * image_per_tangent_mm(lens.focused_mm, focal_mm, pupils) / (sensor.pitch_um * 1e-3)
+        tangent_px = (
+            lateral
+            * image_per_tangent_mm(lens.focused_mm, focal_mm, pupils)
+            / (sensor.pitch_um * 1e-3)
+        )
         col = (sensor.cols - 1) / 2 + self._wander_px[1]
         row = (sensor.rows - 1) / 2 + self._wander_px[0]
         camera = np.array([[tangent_px, 0, col], [0, tangent_px, row], [0, 0, 1]])
@@ -273,24 +313,42 @@ class Bench:
     def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
         lens, sensor = self.settings.lens, self.settings.sensor
         nyquist_um = lens.shortest_nm * 1e-3 * lens.f_number / 2
-        per_pixel = samples or max(self.settings.samples_per_pixel, int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)))
-        reach = int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um)) * per_pixel
+        per_pixel = samples or max(
+            self.settings.samples_per_pixel,
+            int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)),
+        )
+        reach = (
+            int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um)) * per_pixel
+        )
         return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
 
     def _scene(
-        self, lateral: float, lit: Lit | None, samples: int | None = None, halo_um: float | None = None
+        self,
+        lateral: float,
+        lit: Lit | None,
+        samples: int | None = None,
+        halo_um: float | None = None,
     ) -> SceneTransform:
         grid = self._grid(samples, halo_um)
         return transform(render(self._glass(lit), self._to_pixels(lateral), grid), grid)
 
     def _glass(self, lit: Lit | None) -> Glass:
-        return Glass(self._codes, self._radiance(self._codes) * self._evenness, self.settings.panel.pitch_mm, lit)
+        return Glass(
+            self._codes,
+            self._radiance(self._codes) * self._evenness,
+            self.settings.panel.pitch_mm,
+            lit,
+        )
 
     def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
         """A scene through the lens in one colour, all of its light counted."""
         psf, halo = psf_and_halo(self.settings, colour, self._waves_in(colour), scene.grid)
-        total = psf.sum(dtype=float) + halo.sum(dtype=float)  # what lands farther than the frame is wide is no loss
-        seen = photograph(scene, psf, self.settings.sensor.fill_factor, halo) / np.float32(total)
+        total = psf.sum(dtype=float) + halo.sum(
+            dtype=float
+        )  # what lands farther than the frame is wide is no loss
+        seen = photograph(scene, psf, self.settings.sensor.fill_factor, halo) / np.float32(
+            total
+        )
         return veiled(seen, scene, self.settings.lens.veil)
 
     def _waves_in(self, colour: str) -> dict[int, float]:
@@ -318,7 +376,9 @@ class Bench:
             elif self.settings.panel.layout == "none":
                 self._seen[key] = self._uniform()
             else:
-                self._seen[key] = self._mosaic()  # whoever sees a panel's own pixels sees them in white too
+                self._seen[key] = (
+                    self._mosaic()
+                )  # whoever sees a panel's own pixels sees them in white too
         return self._seen[key]
 
     def _mosaic(self) -> Floats32:
@@ -338,20 +398,29 @@ class Bench:
         colours, grid = self._colours(), self._grid(None, None)
         spreads = {}
         for colour in np.unique(colours):
-            psf, halo = psf_and_halo(self.settings, str(colour), self._waves_in(str(colour)), grid)
+            psf, halo = psf_and_halo(
+                self.settings, str(colour), self._waves_in(str(colour)), grid
+            )
             total = np.float32(psf.sum(dtype=float) + halo.sum(dtype=float))
             spreads[str(colour)] = psf / total, halo / total
         glass = {colour: self._glass(self._look(colour)[1]) for colour in spreads}
-        latest: dict[tuple[object, ...], SceneTransform] = {}  # colours of one look share a tile's scene
+        latest: dict[
+            tuple[object, ...], SceneTransform
+        ] = {}  # colours of one look share a tile's scene
 
         def draw(colour: str, here: FineGrid) -> SceneTransform:
             key = (self._look(colour), here)
             if key not in latest:
                 latest.clear()
-                latest[key] = transform(render(glass[colour], self._to_pixels(self._lateral(colour)), here), here)
+                latest[key] = transform(
+                    render(glass[colour], self._to_pixels(self._lateral(colour)), here),
+                    here,
+                )
             return latest[key]
 
-        seen, whole = mosaic_in_tiles(colours, grid, draw, spreads, self.settings.sensor.fill_factor)
+        seen, whole = mosaic_in_tiles(
+            colours, grid, draw, spreads, self.settings.sensor.fill_factor
+        )
         if self.settings.lens.veil.fraction:
             for colour, scene in whole.items():
                 mine = colours == colour
@@ -362,7 +431,9 @@ class Bench:
         """The truth of this stop."""
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
-        defocus = {colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm}
+        defocus = {
+            colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm
+        }
         pose = tuple(tuple(row) for row in self._to_pixels().tolist())
         zero_mm = rail.tape_error_mm + rail.direction * self._homing_mm
         self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
@@ -375,7 +446,9 @@ class Bench:
         rim = self.settings.halo_um / self.settings.sensor.pitch_um + 1
         x, y = np.array([-rim, cols + rim])[None, :], np.array([-rim, rows + rim])[:, None]
         right, down = carry(self._from_pixels(), x, y)
-        high, wide = (n * self.settings.panel.pitch_mm / 2 for n in self.settings.panel.pixels)
+        high, wide = (
+            n * self.settings.panel.pitch_mm / 2 for n in self.settings.panel.pixels
+        )
         return bool(np.all(np.abs(right) < wide) and np.all(np.abs(down) < high))
 
     def _uniform(self) -> Floats32:

@@ -7,7 +7,13 @@ from datetime import datetime
 from pathlib import Path
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import CameraInfo, ExposureSettings, PanelInfo, Picture, RawFrame
+from labkit.devices.protocols import (
+    CameraInfo,
+    ExposureSettings,
+    PanelInfo,
+    Picture,
+    RawFrame,
+)
 from labkit.devices.test_patterns import pattern
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.device import SimulatedDevice
@@ -26,7 +32,12 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> SimulatedCa
 class SimulatedCamera(SimulatedDevice):
     """A Camera that can also cover its own lens."""
 
-    def __init__(self, bench: Bench, timeout_s: float = 10.0, release: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        timeout_s: float = 10.0,
+        release: Callable[[], None] = lambda: None,
+    ) -> None:
         super().__init__(bench, release)
         self._timeout_s = timeout_s
         self._settings: ExposureSettings | None = None
@@ -34,7 +45,11 @@ class SimulatedCamera(SimulatedDevice):
     def identify(self) -> CameraInfo:
         """Its model, and the bench's seed; plugs it in again if it dropped off."""
         self._bench.camera_present = True
-        return CameraInfo(model="labkit simulated bench", serial=str(self._bench.settings.seed), driver="simulated")
+        return CameraInfo(
+            model="labkit simulated bench",
+            serial=str(self._bench.settings.seed),
+            driver="simulated",
+        )
 
     def configure(self, settings: ExposureSettings) -> None:
         """Set shutter time and ISO. Raises CameraError if it has dropped off."""
@@ -45,22 +60,30 @@ class SimulatedCamera(SimulatedDevice):
         """Expose once into `path` with ".dng" (or ".tif" without a mosaic) after it."""
         self._refuse_absent()
         if self._settings is None:
-            raise CameraError("the simulated camera was not configured: set exposure time and ISO first")
+            raise CameraError(
+                "the simulated camera was not configured: set exposure time and ISO first"
+            )
         match self._bench.trouble("camera"):
             case "timeout":
                 self._bench.wait(self._timeout_s)
-                raise DeviceTimeoutError(f"no picture came from the simulated camera within {self._timeout_s:g} s")
+                raise DeviceTimeoutError(
+                    f"no picture came from the simulated camera within {self._timeout_s:g} s"
+                )
             case "unplug":
                 self._bench.camera_present = False
                 self._settings = None
-                raise CameraError("the simulated camera dropped off USB while exposing; look at its cable")
+                raise CameraError(
+                    "the simulated camera dropped off USB while exposing; look at its cable"
+                )
             case "card_full":
                 raise CameraError("the simulated camera's card is full; empty it")
         return self._write(path, self._settings)
 
     def see(self, picture: Picture) -> None:
         """Another driver's display shows this now: it is on the bench's glass."""
-        self._bench.light(pattern(picture, self._panel) if isinstance(picture, str) else picture)
+        self._bench.light(
+            pattern(picture, self._panel) if isinstance(picture, str) else picture
+        )
 
     @property
     def _panel(self) -> PanelInfo:

@@ -32,7 +32,9 @@ class SimulatedDisplay(SimulatedDevice):
     def show(self, picture: Picture) -> Shown:
         """Show it. Raises DisplayError if it is too large or the display has gone to sleep."""
         if self._bench.trouble("display") == "sleep":
-            raise DisplayError("the simulated display went to sleep; wake it, and set Auto-Lock to never")
+            raise DisplayError(
+                "the simulated display went to sleep; wake it, and set Auto-Lock to never"
+            )
         try:
             if isinstance(picture, str):
                 picture = pattern(picture, self.panel)

@@ -47,8 +47,12 @@ class RawTags:
     taken: datetime | None = None
 
     def __post_init__(self) -> None:
-        if self.pattern != "mono" and (len(self.pattern) != 4 or set(self.pattern) - set(COLOURS)):
-            raise ValueError(f'a pattern is "mono" or four of R, G and B, not {self.pattern!r}')
+        if self.pattern != "mono" and (
+            len(self.pattern) != 4 or set(self.pattern) - set(COLOURS)
+        ):
+            raise ValueError(
+                f'a pattern is "mono" or four of R, G and B, not {self.pattern!r}'
+            )
         if not 1 <= self.orientation <= 8:
             raise ValueError(f"an orientation is 1 to 8, not {self.orientation}")
 
@@ -56,7 +60,9 @@ class RawTags:
 def write_raw(path: Path, counts: NDArray[np.uint16], tags: RawTags) -> None:
     """Write (rows, cols) counts as a DNG, or as a 16-bit TIFF if the pattern is "mono"; whole or not at all."""
     if counts.dtype != np.uint16 or counts.ndim != 2:
-        raise ValueError(f"raw counts are a table of uint16, not {counts.dtype} of shape {counts.shape}")
+        raise ValueError(
+            f"raw counts are a table of uint16, not {counts.dtype} of shape {counts.shape}"
+        )
     buffer = io.BytesIO()
     mono = tags.pattern == "mono"
     with tifffile.TiffWriter(buffer, byteorder="<") as writer:
@@ -105,7 +111,9 @@ def _camera_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
 
 def _mosaic_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
     """What makes the file a DNG: colour cell, levels, and a colour matrix (the identity: colours mean nothing here)."""
-    black = tags.black_level if isinstance(tags.black_level, tuple) else (tags.black_level,) * 4
+    black = (
+        tags.black_level if isinstance(tags.black_level, tuple) else (tags.black_level,) * 4
+    )
     unit = tuple(number for i in range(9) for number in (int(i % 4 == 0), 1))
     return [
         (33421, SHORT, 2, (2, 2), True),

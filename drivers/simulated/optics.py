@@ -69,9 +69,14 @@ def defocus_waves(
     half_pupil = pupil_magnification * focal_length_mm / f_number / 2
 
     def sagitta(distance_mm: float) -> float:
-        return sqrt(exit_pupil_to_image_mm(distance_mm, focal_length_mm, pupil_magnification) ** 2 - half_pupil**2)
+        return sqrt(
+            exit_pupil_to_image_mm(distance_mm, focal_length_mm, pupil_magnification) ** 2
+            - half_pupil**2
+        )
 
-    moved_mm = image_mm(range_mm, focal_length_mm) - image_mm(best_focus_mm, focal_length_mm)
+    moved_mm = image_mm(range_mm, focal_length_mm) - image_mm(
+        best_focus_mm, focal_length_mm
+    )
     path_mm = moved_mm + sagitta(best_focus_mm) - sagitta(range_mm)
     return path_mm / sqrt(12) / (reference_nm * 1e-6)
 
@@ -81,18 +86,25 @@ def image_mm(range_mm: float, focal_length_mm: float) -> float:
     return range_mm * focal_length_mm / (range_mm - focal_length_mm)
 
 
-def exit_pupil_to_image_mm(range_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+def exit_pupil_to_image_mm(
+    range_mm: float, focal_length_mm: float, pupil_magnification: float
+) -> float:
     """How far behind the exit pupil a range comes to focus, mm. Thesis (E.2)."""
     return image_mm(range_mm, focal_length_mm) + (pupil_magnification - 1) * focal_length_mm
 
 
-def entrance_pupil_to_target_mm(range_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+def entrance_pupil_to_target_mm(
+    range_mm: float, focal_length_mm: float, pupil_magnification: float
+) -> float:
     """How far before the entrance pupil a target at a range stands, mm; ranges count from the front principal plane."""
     return range_mm - focal_length_mm + focal_length_mm / pupil_magnification
 
 
 def working_f_number(
-    f_number: float, best_focus_mm: float, focal_length_mm: float, pupil_magnification: float
+    f_number: float,
+    best_focus_mm: float,
+    focal_length_mm: float,
+    pupil_magnification: float,
 ) -> float:
     """f-number of the cone that meets at the sensor: its height over the exit pupil's diameter. f_number: at infinity.
 
@@ -102,12 +114,17 @@ def working_f_number(
     return height_mm / (pupil_magnification * focal_length_mm / f_number)
 
 
-def image_per_tangent_mm(best_focus_mm: float, focal_length_mm: float, pupil_magnification: float) -> float:
+def image_per_tangent_mm(
+    best_focus_mm: float, focal_length_mm: float, pupil_magnification: float
+) -> float:
     """Height at the sensor, mm, of a chief ray that enters with unit tangent to the axis.
 
     It goes from centre to centre of the pupils, and leaves with 1/mp of the tangent: an invariant of the pupils' images.
     """
-    return exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification) / pupil_magnification
+    return (
+        exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification)
+        / pupil_magnification
+    )
 
 
 def point_spread(
@@ -126,26 +143,41 @@ def point_spread(
     n = scipy.fft.next_fast_len(int(6 * reach) + 1)
     radius = n * spacing_um / (2 * wavelength_nm * 1e-3 * f_number)
     if 4 * radius > n:
-        raise ValueError(f"a grid of {spacing_um:g} um is too coarse for f/{f_number:g} at {wavelength_nm:g} nm")
+        raise ValueError(
+            f"a grid of {spacing_um:g} um is too coarse for f/{f_number:g} at {wavelength_nm:g} nm"
+        )
     edge = int(radius) + 2
     v, u = np.meshgrid(*2 * [np.arange(-edge, edge + 1) / radius], indexing="ij")
-    inside = np.clip((1 - np.hypot(u, v)) * radius + 0.5, 0, 1)  # grey edge: the share of the sample within the disc
-    inside -= laplace(inside) / 24  # what greyness takes from the rings far out, to the fourth order
+    inside = np.clip(
+        (1 - np.hypot(u, v)) * radius + 0.5, 0, 1
+    )  # grey edge: the share of the sample within the disc
+    inside -= (
+        laplace(inside) / 24
+    )  # what greyness takes from the rings far out, to the fourth order
     path = np.zeros_like(u)
     for mode, amount in waves.items():
         path += amount * zernike(mode, u, v)
-    lit = (inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)).astype(np.complex64)
+    lit = (inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)).astype(
+        np.complex64
+    )
     around = np.arange(-reach, reach + 1)
     # where the pupil begins only turns the field's phase; rows beyond the window are left out between the passes
     rows = scipy.fft.fft(lit, n, axis=0, workers=2)[around]
     window = scipy.fft.fft(rows, n, axis=1, workers=2)[:, around]
     # the amplitudes sum to the pupil's area, their squares to less
-    psf: Floats32 = ((window.real**2 + window.imag**2) / (n**2 * inside.sum())).astype(np.float32)
+    psf: Floats32 = ((window.real**2 + window.imag**2) / (n**2 * inside.sum())).astype(
+        np.float32
+    )
     return psf
 
 
 def halo_beyond(
-    wavelength_nm: float, f_number: float, spacing_um: float, reach: int, samples: int, pixels: int
+    wavelength_nm: float,
+    f_number: float,
+    spacing_um: float,
+    reach: int,
+    samples: int,
+    pixels: int,
 ) -> Floats32:
     """What `point_spread` lacks, from pixel to pixel: (2 pixels + 1, 2 pixels + 1) shares of all light, centred.
 
@@ -158,5 +190,7 @@ def halo_beyond(
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")
     rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3 * pitch_um**2
     edge_um = (reach + 0.5) * spacing_um
-    within = np.clip((edge_um - abs(y)) / pitch_um + 0.5, 0, 1) * np.clip((edge_um - abs(x)) / pitch_um + 0.5, 0, 1)
+    within = np.clip((edge_um - abs(y)) / pitch_um + 0.5, 0, 1) * np.clip(
+        (edge_um - abs(x)) / pitch_um + 0.5, 0, 1
+    )
     return np.asarray((1 - within) * rings, dtype=np.float32)

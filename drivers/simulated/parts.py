@@ -33,7 +33,9 @@ class LowPassFilter:
 
     def __post_init__(self) -> None:
         if min(self.rows_px, self.cols_px) < 0:
-            raise ValueError(f"a low-pass filter parts by 0 pixels or more, not {self.rows_px:g} x {self.cols_px:g}")
+            raise ValueError(
+                f"a low-pass filter parts by 0 pixels or more, not {self.rows_px:g} x {self.cols_px:g}"
+            )
         if self.turned and self.rows_px != self.cols_px:
             raise ValueError(
                 f"a turned low-pass filter has one separation, not {self.rows_px:g} and {self.cols_px:g} px"
@@ -78,9 +80,13 @@ class Veil:
 
     def __post_init__(self) -> None:
         if not 0 <= self.fraction < 1:
-            raise ValueError(f"a veil takes 0 to less than 1 of the light, not {self.fraction:g}")
+            raise ValueError(
+                f"a veil takes 0 to less than 1 of the light, not {self.fraction:g}"
+            )
         if self.scale_px < LEAST_VEIL_PX:
-            raise ValueError(f"a veil is {LEAST_VEIL_PX:g} pixels wide or wider, not {self.scale_px:g}")
+            raise ValueError(
+                f"a veil is {LEAST_VEIL_PX:g} pixels wide or wider, not {self.scale_px:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +103,9 @@ class Spectrum:
 
     def __post_init__(self) -> None:
         if not self.lines or min(min(line) for line in self.lines) <= 0:
-            raise ValueError(f"a spectrum is lines of (nm, share), all positive, not {self.lines}")
+            raise ValueError(
+                f"a spectrum is lines of (nm, share), all positive, not {self.lines}"
+            )
 
     @property
     def shares(self) -> tuple[tuple[float, float], ...]:
@@ -120,7 +128,9 @@ class Lit:
     def __post_init__(self) -> None:
         for low, high in (self.across, self.down):
             if not 0 <= low < high <= 1 + 1e-12:
-                raise ValueError(f"a panel pixel is lit from {low:g} to {high:g} of its side, outside 0..1")
+                raise ValueError(
+                    f"a panel pixel is lit from {low:g} to {high:g} of its side, outside 0..1"
+                )
 
     def brightness(self, right: Sides, down: Sides) -> Floats:
         """Mean over a parallelogram, relative to a pixel that is lit all over.
@@ -132,12 +142,17 @@ class Lit:
         return _lit_share(*right, *self.across) * _lit_share(*down, *self.down)
 
 
-def _lit_share(middle: Floats, first: Floats, second: Floats, low: float, high: float) -> Floats:
+def _lit_share(
+    middle: Floats, first: Floats, second: Floats, low: float, high: float
+) -> Floats:
     """Mean of 1 / (high - low) within low..high of each unit and 0 elsewhere, over two boxes of these widths convolved."""
     a, b = (np.maximum(np.abs(width), LEAST_SIDE) / 2 for width in (first, second))
     beyond = np.zeros(np.shape(middle))
     for sign, place in ((1, a + b), (-1, a - b), (-1, b - a), (1, -a - b)):
-        beyond += sign * (_twice_integrated(middle + place - high) - _twice_integrated(middle + place - low))
+        beyond += sign * (
+            _twice_integrated(middle + place - high)
+            - _twice_integrated(middle + place - low)
+        )
     return 1 + beyond / (4 * a * b * (high - low))
 
 

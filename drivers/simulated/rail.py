@@ -28,7 +28,12 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> SimulatedRail
 class SimulatedRail(SimulatedDevice):
     """A Rail. Like a real one it must be homed before it moves, and again after trouble."""
 
-    def __init__(self, bench: Bench, timeout_s: float = 60.0, release: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        timeout_s: float = 60.0,
+        release: Callable[[], None] = lambda: None,
+    ) -> None:
         super().__init__(bench, release)
         self._timeout_s = timeout_s
         self._homed = False
@@ -52,14 +57,18 @@ class SimulatedRail(SimulatedDevice):
         """
         travel = self.travel_mm
         if not travel.low_mm <= position_mm <= travel.high_mm:
-            raise RailLimitError(f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm")
+            raise RailLimitError(
+                f"{position_mm:.3f} mm is outside {travel.low_mm:g}..{travel.high_mm:g} mm"
+            )
         if not self._homed:
             raise RailError("the simulated rail does not know where it is; home it first")
         trouble = self._bench.trouble("rail")
         if trouble in ("stall", "limit"):
             self._fail(trouble)
         self._bench.turn_screw(max(position_mm - RUN_UP_MM, travel.low_mm))
-        self._bench.turn_screw(position_mm, lost_mm=RUN_UP_MM / 2 if trouble == "lost_steps" else 0.0)
+        self._bench.turn_screw(
+            position_mm, lost_mm=RUN_UP_MM / 2 if trouble == "lost_steps" else 0.0
+        )
         self._bench.stand(position_mm)
         return self._measure(position_mm)
 
@@ -87,4 +96,6 @@ class SimulatedRail(SimulatedDevice):
         if trouble == "limit":
             raise RailError("the simulated rail ran onto a limit switch; home it")
         self._bench.wait(self._timeout_s)
-        raise DeviceTimeoutError(f"the simulated rail was still not there after {self._timeout_s:g} s; home it")
+        raise DeviceTimeoutError(
+            f"the simulated rail was still not there after {self._timeout_s:g} s; home it"
+        )

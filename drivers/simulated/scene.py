@@ -59,19 +59,32 @@ class FineGrid:
 
     def centres(self, pixels: int) -> Floats:
         """Sample centres along an axis of that many pixels, in pixels; pixel centres stand at integers."""
-        return (np.arange(pixels * self.samples + 2 * self.reach) - self.reach + 0.5) / self.samples - 0.5
+        return (
+            np.arange(pixels * self.samples + 2 * self.reach) - self.reach + 0.5
+        ) / self.samples - 0.5
 
 
-def project(tilt_deg: tuple[float, float], roll_deg: float, shift_mm: tuple[float, float], range_mm: float) -> Floats:
+def project(
+    tilt_deg: tuple[float, float],
+    roll_deg: float,
+    shift_mm: tuple[float, float],
+    range_mm: float,
+) -> Floats:
     """(3, 3) map from panel mm (x, y, 1) to tangents in front of the camera: turn, then shift, then perspective.
 
     tilt_deg: about the camera's x (right) and y (down) axes; roll_deg: about its axis, clockwise as the camera sees it;
     shift_mm: where the panel's centre lies (right, down) of the axis, range_mm along it.
     """
     (pitch, yaw), roll = np.radians(tilt_deg), np.radians(roll_deg)
-    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
-    about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    about_z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    about_x = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
+    )
+    about_y = np.array(
+        [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+    )
+    about_z = np.array(
+        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]]
+    )
     turn = about_x @ about_y @ about_z
     return np.column_stack([turn[:, 0], turn[:, 1], [*shift_mm, range_mm]])
 
@@ -90,7 +103,9 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     panel_to_pixels: (3, 3), panel mm (x, y, 1) to pixels (column, row, 1).
     """
     rows, cols = glass.codes.shape
-    to_index = np.array([[1, 0, cols / 2 + 1], [0, 1, rows / 2 + 1], [0, 0, 1]])  # of the table with its dark rim
+    to_index = np.array(
+        [[1, 0, cols / 2 + 1], [0, 1, rows / 2 + 1], [0, 0, 1]]
+    )  # of the table with its dark rim
     to_index[:2, :2] /= glass.pitch_mm
     to_panel = to_index @ np.linalg.inv(panel_to_pixels)
     codes = np.pad(glass.codes, 1, constant_values=OUTSIDE)
@@ -101,25 +116,35 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     x_corner = np.append(x - half, x[-1] + half)[None, :]
     for start in range(0, y.size, ROWS_AT_ONCE):
         y_here = y[start : start + ROWS_AT_ONCE]
-        corner = _look_up(codes, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None])
+        corner = _look_up(
+            codes, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None]
+        )
         edge = (corner[:-1, :-1] != corner[1:, 1:]) | (corner[:-1, 1:] != corner[1:, :-1])
         edge |= corner[:-1, :-1] != corner[:-1, 1:]
         block = _look_up(radiance, to_panel, x[None, :], y_here[:, None])
         i, j = np.nonzero(edge)
         dx, dy = _lattice(i + start + grid.top * grid.samples, j + grid.left * grid.samples)
-        points = _look_up(radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half)
+        points = _look_up(
+            radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half
+        )
         if glass.lit is not None:
             block *= _brightness(glass.lit, to_panel, x[None, :], y_here[:, None], 2 * half)
             apart = 2 * half / np.sqrt(POINTS_PER_EDGE_SAMPLE)
             points *= _brightness(
-                glass.lit, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half, apart
+                glass.lit,
+                to_panel,
+                x[j, None] + dx * 2 * half,
+                y_here[i, None] + dy * 2 * half,
+                apart,
             )
         block[i, j] = points.mean(axis=1)
         scene[start : start + ROWS_AT_ONCE] = block
     return scene
 
 
-def _look_up(table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats) -> NDArray[Value]:
+def _look_up(
+    table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats
+) -> NDArray[Value]:
     """The table's values where the pixels (x, y) see it."""
     right, down = carry(to_panel, x, y)
     col = np.clip(right, 0, table.shape[1] - 1).astype(np.intp)
@@ -132,9 +157,12 @@ def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -
     """What squares of this side about the pixels (x, y) see of the lit parts of panel pixels, a whole pixel's light being 1."""
     middle = carry(to_panel, x, y)
     ends = [
-        carry(to_panel, x + dx, y + dy) for dx, dy in ((-side / 2, 0), (side / 2, 0), (0, -side / 2), (0, side / 2))
+        carry(to_panel, x + dx, y + dy)
+        for dx, dy in ((-side / 2, 0), (side / 2, 0), (0, -side / 2), (0, side / 2))
     ]
-    right, down = ((middle[k], ends[1][k] - ends[0][k], ends[3][k] - ends[2][k]) for k in (0, 1))
+    right, down = (
+        (middle[k], ends[1][k] - ends[0][k], ends[3][k] - ends[2][k]) for k in (0, 1)
+    )
     return lit.brightness(right, down).astype(np.float32)
 
 
@@ -162,15 +190,23 @@ class SceneTransform:
 def transform(scene: Floats32, grid: FineGrid) -> SceneTransform:
     """The transform of a rendered scene, whose rim is whole pixels wide. Raises ValueError for another."""
     if grid.reach % grid.samples:
-        raise ValueError(f"a rim of {grid.reach} samples is no whole number of pixels of {grid.samples}")
+        raise ValueError(
+            f"a rim of {grid.reach} samples is no whole number of pixels of {grid.samples}"
+        )
     rows, cols = (side // grid.samples for side in scene.shape)
     pixels = scene.reshape(rows, grid.samples, cols, grid.samples).mean(axis=(1, 3))
-    size = (scipy.fft.next_fast_len(scene.shape[0], True), scipy.fft.next_fast_len(scene.shape[1], True))
+    size = (
+        scipy.fft.next_fast_len(scene.shape[0], True),
+        scipy.fft.next_fast_len(scene.shape[1], True),
+    )
     return SceneTransform(scipy.fft.rfft2(scene, size, workers=2), size, grid, pixels)
 
 
 def photograph(
-    scene: SceneTransform, psf: Floats32, fill_factor: float = 1.0, halo: Floats32 | None = None
+    scene: SceneTransform,
+    psf: Floats32,
+    fill_factor: float = 1.0,
+    halo: Floats32 | None = None,
 ) -> Floats32:
     """(rows, cols) mean radiance over each pixel's active square after the blur.
 
@@ -186,7 +222,9 @@ def photograph(
     fine = whole[inner, inner][: grid.rows * grid.samples, : grid.cols * grid.samples]
     weights = _active(grid.samples, fill_factor)
     squares = fine.reshape(grid.rows, grid.samples, grid.cols, grid.samples)
-    pixels: Floats32 = np.einsum("isjt,s,t->ij", squares, weights, weights, optimize=True).astype(np.float32)
+    pixels: Floats32 = np.einsum(
+        "isjt,s,t->ij", squares, weights, weights, optimize=True
+    ).astype(np.float32)
     if halo is not None:
         pixels += from_pixel_to_pixel(scene, halo)
     return pixels
@@ -200,7 +238,9 @@ def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
     rim, far = scene.grid.reach // scene.grid.samples, kernel.shape[0] // 2
     wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
     inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
-    return np.asarray(scipy.signal.fftconvolve(wide[inner, inner], kernel, mode="valid"), dtype=np.float32)
+    return np.asarray(
+        scipy.signal.fftconvolve(wide[inner, inner], kernel, mode="valid"), dtype=np.float32
+    )
 
 
 def _active(samples: int, fill_factor: float) -> Floats32:

@@ -7,6 +7,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,7 +15,15 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.panels import paper_panel, plan_panel
 from labkit.devices.shared import Lease
 from labkit.drivers.simulated.bench import MOST_AT_ONCE, Bench
-from labkit.drivers.simulated.world import FAULTS, BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.drivers.simulated.world import (
+    FAULTS,
+    BenchSettings,
+    Fault,
+    TrueLens,
+    TruePanel,
+    TrueRail,
+    TrueSensor,
+)
 from labkit.errors import PlanError, shown
 from labkit.pace import in_words
 from labkit.plan import Plan, RailSettings
@@ -27,7 +36,9 @@ S_PER_MEGAPIXEL = 25.0
 """About what a picture of a colour mosaic takes on one core, where it is rendered in tiles."""
 
 SEED = re.compile(r"seed=([0-9]{1,9})")
-FAULT = re.compile(r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?")
+FAULT = re.compile(
+    r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?"
+)
 
 WHITE_COUNTS = 10_350.0
 """What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
@@ -39,9 +50,15 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
     It is there as long as any of them is open. Raises PlanError for an address that is not understood, or another than
     the context's bench has.
     """
-    others = [key for key, part in context.shared.items() if isinstance(part, Bench) and key != address]
+    others = [
+        key
+        for key, part in context.shared.items()
+        if isinstance(part, Bench) and key != address
+    ]
     if others:
-        raise PlanError(f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address')
+        raise PlanError(
+            f'"{address}" and "{others[0]}" are two worlds: give simulated devices the same address'
+        )
     lease = context.shared.lease(address, lambda: _bench(address, plan, context.warn))
     if not isinstance(lease.part, Bench):
         lease.close()
@@ -85,9 +102,15 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
         best_focus_mm=_best_focus_mm(wavelength_nm, plan.rail.ranges_mm, rng),
     )
     panel = TruePanel(pixels=glass.pixels, pitch_mm=glass.pitch_mm, gamma=glass.gamma)
-    settings = BenchSettings(seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail))
+    settings = BenchSettings(
+        seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail)
+    )
     if max(rows, cols) > MOST_AT_ONCE:
-        settings = replace(settings, samples_per_pixel=FEWEST_SAMPLES, halo_um=min(NEAR_HALO_UM, settings.halo_um))
+        settings = replace(
+            settings,
+            samples_per_pixel=FEWEST_SAMPLES,
+            halo_um=min(NEAR_HALO_UM, settings.halo_um),
+        )
     return settings
 
 
@@ -112,11 +135,15 @@ def ordered(address: str) -> tuple[int, tuple[Fault, ...]]:
     for word in words.split(",") if words else ():
         if found := SEED.fullmatch(word):
             seed = int(found[1])
-        elif (found := FAULT.fullmatch(word)) and found["kind"] in FAULTS.get(found["device"], ()):
-            fault = Fault(found["device"], found["kind"], int(found["call"]), int(found["times"] or 1))  # type: ignore[arg-type]
-            faults.append(fault)
+        elif (found := FAULT.fullmatch(word)) and found["kind"] in FAULTS.get(
+            found["device"], ()
+        ):
+            device, kind = cast(Any, (found["device"], found["kind"]))
+            faults.append(Fault(device, kind, int(found["call"]), int(found["times"] or 1)))
         else:
-            kinds = ", ".join(f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds)
+            kinds = ", ".join(
+                f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds
+            )
             raise PlanError(
                 f'address "{address}": {shown(word)}: allowed is seed=N, and faults as in camera.timeout=2 (at the second '
                 f"exposure) or camera.timeout=2x3 (three times from there): {kinds}"
@@ -129,11 +156,15 @@ def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
     focal_mm = plan.lens.focal_length_mm
     per_mm = focal_mm / (nearest_mm - focal_mm) / (plan.sensor.pixel_pitch_um * 1e-3)
     high, wide = (side * per_mm for side in open_target(plan.target).size_mm)
-    rows, cols = (8 * math.ceil((a + 0.021 * b + 24) / 8) for a, b in ((high, wide), (wide, high)))
+    rows, cols = (
+        8 * math.ceil((a + 0.021 * b + 24) / 8) for a, b in ((high, wide), (wide, high))
+    )
     return rows, cols
 
 
-def _best_focus_mm(colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np.random.Generator) -> dict[str, float]:
+def _best_focus_mm(
+    colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np.random.Generator
+) -> dict[str, float]:
     """Best focus in the nearer half of the ranges, each colour's a few thousandths from the others'."""
     near, far = min(ranges_mm), max(ranges_mm)
     middle = near + (far - near) * rng.uniform(0.05, 0.5)

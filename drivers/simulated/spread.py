@@ -43,12 +43,16 @@ def psf_and_halo(
     """
     lens, sensor = settings.lens, settings.sensor
     f_number, focal_mm = lens.f_number_in(colour), lens.focal_length_in(colour)
-    cone = working_f_number(f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification)
+    cone = working_f_number(
+        f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification
+    )
     spacing_um, lines = sensor.pitch_um / grid.samples, lens.lines_in(colour)
     psf: Floats32 = np.zeros(2 * (2 * grid.reach + 1,), dtype=np.float32)
     for nm, share in lines:
         here = {**waves, 4: waves.get(4, 0.0) + lens.defocus_within(colour, nm)}
-        psf += np.float32(share) * point_spread(here, nm, cone, spacing_um, grid.reach, REFERENCE_NM)
+        psf += np.float32(share) * point_spread(
+            here, nm, cone, spacing_um, grid.reach, REFERENCE_NM
+        )
     # the halo grows as the wavelength does: a mean of halos is that of the mean wavelength
     mean_nm = sum(nm * share for nm, share in lines)
     pixels = min(max(sensor.rows, sensor.cols), FARTHEST_PX)
@@ -60,7 +64,9 @@ def psf_and_halo(
 
 
 @lru_cache(maxsize=8)
-def aside(low_pass: LowPassFilter, diffusion_px: float, smear: Smear, samples: int) -> Floats32:
+def aside(
+    low_pass: LowPassFilter, diffusion_px: float, smear: Smear, samples: int
+) -> Floats32:
     """Shares of a point's light that go to the fine samples around it, (n, n), n odd, centred, of unit sum; [[1]] if all stays.
 
     diffusion_px: sigma of a Gaussian; samples: to a pixel. Read-only. Raises ValueError for a negative sigma.
@@ -73,7 +79,10 @@ def aside(low_pass: LowPassFilter, diffusion_px: float, smear: Smear, samples: i
     if not (diffusion_px or down.any() or right.any()):
         return np.ones((1, 1), dtype=np.float32)
     weights = np.tile(shares, len(spots)) / len(spots)
-    farthest = max(np.abs(down).max(), np.abs(right).max()) + GAUSSIAN_REACH * diffusion_px * samples
+    farthest = (
+        max(np.abs(down).max(), np.abs(right).max())
+        + GAUSSIAN_REACH * diffusion_px * samples
+    )
     around = np.arange(-(reach := SINC_REACH + int(np.ceil(farthest))), reach + 1)
     marks = [_marks(around, places, diffusion_px * samples) for places in (down, right)]
     kernel: Floats32 = ((marks[0].T * weights) @ marks[1]).astype(np.float32)
@@ -85,12 +94,18 @@ def _along_the_smear(smear: Smear, samples: int) -> tuple[Floats, Floats]:
     """Places (n, 2) down and right, pixels, and their shares: Gauss's, enough of them for every frequency that samples hold."""
     if not smear.length_px:
         return np.zeros((1, 2)), np.ones(1)
-    nodes, weights = np.polynomial.legendre.leggauss(16 + int(np.ceil(2 * smear.length_px * samples)))
+    nodes, weights = np.polynomial.legendre.leggauss(
+        16 + int(np.ceil(2 * smear.length_px * samples))
+    )
     angle = np.radians(smear.direction_deg)
-    return nodes[:, None] * smear.length_px / 2 * np.array([np.sin(angle), np.cos(angle)]), weights / 2
+    return nodes[:, None] * smear.length_px / 2 * np.array(
+        [np.sin(angle), np.cos(angle)]
+    ), weights / 2
 
 
-def _marks(around: np.ndarray[tuple[int], np.dtype[np.int_]], places: Floats, sigma: float) -> Floats:
+def _marks(
+    around: np.ndarray[tuple[int], np.dtype[np.int_]], places: Floats, sigma: float
+) -> Floats:
     """What light at each place leaves on samples, (places, samples), blurred by a Gaussian of sigma samples; of unit sums.
 
     Summed over points of the Gaussian, not over cells: the PSF's samples hold no cell's mean, and a cell's width would
@@ -110,7 +125,9 @@ def _marks(around: np.ndarray[tuple[int], np.dtype[np.int_]], places: Floats, si
 def _sinc(x: Floats) -> Floats:
     """Kaiser's windowed sinc at samples' distances, its last axis of unit sum."""
     inside = np.sqrt(np.clip(1 - (x / SINC_REACH) ** 2, 0, None))
-    sinc = np.where(inside > 0, np.sinc(x) * np.i0(SINC_BETA * inside) / np.i0(SINC_BETA), 0.0)
+    sinc = np.where(
+        inside > 0, np.sinc(x) * np.i0(SINC_BETA * inside) / np.i0(SINC_BETA), 0.0
+    )
     return np.asarray(sinc / sinc.sum(axis=-1, keepdims=True))
 
 
@@ -119,7 +136,9 @@ def veiled(seen: Floats32, scene: SceneTransform, veil: Veil) -> Floats32:
     if not veil.fraction:
         return seen
     share = np.float32(veil.fraction)
-    return (1 - share) * seen + share * from_pixel_to_pixel(scene, _veil(veil, max(seen.shape)))
+    return (1 - share) * seen + share * from_pixel_to_pixel(
+        scene, _veil(veil, max(seen.shape))
+    )
 
 
 def _veil(veil: Veil, pixels: int) -> Floats32:

@@ -7,7 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.drivers.simulated.scene import FineGrid, SceneTransform, from_pixel_to_pixel, photograph
+from labkit.drivers.simulated.scene import (
+    FineGrid,
+    SceneTransform,
+    from_pixel_to_pixel,
+    photograph,
+)
 from labkit.types import Floats32
 
 TILE_PX = 320
@@ -28,7 +33,11 @@ def tiles(rows: int, cols: int, side: int) -> Iterator[tuple[slice, slice]]:
 
 
 def mosaic_in_tiles(
-    colours: NDArray[np.str_], grid: FineGrid, draw: Draw, spreads: Mapping[str, Spread], fill_factor: float
+    colours: NDArray[np.str_],
+    grid: FineGrid,
+    draw: Draw,
+    spreads: Mapping[str, Spread],
+    fill_factor: float,
 ) -> tuple[Floats32, dict[str, SceneTransform]]:
     """(rows, cols) what each pixel sees through its own colour; and of each colour the scene from pixel to pixel.
 
@@ -36,7 +45,10 @@ def mosaic_in_tiles(
     """
     rim = grid.reach // grid.samples
     seen = np.zeros(colours.shape, dtype=np.float32)
-    coarse = {colour: np.zeros((grid.rows + 2 * rim, grid.cols + 2 * rim), dtype=np.float32) for colour in spreads}
+    coarse = {
+        colour: np.zeros((grid.rows + 2 * rim, grid.cols + 2 * rim), dtype=np.float32)
+        for colour in spreads
+    }
     for rows, cols in tiles(grid.rows, grid.cols, TILE_PX):
         size = rows.stop - rows.start, cols.stop - cols.start
         here = FineGrid(*size, grid.samples, grid.reach, rows.start, cols.start)
@@ -44,9 +56,14 @@ def mosaic_in_tiles(
             scene = draw(colour, here)
             mine = colours[rows, cols] == colour
             seen[rows, cols][mine] = photograph(scene, psf, fill_factor)[mine]
-            coarse[colour][rows.start : rows.stop + 2 * rim, cols.start : cols.stop + 2 * rim] = scene.pixels
+            coarse[colour][
+                rows.start : rows.stop + 2 * rim, cols.start : cols.stop + 2 * rim
+            ] = scene.pixels
     nothing = np.zeros((0, 0), dtype=np.complex64)
-    whole = {colour: SceneTransform(nothing, (0, 0), grid, pixels) for colour, pixels in coarse.items()}
+    whole = {
+        colour: SceneTransform(nothing, (0, 0), grid, pixels)
+        for colour, pixels in coarse.items()
+    }
     for colour, (_, halo) in spreads.items():
         mine = colours == colour
         seen[mine] += from_pixel_to_pixel(whole[colour], halo)[mine]

@@ -29,8 +29,12 @@ class TrueLens:
     f_number: float = 2.8
     """At infinity: focal length over the entrance pupil's diameter."""
     pupil_magnification: float = 0.985
-    wavelength_nm: Mapping[str, float] = field(default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0})
-    best_focus_mm: Mapping[str, float] = field(default_factory=lambda: {"R": 3024.0, "G": 3013.2, "B": 3031.0})
+    wavelength_nm: Mapping[str, float] = field(
+        default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0}
+    )
+    best_focus_mm: Mapping[str, float] = field(
+        default_factory=lambda: {"R": 3024.0, "G": 3013.2, "B": 3031.0}
+    )
     noll: tuple[int, ...] = FIXED_MODES
     aberration_waves: float = 0.07
     colour_share: float = 0.15
@@ -51,7 +55,9 @@ class TrueLens:
 
     def focal_length_in(self, colour: str) -> float:
         """mm, of a colour that is focused on the same sensor from elsewhere."""
-        sensor = 1 / self.focal_length_mm - 1 / self.focused_mm  # 1 over its distance from the rear principal plane
+        sensor = (
+            1 / self.focal_length_mm - 1 / self.focused_mm
+        )  # 1 over its distance from the rear principal plane
         return 1 / (sensor + 1 / self.best_focus_mm[colour])
 
     def f_number_in(self, colour: str) -> float:
@@ -60,12 +66,20 @@ class TrueLens:
 
     def lines_in(self, colour: str) -> tuple[tuple[float, float], ...]:
         """A colour's wavelengths, nm, and their shares of its light, which sum to one."""
-        return self.spectrum[colour].shares if colour in self.spectrum else ((self.wavelength_nm[colour], 1.0),)
+        return (
+            self.spectrum[colour].shares
+            if colour in self.spectrum
+            else ((self.wavelength_nm[colour], 1.0),)
+        )
 
     def defocus_within(self, colour: str, nm: float) -> float:
         """Defocus of one of a colour's wavelengths beyond the colour's own, waves RMS at REFERENCE_NM."""
         spectrum = self.spectrum.get(colour)
-        return spectrum.defocus_waves_per_nm * (nm - self.wavelength_nm[colour]) if spectrum else 0.0
+        return (
+            spectrum.defocus_waves_per_nm * (nm - self.wavelength_nm[colour])
+            if spectrum
+            else 0.0
+        )
 
     @property
     def shortest_nm(self) -> float:
@@ -92,7 +106,9 @@ class TrueSensor:
     dead_pixels: int = 6
     white_electrons_per_s: float = 1.15e6
     """From the white panel, in the middle of the frame; other colours have the shares below."""
-    colour_response: Mapping[str, float] = field(default_factory=lambda: {"R": 0.85, "B": 0.75})
+    colour_response: Mapping[str, float] = field(
+        default_factory=lambda: {"R": 0.85, "B": 0.75}
+    )
     low_pass: LowPassFilter = field(default_factory=LowPassFilter)
     diffusion_px: float = 0.0
     """Charge that wanders before it is caught: sigma of a Gaussian, pixel pitches."""
@@ -120,9 +136,14 @@ class TruePanel:
         if self.layout == "none":
             return None
         if colour not in ("R", "G", "B"):
-            raise ValueError(f'a panel of stripes shines in R, G and B: none is for "{colour}"')
+            raise ValueError(
+                f'a panel of stripes shines in R, G and B: none is for "{colour}"'
+            )
         middle, half = ("RGB".index(colour) + 0.5) / 3, self.lit_across / 6
-        return Lit((middle - half, middle + half), (0.5 - self.lit_down / 2, 0.5 + self.lit_down / 2))
+        return Lit(
+            (middle - half, middle + half),
+            (0.5 - self.lit_down / 2, 0.5 + self.lit_down / 2),
+        )
 
 
 @dataclass(frozen=True, slots=True)

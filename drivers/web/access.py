@@ -51,7 +51,9 @@ def kept_token(folder: Path) -> str:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
-        with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as opened:
+        with os.fdopen(
+            os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w"
+        ) as opened:
             opened.write(token)
     except OSError:
         pass  # a token for this run only
@@ -60,7 +62,10 @@ def kept_token(folder: Path) -> str:
 
 def state_folder() -> Path:
     """Where labkit keeps what it needs from run to run, for this user."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "labkit"
+    return (
+        Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+        / "labkit"
+    )
 
 
 class Guard:
@@ -93,7 +98,9 @@ class Guard:
         if not right or not self._is_us(host, scope["server"]):
             return None
         # a browser names the page's origin with every WebSocket; to a stranger's page it lends no other
-        if (scope["type"] == "websocket" or origin is not None) and origin != f"http://{host}".encode("latin-1"):
+        if (
+            scope["type"] == "websocket" or origin is not None
+        ) and origin != f"http://{host}".encode("latin-1"):
             return None
         return f"/{rest}"
 
@@ -105,7 +112,9 @@ class Guard:
         except ValueError:
             return False
         loopback = server[0] == "::1" or server[0].startswith("127.")
-        return port == server[1] and (name == server[0] or name in self._names or (loopback and name == "localhost"))
+        return port == server[1] and (
+            name == server[0] or name in self._names or (loopback and name == "localhost")
+        )
 
 
 class Connection(H11Protocol):
@@ -115,7 +124,11 @@ class Connection(H11Protocol):
         """A stranger comes; the oldest goes, if there are too many."""
         super().connection_made(transport)
         self.since = self.loop.time()
-        strangers = [other for other in self.connections if isinstance(other, Connection) and other.is_stranger]
+        strangers = [
+            other
+            for other in self.connections
+            if isinstance(other, Connection) and other.is_stranger
+        ]
         if len(strangers) > MOST_STRANGERS:
             min(strangers, key=lambda stranger: stranger.since).transport.abort()
         self.loop.call_later(STRANGER_S, self._show_out)

@@ -16,20 +16,27 @@ from labkit.plan import Plan
 
 DEFAULT_PORT = 8642
 RESERVED = ("monitor", "page")
-ALLOWED = (
-    "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) or web://0.0.0.0:8642 (all)"
-)
+ALLOWED = "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) or web://0.0.0.0:8642 (all)"
 
 
 def parse_address(address: str) -> tuple[str, int, str]:
     """(host, port, name) of web://HOST:PORT/NAME; without a host, this machine alone. Raises PlanError."""
     try:
         parts = urlsplit(address)
-        host, port, name = parts.hostname or "127.0.0.1", parts.port, parts.path.strip("/") or "screen"
+        host, port, name = (
+            parts.hostname or "127.0.0.1",
+            parts.port,
+            parts.path.strip("/") or "screen",
+        )
     except ValueError:
         raise PlanError(f'address "{address}": allowed is {ALLOWED}') from None
     plain = not (parts.query or parts.fragment or parts.username or parts.password)
-    if parts.scheme != "web" or not plain or not re.fullmatch(r"[a-z0-9-]{1,20}", name) or name in RESERVED:
+    if (
+        parts.scheme != "web"
+        or not plain
+        or not re.fullmatch(r"[a-z0-9-]{1,20}", name)
+        or name in RESERVED
+    ):
         raise PlanError(f'address "{address}": allowed is {ALLOWED}')
     return host, DEFAULT_PORT if port is None else port, name
 
@@ -41,7 +48,11 @@ def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[M
     `web:` is where the plan's display is served, if it is a web display, and else this machine alone.
     Raises PlanError, or DisplayError for a port in use.
     """
-    if address == "web:" and plan.display is not None and plan.display.address.startswith("web:"):
+    if (
+        address == "web:"
+        and plan.display is not None
+        and plan.display.address.startswith("web:")
+    ):
         address = plan.display.address
     host, port, _ = parse_address(address)
     with closing(shared_server(host, port, context)) as lease:

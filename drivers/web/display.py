@@ -38,7 +38,10 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay
         screen = server.add_screen(name, panel)
         stack.callback(server.remove_screen, name)
         close = stack.pop_all().close
-    context.show_link(f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)', screen.url)
+    context.show_link(
+        f'Open this on the display "{name}" ({panel.pixels[1]} × {panel.pixels[0]} pixels)',
+        screen.url,
+    )
     return WebDisplay(screen, server.monitor, close, context.warn, glass=context.glass)
 
 
@@ -97,7 +100,10 @@ class WebDisplay(ClosesItself):
         if self._shown is None:
             return False
         order, then = self._shown
-        return self._screen.confirms(order) and (now.page, now.disturbed) == (then.page, then.disturbed)
+        return self._screen.confirms(order) and (now.page, now.disturbed) == (
+            then.page,
+            then.disturbed,
+        )
 
     def close(self) -> None:
         """Let the page go; the last screen stops the server."""
@@ -125,7 +131,9 @@ class WebDisplay(ClosesItself):
             waited_s = time.monotonic() - since
             problem = screen.problem or "its page has not confirmed the picture"
             if waited_s > self.hold_s:
-                raise DisplayError(f'display "{screen.name}": {problem} (waited {self.hold_s:g} s for {screen.url})')
+                raise DisplayError(
+                    f'display "{screen.name}": {problem} (waited {self.hold_s:g} s for {screen.url})'
+                )
             if waited_s > PATIENCE_S and problem != warned:
                 warned = problem
                 self._warn(f'waiting for the display "{screen.name}": {problem}')

@@ -25,7 +25,10 @@ class Monitor:
     """The state of the operator's page. The capture's thread writes it, the server's reads it."""
 
     def __init__(
-        self, requests: SimpleQueue[str], operator: Operator, now: Callable[[], float] = time.monotonic
+        self,
+        requests: SimpleQueue[str],
+        operator: Operator,
+        now: Callable[[], float] = time.monotonic,
     ) -> None:
         self._now, self._requests, self._operator = now, requests, operator
         self._lock = threading.Condition()
@@ -53,14 +56,25 @@ class Monitor:
                 self._write(in_words(event, fields))
         self.wake()
 
-    def took(self, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
+    def took(
+        self,
+        name: str,
+        kind: FrameKind,
+        range_mm: float | None,
+        mosaic: Mosaic,
+        done: int,
+        total: int,
+    ) -> None:
         """A photograph is in the session."""
         self._show(look_at(name, kind, range_mm, mosaic))
         with self._lock:
             self._pace.at(done, total, self._now())
             self._done, self._total = done, total
             # a photograph in the session means that whatever was in trouble has got over it
-            self._devices = {device: {**state, "state": "good"} for device, state in self._devices.items()}
+            self._devices = {
+                device: {**state, "state": "good"}
+                for device, state in self._devices.items()
+            }
             self._devices["camera"] = {"state": "good", "text": f"took {name}"}
         self.wake()
 
@@ -126,7 +140,9 @@ class Monitor:
                 "left_s": self._left_s(),
                 "frame": asdict(self._frame) if self._frame else None,
                 "sharpness": list(self._sharpness),
-                "devices": [{"device": device, **state} for device, state in self._devices.items()],
+                "devices": [
+                    {"device": device, **state} for device, state in self._devices.items()
+                ],
                 "choices": list(self._choices),
                 "picked": self._picked,
                 "question": asdict(question) if question else None,
@@ -162,16 +178,33 @@ class Monitor:
                 self._sharpness.append({"name": look.name, "edge_px": frame.edge_px})
 
     def _write(self, text: str) -> None:
-        self._log.append({"time": datetime.now().astimezone().isoformat(timespec="seconds"), "text": text})
+        self._log.append(
+            {
+                "time": datetime.now().astimezone().isoformat(timespec="seconds"),
+                "text": text,
+            }
+        )
 
     def _shown_phase(self, asking: bool) -> str:
         if self._phase != "capturing":
             return self._phase
-        return "stopping" if self._stopping else "asking" if asking else "paused" if self._paused else "capturing"
+        return (
+            "stopping"
+            if self._stopping
+            else "asking"
+            if asking
+            else "paused"
+            if self._paused
+            else "capturing"
+        )
 
     def _left_s(self) -> int | None:
         """Seconds left at the pace so far, 1 at least, pauses not counted; None before two photographs show a pace."""
-        left_s = None if self._paused or self._phase != "capturing" else self._pace.left_s(self._now())
+        left_s = (
+            None
+            if self._paused or self._phase != "capturing"
+            else self._pace.left_s(self._now())
+        )
         return None if left_s is None else max(1, round(left_s))
 
     def _take_note(self, event: str, fields: dict[str, Any]) -> None:
@@ -189,13 +222,23 @@ class Monitor:
             case "focusing":
                 self._phase, self._doing = "focusing", str(fields["what"])
             case "serving":
-                self._phase, self._choices, self._picked = "serving", list(fields["choices"]), fields["picked"]
+                self._phase, self._choices, self._picked = (
+                    "serving",
+                    list(fields["choices"]),
+                    fields["picked"],
+                )
             case "camera":
                 self._devices["camera"] = {"state": "good", "text": str(fields["model"])}
             case "moved":
-                self._devices["rail"] = {"state": "good", "text": f"at {fields['measured_range_mm']:g} mm"}
+                self._devices["rail"] = {
+                    "state": "good",
+                    "text": f"at {fields['measured_range_mm']:g} mm",
+                }
             case "trouble":
-                self._devices[str(fields["device"])] = {"state": "bad", "text": str(fields["error"])}
+                self._devices[str(fields["device"])] = {
+                    "state": "bad",
+                    "text": str(fields["error"]),
+                }
 
 
 def in_words(event: str, fields: dict[str, Any]) -> str:

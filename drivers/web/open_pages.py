@@ -32,7 +32,11 @@ def note(url: str, address: str) -> Path:
 
 def find_pages() -> list[tuple[str, str, str]]:
     """(address for a plan, URL, what it says) of each page that is served now: the operator's, and each display's."""
-    return [page for file in sorted((state_folder() / "pages").glob("*.json")) for page in _pages(file)]
+    return [
+        page
+        for file in sorted((state_folder() / "pages").glob("*.json"))
+        for page in _pages(file)
+    ]
 
 
 def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
@@ -49,12 +53,18 @@ def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
         name = "" if display["name"] == "screen" else f"/{display['name']}"
         height, width = display["pixels"]
         problem = display["problem"] or "ready"
-        yield f"{address}{name}", str(display["url"]), f"display of {width} × {height} pixels: {problem}"
+        yield (
+            f"{address}{name}",
+            str(display["url"]),
+            f"display of {width} × {height} pixels: {problem}",
+        )
 
 
 def _state(url: str) -> dict[str, Any]:
     """What the operator's page is sent first."""
     origin = Origin(f"http://{urlsplit(url).netloc}")
-    with connect(f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=ANSWER_S) as wire:
+    with connect(
+        f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=ANSWER_S
+    ) as wire:
         state: dict[str, Any] = json.loads(wire.recv(timeout=ANSWER_S))
     return state

@@ -33,13 +33,26 @@ class FrameSummary:
 
 def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) -> Look:
     """A frame of a session as the page shows it."""
-    return Look(name, range_mm, mosaic, edge_px=sharpest_edge_px(mosaic) if kind == "target" else None)
+    return Look(
+        name,
+        range_mm,
+        mosaic,
+        edge_px=sharpest_edge_px(mosaic) if kind == "target" else None,
+    )
 
 
 def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
     """A photograph's summary, and its picture as JPEG."""
     light = exposure(look.mosaic)
-    summary = FrameSummary(number, look.name, look.range_mm, *light, look.edge_px, histogram(look.mosaic), look.note)
+    summary = FrameSummary(
+        number,
+        look.name,
+        look.range_mm,
+        *light,
+        look.edge_px,
+        histogram(look.mosaic),
+        look.note,
+    )
     return summary, jpeg(look.mosaic, look.corners_px)
 
 
@@ -47,7 +60,9 @@ def exposure(mosaic: Mosaic) -> tuple[float, float]:
     """Percentage of pixels at or above white, and the middle pixel in percent of the way from black to white."""
     clipped = 100 * np.count_nonzero(mosaic.counts >= mosaic.white) / mosaic.counts.size
     black = float(mosaic.black.mean())
-    return float(clipped), float(100 * (np.median(mosaic.counts[::3, ::3]) - black) / (mosaic.white - black))
+    return float(clipped), float(
+        100 * (np.median(mosaic.counts[::3, ::3]) - black) / (mosaic.white - black)
+    )
 
 
 def histogram(mosaic: Mosaic) -> list[float]:
@@ -55,5 +70,7 @@ def histogram(mosaic: Mosaic) -> list[float]:
     of_count = np.bincount(mosaic.counts.ravel(), minlength=1)
     black = float(mosaic.black.mean())
     step = np.floor((np.arange(of_count.size) - black) / (mosaic.white - black) * BINS)
-    share = np.bincount(np.clip(step, 0, BINS - 1).astype(int), weights=of_count, minlength=BINS)
+    share = np.bincount(
+        np.clip(step, 0, BINS - 1).astype(int), weights=of_count, minlength=BINS
+    )
     return [float(value) for value in share / mosaic.counts.size]

@@ -61,13 +61,22 @@ class Order:
 
     def picture(self) -> NDArray[np.uint8]:
         """Its grey values, (height, width), as the page decodes them."""
-        return np.asarray(cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+        return np.asarray(
+            cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE),
+            dtype=np.uint8,
+        )
 
 
 class Screen:
     """A named screen. `name` is the last part of its page's address."""
 
-    def __init__(self, name: str, panel: PanelInfo, url: str, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        name: str,
+        panel: PanelInfo,
+        url: str,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.name, self.panel, self.url = name, panel, url
         self.changed = threading.Condition()
         self.order: Order | None = None
@@ -81,7 +90,12 @@ class Screen:
     def want(self, grey: NDArray[np.uint8]) -> Order:
         """Order a picture: grey values of panel pixels, centred, black around them. Raises DisplayError if too large."""
         rows, cols = self.panel.pixels
-        if grey.ndim != 2 or grey.dtype != np.uint8 or grey.shape[0] > rows or grey.shape[1] > cols:
+        if (
+            grey.ndim != 2
+            or grey.dtype != np.uint8
+            or grey.shape[0] > rows
+            or grey.shape[1] > cols
+        ):
             raise DisplayError(
                 f"a picture of {grey.shape} {grey.dtype}; allowed is uint8, at most {rows} × {cols} pixels"
             )
@@ -149,23 +163,29 @@ class Screen:
         if report is None:
             return "no page answers: open its address on the display"
         if not report.visible:
-            return (
-                "its page is hidden or the display asleep: wake it, bring the page to the front, set Auto-Lock to never"
-            )
+            return "its page is hidden or the display asleep: wake it, bring the page to the front, set Auto-Lock to never"
         if report.zoom != 1:
             return f"its page is zoomed ×{report.zoom:.3g}: zoom out with two fingers"
         if not report.exact:
             return "its page has no whole number of pixels: set the browser's zoom and the system's scaling to 100 %"
         if wrong := size_problem((report.pixels[0], report.pixels[1]), self.panel):
             return wrong
-        if self.order and report.shown == self.order.number and report.crc != self.order.crc:
+        if (
+            self.order
+            and report.shown == self.order.number
+            and report.crc != self.order.crc
+        ):
             return "its browser alters the picture: switch off its privacy protection for canvases, or take another browser"
         return None
 
     def confirms(self, order: Order) -> bool:
         """Whether the page has reported this picture on the glass as it should be."""
         report = self.report
-        return report is not None and self.problem is None and (report.shown, report.crc) == (order.number, order.crc)
+        return (
+            report is not None
+            and self.problem is None
+            and (report.shown, report.crc) == (order.number, order.crc)
+        )
 
 
 def size_problem(pixels: tuple[int, int], panel: PanelInfo) -> str | None:

@@ -17,7 +17,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import uvicorn
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    TypeAdapter,
+    ValidationError,
+)
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
@@ -80,7 +87,10 @@ PRESS_OR_ANSWER: TypeAdapter[Press | Answer] = TypeAdapter(Press | Answer)
 @cache
 def page_files() -> dict[str, bytes]:
     """Every file that is ever served, by name."""
-    return {entry.name: entry.read_bytes() for entry in (files("labkit.targets") / "web").iterdir()}
+    return {
+        entry.name: entry.read_bytes()
+        for entry in (files("labkit.targets") / "web").iterdir()
+    }
 
 
 class WebServer:
@@ -125,7 +135,9 @@ class WebServer:
         while not self._server.started:
             if time.monotonic() > deadline or not self._thread.is_alive():
                 self.close()
-                raise DisplayError(f"the web server on port {self.port} did not start within {START_S:g} s")
+                raise DisplayError(
+                    f"the web server on port {self.port} did not start within {START_S:g} s"
+                )
             time.sleep(0.01)
         self._noted = note(self.url("monitor"), f"web://{self._host}:{self.port}")
 
@@ -148,7 +160,9 @@ class WebServer:
     def add_screen(self, name: str, panel: PanelInfo) -> Screen:
         """A screen of that name. Raises PlanError if there is one already."""
         if name in self.screens:
-            raise PlanError(f'two displays are called "{name}": end their addresses in different names')
+            raise PlanError(
+                f'two displays are called "{name}": end their addresses in different names'
+            )
         self.screens[name] = Screen(name, panel, self.url(name))
         return self.screens[name]
 
@@ -239,7 +253,12 @@ class WebServer:
 
     def _overview(self) -> dict[str, Any]:
         displays = [
-            {"name": name, "url": screen.url, "problem": screen.problem, "pixels": list(screen.panel.pixels)}
+            {
+                "name": name,
+                "url": screen.url,
+                "problem": screen.problem,
+                "pixels": list(screen.panel.pixels),
+            }
             for name, screen in tuple(self.screens.items())
         ]
         return {**self.monitor.snapshot(), "displays": displays}
@@ -327,12 +346,22 @@ def _answer(content: bytes | None, kind: str) -> Response:
 
 def _listen(host: str, port: int) -> socket.socket:
     try:
-        family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        family, _, _, _, where = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
         listener = socket.create_server(where[:2], family=family, backlog=256)
     except OSError as error:
         elsewhere = isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL
-        why = os.strerror(error.errno) if error.errno and error.errno in errno.errorcode else error
-        do = "this machine has no such address: give 0.0.0.0 for all that it has" if elsewhere else "give another port"
+        why = (
+            os.strerror(error.errno)
+            if error.errno and error.errno in errno.errorcode
+            else error
+        )
+        do = (
+            "this machine has no such address: give 0.0.0.0 for all that it has"
+            if elsewhere
+            else "give another port"
+        )
         raise DisplayError(f"cannot listen on {host} port {port}: {why}; {do}") from error
     listener.setblocking(False)
     return listener
@@ -343,7 +372,9 @@ def reachable(host: str) -> str:
     if host not in ("0.0.0.0", "::", ""):
         return f"[{host}]" if ":" in host else host
     six = host == "::"
-    with socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+    with socket.socket(
+        socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_DGRAM
+    ) as probe:
         try:
             # sends nothing: only the route is looked up (test addresses of RFC 3849 and 5737)
             probe.connect(("2001:db8::1" if six else "192.0.2.1", 9))

@@ -18,7 +18,9 @@ def answers(path: str) -> str | None:
     wire = SerialWire(path, 115_200)
     try:
         end_s = time.monotonic() + ANSWER_S
-        wire.send(b"\n" + command_line(DEVICE, AXIS, NUMBER, ""))  # after whatever half a line is there
+        wire.send(
+            b"\n" + command_line(DEVICE, AXIS, NUMBER, "")
+        )  # after whatever half a line is there
         while (line := wire.line(end_s)) is not None:
             reply = read_reply(line)
             if reply is not None and reply.number == NUMBER:

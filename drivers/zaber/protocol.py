@@ -72,4 +72,12 @@ def read_reply(line: str) -> Reply | None:
         return None
     number = int(found["id"]) if found["id"] else None
     accepted, busy = found["verdict"] == "OK", found["state"] == "BUSY"
-    return Reply(int(found["device"]), int(found["axis"]), number, accepted, busy, found["flag"], found["data"])
+    return Reply(
+        int(found["device"]),
+        int(found["axis"]),
+        number,
+        accepted,
+        busy,
+        found["flag"],
+        found["data"],
+    )

@@ -13,7 +13,14 @@ from collections.abc import Callable
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Travel
 from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
-from labkit.drivers.zaber.protocol import FLAGS, REASONS, SPEED_UNIT, Reply, command_line, read_reply
+from labkit.drivers.zaber.protocol import (
+    FLAGS,
+    REASONS,
+    SPEED_UNIT,
+    Reply,
+    command_line,
+    read_reply,
+)
 from labkit.errors import DeviceTimeoutError, PlanError, RailError
 from labkit.plan import Plan
 
@@ -33,9 +40,13 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> ZaberRail:
     """The stage at zaber:PORT, or a simulated one at zaber:simulated. Raises PlanError, RailError."""
     rail = rail_settings(address, plan)
     if rail.microstep_um is None:
-        raise PlanError("rail.microstep_um is missing: a Zaber needs it; see its data sheet, such as 0.49609375")
+        raise PlanError(
+            "rail.microstep_um is missing: a Zaber needs it; see its data sheet, such as 0.49609375"
+        )
     path, after_close = open_port(address, plan, context)
-    return ZaberRail(path, rail.microstep_um * 1e-3, rail.run_up_mm, after_close=after_close)
+    return ZaberRail(
+        path, rail.microstep_um * 1e-3, rail.run_up_mm, after_close=after_close
+    )
 
 
 class ZaberRail(SerialRail):
@@ -69,7 +80,9 @@ class ZaberRail(SerialRail):
             self._ask("warnings clear")
             self._ask("home")
             travel_mm = self._reach.high_mm - self._reach.low_mm
-            self._await_rest(HOMING_S + 2 * travel_mm / self._speed_mm_per_s, stale_faults=True)
+            self._await_rest(
+                HOMING_S + 2 * travel_mm / self._speed_mm_per_s, stale_faults=True
+            )
             self._check(self._ask(""))
             self._at_mm = self._position_mm()
             self._homed = True
@@ -117,13 +130,17 @@ class ZaberRail(SerialRail):
 
     def _get_to_know(self) -> None:
         """Limits and speed. Raises RailError for limits that leave no room to move."""
-        low, high, speed = (self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed"))
+        low, high, speed = (
+            self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed")
+        )
         self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:
             self._reach = Travel(low * self._microstep_mm, high * self._microstep_mm)
             _ = self.travel_mm
         except ValueError as error:
-            raise RailError(f"{self} has limits that leave no room to move; check rail.microstep_um") from error
+            raise RailError(
+                f"{self} has limits that leave no room to move; check rail.microstep_um"
+            ) from error
 
     def _number_of(self, setting: str) -> float:
         return float(self._ask(f"get {setting}").data)
@@ -138,13 +155,17 @@ class ZaberRail(SerialRail):
         if abs(at_mm - wanted_mm) > TOLERANCE_MM:
             if self._stopping:
                 self._at_mm = at_mm
-                raise RailError(f"{self} was stopped at {at_mm:.3f} mm, on its way to {wanted_mm:.3f} mm")
+                raise RailError(
+                    f"{self} was stopped at {at_mm:.3f} mm, on its way to {wanted_mm:.3f} mm"
+                )
             raise self._lost(f"{why} {wanted_mm:.3f} mm and stands at {at_mm:.3f} mm")
         return at_mm
 
     def _check(self, reply: Reply) -> None:
         if reply.is_fault:
-            raise self._lost(f"warns {reply.flag}: {FLAGS.get(reply.flag, 'see its manual')}")
+            raise self._lost(
+                f"warns {reply.flag}: {FLAGS.get(reply.flag, 'see its manual')}"
+            )
 
     def _await_rest(self, within_s: float, stale_faults: bool = False) -> None:
         """Wait until it stands. stale_faults: warnings from before do not count yet."""
@@ -169,9 +190,13 @@ class ZaberRail(SerialRail):
                 return reply
             if reply:
                 self._homed = False
-                raise RailError(f'{self} refused "{command}": {REASONS.get(reply.data, reply.data)}; home it')
+                raise RailError(
+                    f'{self} refused "{command}": {REASONS.get(reply.data, reply.data)}; home it'
+                )
         self._homed = False
-        raise DeviceTimeoutError(f"{self} does not answer at {self.BAUD} baud; look at its power and its cable")
+        raise DeviceTimeoutError(
+            f"{self} does not answer at {self.BAUD} baud; look at its power and its cable"
+        )
 
     def _hear(self, number: int) -> Reply | None:
         """The reply with this id, if it comes in time; all else is dropped."""

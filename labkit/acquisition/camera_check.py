@@ -10,7 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Adjustable, Camera, Check, Checkable, ExposureSettings, Setting
+from labkit.devices.protocols import (
+    Adjustable,
+    Camera,
+    Check,
+    Checkable,
+    ExposureSettings,
+    Setting,
+)
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
 from labkit.filter_array import MONO
@@ -83,8 +90,12 @@ def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
     planned = path.suffix == ".toml" or path.is_file()
     plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
     if plan.camera is None:
-        raise CameraError(f"plan {where} has no [camera]: add it, or give an address such as gphoto2:")
-    return Alone(open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned)
+        raise CameraError(
+            f"plan {where} has no [camera]: add it, or give an address such as gphoto2:"
+        )
+    return Alone(
+        open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned
+    )
 
 
 def offered(camera: Camera) -> tuple[Setting, ...]:
@@ -106,7 +117,11 @@ def take_test_frame(alone: Alone) -> FrameReport:
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
     dark, light = light_problem(mosaic)
-    blur, words = (None, "not looked for: there is no light") if dark else _blur_on_target(mosaic, alone)
+    blur, words = (
+        (None, "not looked for: there is no light")
+        if dark
+        else _blur_on_target(mosaic, alone)
+    )
     return FrameReport(
         exposure_s=frame.exposure_s,
         iso=frame.iso or mosaic.iso or 0,
@@ -127,7 +142,9 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
     try:
         grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
         target = open_target(alone.plan.target)
-        return blur_px(grey, target, find_target(grey, target)), "found, wholly in the frame"
+        return blur_px(
+            grey, target, find_target(grey, target)
+        ), "found, wholly in the frame"
     except TargetError as error:
         return None, str(error)
 
@@ -137,11 +154,18 @@ def light_problem(mosaic: Mosaic) -> tuple[bool, str | None]:
     light = exposure_problem(mosaic, "target", _names(mosaic))
     if light is None or not light.startswith("is black"):
         return False, light
-    return True, f"{light}: is the cap on the lens, the target dark, the exposure too short?"
+    return (
+        True,
+        f"{light}: is the cap on the lens, the target dark, the exposure too short?",
+    )
 
 
 def _names(mosaic: Mosaic) -> list[str]:
-    return ["mono"] if mosaic.pattern == MONO else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
+    return (
+        ["mono"]
+        if mosaic.pattern == MONO
+        else sorted(set(mosaic.cfa), key=mosaic.cfa.index)
+    )
 
 
 def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
@@ -160,5 +184,13 @@ def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
 
 def _noise(plane: Counts, white: float) -> float:
     """Noise of a pixel where the picture is smooth and nothing is full, for what is full has none."""
-    blocks = [block for band in np.array_split(plane, BLOCKS) for block in np.array_split(band, BLOCKS, axis=1)]
-    return float(np.quantile([pixel_noise(block) for block in blocks if block.max() < white] or [0.0], 0.1))
+    blocks = [
+        block
+        for band in np.array_split(plane, BLOCKS)
+        for block in np.array_split(band, BLOCKS, axis=1)
+    ]
+    return float(
+        np.quantile(
+            [pixel_noise(block) for block in blocks if block.max() < white] or [0.0], 0.1
+        )
+    )

@@ -22,7 +22,14 @@ from labkit.acquisition.sequence import Shot, bench_settings, missing, picture_f
 from labkit.devices.context import Devices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Picture, RawFrame
-from labkit.errors import DataError, DeviceError, InputError, LabkitError, PlanError, RawError
+from labkit.errors import (
+    DataError,
+    DeviceError,
+    InputError,
+    LabkitError,
+    PlanError,
+    RawError,
+)
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
 from labkit.raw.frame_quality import exposure_problem
@@ -83,7 +90,9 @@ def run_plan(
     try:
         _Capture(session, devices, log, ask).run(check, warn)
     except KeyboardInterrupt as interrupt:
-        with suppress(DeviceError):  # homing, at the next start, mends a rail that did not even stop
+        with suppress(
+            DeviceError
+        ):  # homing, at the next start, mends a rail that did not even stop
             devices.rail.stop()
         log.note("interrupted", by=str(interrupt) or "Ctrl-C")
         raise
@@ -106,12 +115,16 @@ def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
 class _Capture:
     """One run: what is taken, in which order, and what is kept."""
 
-    def __init__(self, session: Session, devices: Devices, log: CaptureLog, ask: Ask | None) -> None:
+    def __init__(
+        self, session: Session, devices: Devices, log: CaptureLog, ask: Ask | None
+    ) -> None:
         self._session = session
         self._devices = devices
         self._log = log
         self._ask = ask
-        self._patient = PatientDevices(session.plan, devices, log, session.folder / EXPOSING)
+        self._patient = PatientDevices(
+            session.plan, devices, log, session.folder / EXPOSING
+        )
         self._first: Mosaic | None = None
 
     def run(self, check: bool, warn: Callable[[str], None] | None) -> None:
@@ -122,10 +135,14 @@ class _Capture:
         for frame in self._session.frames[:1]:
             self._first = read_raw(frame.path, self._session.plan.sensor)
         darks = [shot for shot in todo if shot.kind == "dark"]
-        stops = list(dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None))
+        stops = list(
+            dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None)
+        )
         if darks:
             self._refuse_uncapped()
-        self._log.note("began", missing=len(todo), total=self._log.total, shown_size_mm=target.size_mm)
+        self._log.note(
+            "began", missing=len(todo), total=self._log.total, shown_size_mm=target.size_mm
+        )
         if warn and (words := _drawn_otherwise(self._session.plan, target)):
             warn(words)
         if check:
@@ -143,10 +160,18 @@ class _Capture:
         self._log.note("complete")
 
     def _look_round(
-        self, target: PanelPicture, stops: list[float], frames: int, warn: Callable[[str], None] | None
+        self,
+        target: PanelPicture,
+        stops: list[float],
+        frames: int,
+        warn: Callable[[str], None] | None,
     ) -> None:
         """The preflight; ends where the capture begins, if that is at an end of the rail."""
-        ends = sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0]) if stops else []
+        ends = (
+            sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0])
+            if stops
+            else []
+        )
         findings = preflight(
             self._session.plan,
             self._patient,
@@ -206,7 +231,11 @@ class _Capture:
             mosaic = self._checked(raw.path, shot)
         except InputError as problem:
             aside = _set_aside(raw.path, self._session.folder / REJECTED)
-            self._log.note("rejected", file=str(aside.relative_to(self._session.folder)), reason=str(problem))
+            self._log.note(
+                "rejected",
+                file=str(aside.relative_to(self._session.folder)),
+                reason=str(problem),
+            )
             raise
         meta = {**raw.meta, **meta, "exposure_s": raw.exposure_s, "iso": raw.iso}
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
@@ -216,7 +245,9 @@ class _Capture:
         """A photograph, decoded. Raises RawError or DataError for one that is useless."""
         plan = self._session.plan
         mosaic = read_raw(path, plan.sensor)
-        problem = exposure_problem(mosaic, shot.kind, (channel.name for channel in plan.channel))
+        problem = exposure_problem(
+            mosaic, shot.kind, (channel.name for channel in plan.channel)
+        )
         first = self._first = self._first or mosaic
         if _likeness(mosaic) != _likeness(first):
             raise RawError(
@@ -224,7 +255,9 @@ class _Capture:
             )
         if problem:
             camera, _ = bench_settings(plan)
-            raise DataError(f"{shot.name}, just taken, {problem} ({camera.exposure_s:g} s was set)")
+            raise DataError(
+                f"{shot.name}, just taken, {problem} ({camera.exposure_s:g} s was set)"
+            )
         return mosaic
 
 
@@ -237,6 +270,8 @@ def _set_aside(file: Path, folder: Path) -> Path:
     """Move a file into a folder under a name that is free there."""
     folder.mkdir(exist_ok=True)
     numbered = (folder / f"{file.stem}-{number}{file.suffix}" for number in count(1))
-    aside = next(path for path in chain([folder / file.name], numbered) if not path.exists())
+    aside = next(
+        path for path in chain([folder / file.name], numbered) if not path.exists()
+    )
     file.rename(aside)
     return aside

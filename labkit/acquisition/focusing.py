@@ -48,7 +48,9 @@ class FocusReading:
 
 
 def focus(
-    alone: Alone, observers: Sequence[Observer] = (), going: Callable[[], bool] = lambda: True
+    alone: Alone,
+    observers: Sequence[Observer] = (),
+    going: Callable[[], bool] = lambda: True,
 ) -> Iterator[FocusReading]:
     """Photograph and look, again and again while `going`; by the camera's live view where it has one. Nothing is kept.
 
@@ -68,20 +70,28 @@ def focus(
             path = Path(folder) / f"focus_{number}"
             seen = camera.preview(path) if live and isinstance(camera, Previewing) else None
             live = seen is not None
-            mosaic = read_raw(camera.expose(path).path, alone.plan.sensor) if seen is None else read_raw(seen, LIVE)
+            mosaic = (
+                read_raw(camera.expose(path).path, alone.plan.sensor)
+                if seen is None
+                else read_raw(seen, LIVE)
+            )
         reading = _read(number, LIVE_VIEW if live else FRAME, mosaic, alone)
         corners = None if reading.corners_px is None else np.array(reading.corners_px)
         for observer in observers:
             if isinstance(observer, Viewer):
                 name = f"{reading.source} {number}"
-                observer.saw(Look(name, None, mosaic, corners, reading.edge_px, reading.note))
+                observer.saw(
+                    Look(name, None, mosaic, corners, reading.edge_px, reading.note)
+                )
             observer.may_go_on()
         yield reading
 
 
 def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReading:
     dark, note = light_problem(mosaic)
-    corners, blur, margin = (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
+    corners, blur, margin = (
+        (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
+    )
     if not note and alone.planned and corners is None:
         note = "no target found"
     return FocusReading(
@@ -89,14 +99,18 @@ def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReadin
         source=source,
         edge_px=None if dark else sharpest_edge_px(mosaic),
         full_percent=float(100 * np.mean(mosaic.counts >= mosaic.white)),
-        corners_px=None if corners is None else tuple((float(row), float(col)) for row, col in corners),
+        corners_px=None
+        if corners is None
+        else tuple((float(row), float(col)) for row, col in corners),
         blur_px=blur,
         margin_px=margin,
         note=note or "",
     )
 
 
-def _target(mosaic: Mosaic, alone: Alone) -> tuple[Floats | None, float | None, float | None]:
+def _target(
+    mosaic: Mosaic, alone: Alone
+) -> tuple[Floats | None, float | None, float | None]:
     """Where the plan's target is, its blur circle and how far it is from the frame's edge, in pixels."""
     target = open_target(alone.plan.target)
     try:

@@ -20,7 +20,12 @@ class CaptureLog:
     """done, total: photographs that the session has, and those of the whole plan."""
 
     def __init__(
-        self, session: Session, observers: Sequence[Observer], progress: Progress, done: int, total: int
+        self,
+        session: Session,
+        observers: Sequence[Observer],
+        progress: Progress,
+        done: int,
+        total: int,
     ) -> None:
         self.done = done
         self.total = total
@@ -58,7 +63,9 @@ class CaptureLog:
 
     def homed(self) -> int:
         """The rail was homed; the how many'th time in this session, from 1, earlier processes counted."""
-        homing = 1 + len([event for event in self._session.events if event["event"] == HOMED])
+        homing = 1 + len(
+            [event for event in self._session.events if event["event"] == HOMED]
+        )
         self.note(HOMED, homing=homing)
         return homing
 
@@ -67,4 +74,6 @@ class CaptureLog:
         self.done += 1
         self._progress(self.done, self.total, shot.name)
         for observer in self._observers:
-            observer.took(shot.name, shot.kind, shot.range_mm, mosaic, self.done, self.total)
+            observer.took(
+                shot.name, shot.kind, shot.range_mm, mosaic, self.done, self.total
+            )

@@ -10,7 +10,15 @@ from typing import Any, TypeVar
 from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.sequence import Shot, bench_settings
 from labkit.devices.context import Devices
-from labkit.devices.protocols import Attentive, Candid, Coverable, ExposureSettings, Picture, RawFrame, Steadfast
+from labkit.devices.protocols import (
+    Attentive,
+    Candid,
+    Coverable,
+    ExposureSettings,
+    Picture,
+    RawFrame,
+    Steadfast,
+)
 from labkit.errors import DeviceError, DisplayError, RailLimitError
 from labkit.files import writing
 from labkit.plan import Plan
@@ -71,12 +79,18 @@ class PatientDevices:
         at_mm = self._try("rail", lambda: rail.move_to(position_mm), self._home)
         self.devices.wait(self._rail.settle_s)
         measured_mm = self._rail.range_mm(at_mm)
-        meta = {"position_mm": round(at_mm, 6), "measured_range_mm": round(measured_mm, 6), "homing": self._homing}
+        meta = {
+            "position_mm": round(at_mm, 6),
+            "measured_range_mm": round(measured_mm, 6),
+            "homing": self._homing,
+        }
         self._log.note("moved", range_mm=range_mm, **meta)
         self._standing = range_mm, meta
         return meta
 
-    def photograph_in_place(self, picture: Picture, shot: Shot) -> tuple[RawFrame, dict[str, Any]]:
+    def photograph_in_place(
+        self, picture: Picture, shot: Shot
+    ) -> tuple[RawFrame, dict[str, Any]]:
         """Photograph at the shot's range, again if the rail did not stay there; and what is to be noted of the place."""
         if shot.range_mm is None:
             return self.photograph(picture, shot.name), {}
@@ -90,7 +104,12 @@ class PatientDevices:
                 return raw, meta
             except DeviceError as error:
                 self._standing = None
-                self._log.note("trouble", device="rail", attempt=attempt, error=f"after {shot.name}: {error}")
+                self._log.note(
+                    "trouble",
+                    device="rail",
+                    attempt=attempt,
+                    error=f"after {shot.name}: {error}",
+                )
                 if attempt == TRIES:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")
@@ -106,11 +125,20 @@ class PatientDevices:
         display = self.devices.display
         for attempt in range(1, TRIES + 1):
             raw = self._try("camera", lambda: self._expose(name), self._ready_camera)
-            if not isinstance(display, Attentive) or self._try("display", display.undisturbed, lambda: None):
+            if not isinstance(display, Attentive) or self._try(
+                "display", display.undisturbed, lambda: None
+            ):
                 return raw
-            self._log.note("trouble", device="display", attempt=attempt, error=f"lost its picture during {name}")
+            self._log.note(
+                "trouble",
+                device="display",
+                attempt=attempt,
+                error=f"lost its picture during {name}",
+            )
             self.show(picture)
-        raise DisplayError(f"the display lost its picture during {name}, {TRIES} times in a row; look at it")
+        raise DisplayError(
+            f"the display lost its picture during {name}, {TRIES} times in a row; look at it"
+        )
 
     def _home(self) -> None:
         self.devices.rail.home()
@@ -119,7 +147,9 @@ class PatientDevices:
     def _ready_camera(self) -> None:
         """Find the camera, again if it had dropped off, and set it."""
         info = self.devices.camera.identify()
-        self.devices.camera.configure(ExposureSettings(self._camera.exposure_s, self._camera.iso))
+        self.devices.camera.configure(
+            ExposureSettings(self._camera.exposure_s, self._camera.iso)
+        )
         self._log.note("camera", model=info.model, serial=info.serial, driver=info.driver)
 
     def _expose(self, name: str) -> RawFrame:
@@ -129,7 +159,9 @@ class PatientDevices:
             self._folder.mkdir()
         return self.devices.camera.expose(self._folder / name)
 
-    def _try(self, device: str, action: Callable[[], Result], recover: Callable[[], object]) -> Result:
+    def _try(
+        self, device: str, action: Callable[[], Result], recover: Callable[[], object]
+    ) -> Result:
         """Do something with a device; on trouble recover and do it again, a bounded number of times."""
         for attempt in range(1, TRIES + 1):
             try:

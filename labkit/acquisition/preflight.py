@@ -25,7 +25,12 @@ from labkit.files import write_atomically, writing
 from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
-from labkit.optics.lens import ThinLens, blur_per_wave_um, circle_of_confusion_mm, ground_sample_mm
+from labkit.optics.lens import (
+    ThinLens,
+    blur_per_wave_um,
+    circle_of_confusion_mm,
+    ground_sample_mm,
+)
 from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.plan import Plan
 from labkit.raw.decode import read_raw
@@ -73,7 +78,11 @@ class Findings:
         if len(self.problems) == 1:
             raise self.problems[0]
         if self.problems:
-            kind = DeviceError if any(isinstance(error, DeviceError) for error in self.problems) else DataError
+            kind = (
+                DeviceError
+                if any(isinstance(error, DeviceError) for error in self.problems)
+                else DataError
+            )
             listed = "; ".join(f"({i}) {error}" for i, error in enumerate(self.problems, 1))
             raise kind(f"{len(self.problems)} things are not right: {listed}")
 
@@ -99,7 +108,9 @@ def preflight(
     blurs_px: dict[float, float] = {}
     for range_mm in ends_mm:
         there = homed and findings.succeeds(partial(patient.go_to, range_mm))
-        blur = look.round(picture, range_mm) if there and ready and not findings.dark else None
+        blur = (
+            look.round(picture, range_mm) if there and ready and not findings.dark else None
+        )
         if blur is not None:
             blurs_px[range_mm] = blur
     if "frame_bytes" in findings.measured:
@@ -128,22 +139,32 @@ class _Round:
     def round(self, picture: PanelPicture, range_mm: float) -> float | None:
         """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
         if (white := self._photograph(range_mm, "white")) is not None:
-            problem = self._check_white(white, range_mm) if "exposure" not in self.findings.measured else ""
+            problem = (
+                self._check_white(white, range_mm)
+                if "exposure" not in self.findings.measured
+                else ""
+            )
             self._keep(replace(white.look, note=problem), white)
         if (shown := self._photograph(range_mm, picture.grey)) is None:
             return None
         before = len(self.findings.problems)
         look = self._located(shown.look, range_mm, shown.seen)
-        blur = None if look.corners_px is None else self._blur_px(look, range_mm, shown.seen)
+        blur = (
+            None if look.corners_px is None else self._blur_px(look, range_mm, shown.seen)
+        )
         note = "; ".join(map(str, self.findings.problems[before:])).partition(", see ")[0]
         self._keep(replace(look, note=note, edge_px=sharpest_edge_px(look.mosaic)), shown)
         return blur
 
     def _check_white(self, white: _Kept, range_mm: float) -> str:
-        problem = exposure_problem(white.look.mosaic, "flat", (channel.name for channel in self.plan.channel))
+        problem = exposure_problem(
+            white.look.mosaic, "flat", (channel.name for channel in self.plan.channel)
+        )
         self.findings.measured["exposure"] = problem or "right"
         if problem:
-            hint = "; is the cap on the lens, the display dark?" if "black" in problem else ""
+            hint = (
+                "; is the cap on the lens, the display dark?" if "black" in problem else ""
+            )
             words = f"a test photograph of white at {range_mm:g} mm {problem}{hint}"
             self.findings.problems.append(DataError(f"{words}, see {white.seen}"))
         return problem or ""
@@ -156,9 +177,16 @@ class _Round:
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
         try:
             grey = _grey(look)
-            return replace(look, corners_px=np.array(given) if given else find_target(grey, target, mm_per_pixel=scale))
+            return replace(
+                look,
+                corners_px=np.array(given)
+                if given
+                else find_target(grey, target, mm_per_pixel=scale),
+            )
         except TargetError as error:
-            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {error}, see {seen}"))
+            self.findings.problems.append(
+                TargetError(f"at {range_mm:g} mm: {error}, see {seen}")
+            )
             return look
 
     def _blur_px(self, look: Look, range_mm: float, seen: Path) -> float:
@@ -168,12 +196,19 @@ class _Round:
         margin = margin_px(corners, grey.shape)
         if margin < 0:
             away = f"the target reaches {-margin:.0f} pixels out of the frame: move it, or the camera, back in"
-            self.findings.problems.append(TargetError(f"at {range_mm:g} mm: {away}, see {seen}"))
-        self.findings.measured[f"{range_mm:g} mm"] = {"blur_px": round(blur, 1), "margin_px": round(margin, 1)}
+            self.findings.problems.append(
+                TargetError(f"at {range_mm:g} mm: {away}, see {seen}")
+            )
+        self.findings.measured[f"{range_mm:g} mm"] = {
+            "blur_px": round(blur, 1),
+            "margin_px": round(margin, 1),
+        }
         return blur
 
     def _photograph(self, range_mm: float, picture: Picture) -> _Kept | None:
-        name = f"preflight_{range_mm:.10g}_{picture if isinstance(picture, str) else 'target'}"
+        name = (
+            f"preflight_{range_mm:.10g}_{picture if isinstance(picture, str) else 'target'}"
+        )
 
         def take() -> _Kept:
             self.patient.show(picture)
@@ -189,13 +224,17 @@ class _Round:
         if self.findings.dark:
             return None
         kept = self.findings.tried(take)
-        self.findings.dark = kept is None and isinstance(self.findings.problems[-1], DeviceError)
+        self.findings.dark = kept is None and isinstance(
+            self.findings.problems[-1], DeviceError
+        )
         return kept
 
     def _keep(self, look: Look, kept: _Kept) -> None:
         """Show what was found, and write it beside the photograph."""
         self.log.saw(look)
-        self.findings.succeeds(lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px)))
+        self.findings.succeeds(
+            lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +256,10 @@ def _grey(look: Look) -> Floats:
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:
-    needed, free = findings.measured["frame_bytes"] * frames * (1 + SPARE_SHARE), shutil.disk_usage(folder).free
+    needed, free = (
+        findings.measured["frame_bytes"] * frames * (1 + SPARE_SHARE),
+        shutil.disk_usage(folder).free,
+    )
     findings.measured["free_bytes"] = free
     if free < needed:
         findings.problems.append(

@@ -29,8 +29,14 @@ def shots(plan: Plan) -> tuple[Shot, ...]:
     camera, rail = bench_settings(plan)
     every = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
     for range_mm in rail.ranges_mm:
-        every += [Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm) for i in range(camera.flats_per_range)]
-        every += [Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm) for i in range(camera.frames_per_range)]
+        every += [
+            Shot(f"flat_{range_mm:.10g}_{i}", "flat", range_mm)
+            for i in range(camera.flats_per_range)
+        ]
+        every += [
+            Shot(f"target_{range_mm:.10g}_{i}", "target", range_mm)
+            for i in range(camera.frames_per_range)
+        ]
     return tuple(every)
 
 
@@ -48,9 +54,15 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
     """
     _, rail = bench_settings(plan)
     travel = devices.rail.travel_mm
-    beyond = [mm for mm in rail.ranges_mm if not travel.low_mm <= rail.position_mm(mm) <= travel.high_mm]
+    beyond = [
+        mm
+        for mm in rail.ranges_mm
+        if not travel.low_mm <= rail.position_mm(mm) <= travel.high_mm
+    ]
     if beyond:
-        places = ", ".join(f"{mm:g} mm (rail position {rail.position_mm(mm):g} mm)" for mm in beyond)
+        places = ", ".join(
+            f"{mm:g} mm (rail position {rail.position_mm(mm):g} mm)" for mm in beyond
+        )
         raise PlanError(
             f"rail.ranges_mm has {places}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm, "
             f"ranges {rail.range_mm(travel.low_mm):g} to {rail.range_mm(travel.high_mm):g} mm"

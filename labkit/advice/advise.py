@@ -9,7 +9,14 @@ from typing import Any
 
 from labkit.advice.expected_fit import ExpectedFit, Setup
 from labkit.advice.notes import notes_of
-from labkit.advice.outlook import STEP_WAVES, Errors, Outlook, Proposal, outlook, propose_ranges
+from labkit.advice.outlook import (
+    STEP_WAVES,
+    Errors,
+    Outlook,
+    Proposal,
+    outlook,
+    propose_ranges,
+)
 from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.estimation.stated import Stated
@@ -45,7 +52,10 @@ class RangeAdvice:
 
     def as_json(self) -> dict[str, Any]:
         """With null for errors that are not finite."""
-        finite = {name: not isinstance(value, float) or isfinite(value) for name, value in asdict(self).items()}
+        finite = {
+            name: not isinstance(value, float) or isfinite(value)
+            for name, value in asdict(self).items()
+        }
         return {name: getattr(self, name) if finite[name] else None for name in finite}
 
 
@@ -72,7 +82,11 @@ class Advice:
     @property
     def best_focus_std_mm(self) -> float | None:
         """Of the channel that the errors are of; None with fewer than two ranges."""
-        return None if self.session is None else self.session.std[f"best_focus_mm.{self.channel}"]
+        return (
+            None
+            if self.session is None
+            else self.session.std[f"best_focus_mm.{self.channel}"]
+        )
 
     @property
     def magnification_std(self) -> float | None:
@@ -128,7 +142,10 @@ def advise(
 
 def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> Advice:
     channel = shortest(setup.plan)
-    fits = {range_mm: setup.fit(channel, range_mm, setup.defocus(range_mm)) for range_mm in ranges}
+    fits = {
+        range_mm: setup.fit(channel, range_mm, setup.defocus(range_mm))
+        for range_mm in ranges
+    }
     advised = tuple(_at(setup, range_mm, fit) for range_mm, fit in fits.items())
     session = _session(setup, fits)
     proposal = _proposal(setup, session, min(ranges))
@@ -142,7 +159,9 @@ def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> 
         proposed_std=proposal.std,
         nearest_mm=_nearest_mm(setup.plan),
         frames=frames,
-        notes=tuple(notes_of(setup, channel, advised, session, proposal, want_waves, frames)),
+        notes=tuple(
+            notes_of(setup, channel, advised, session, proposal, want_waves, frames)
+        ),
     )
 
 
@@ -165,7 +184,9 @@ def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
         for channel in plan.channel
         for range_mm in ranges
     }
-    determined = {key: fit.measured for key, fit in every.items() if not fit.bound.undetermined}
+    determined = {
+        key: fit.measured for key, fit in every.items() if not fit.bound.undetermined
+    }
     return outlook(determined, Stated.of(plan), setup.focus_mm)
 
 
@@ -177,11 +198,15 @@ def _proposal(setup: Setup, session: Outlook | None, nearest_mm: float) -> Propo
     if session is None or session.determined:
         return Proposal()
     plan = setup.plan
-    sharp, blurred = (setup.fit(shortest(plan), nearest_mm, waves) for waves in (0.0, STEP_WAVES))
+    sharp, blurred = (
+        setup.fit(shortest(plan), nearest_mm, waves) for waves in (0.0, STEP_WAVES)
+    )
     if sharp.bound.undetermined or blurred.bound.undetermined:
         return Proposal()
     channels = [channel.name for channel in plan.channel]
-    return propose_ranges(nearest_mm, channels, Stated.of(plan), sharp.measured, blurred.measured)
+    return propose_ranges(
+        nearest_mm, channels, Stated.of(plan), sharp.measured, blurred.measured
+    )
 
 
 def _check_numbers(electrons: float, want_waves: float | None) -> None:
@@ -189,14 +214,18 @@ def _check_numbers(electrons: float, want_waves: float | None) -> None:
     if not 1 <= electrons <= MOST_ELECTRONS:
         raise DataError(f"electrons = {electrons:g}: allowed is 1 to {MOST_ELECTRONS:g}")
     if want_waves is not None and not LEAST_WANTED <= want_waves <= 1:
-        raise DataError(f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1")
+        raise DataError(
+            f"wanted error = {want_waves:g} waves: allowed is {LEAST_WANTED:g} to 1"
+        )
 
 
 def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
     """The ranges to advise on, in order. Raises PlanError where there are none, or one that no lens images."""
     ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
     if not ranges:
-        raise PlanError("no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each")
+        raise PlanError(
+            "no ranges to advise on: the plan has no [rail] ranges_mm; give --range MM, once for each"
+        )
     focal_mm = plan.lens.focal_length_mm
     for range_mm in ranges:
         if not focal_mm < range_mm <= FARTHEST_MM:
@@ -205,7 +234,9 @@ def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
     return ranges
 
 
-def _wanted_frames(advised: Sequence[RangeAdvice], frames: int, want_waves: float | None) -> int | None:
+def _wanted_frames(
+    advised: Sequence[RangeAdvice], frames: int, want_waves: float | None
+) -> int | None:
     """Photographs of each range for a wanted error."""
     worst = max(at.std_wavefront_waves for at in advised)
     if want_waves is None or not isfinite(worst):

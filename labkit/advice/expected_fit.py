@@ -80,12 +80,21 @@ class Setup:
         """By a plan's numbers, the lens focused in the middle of the ranges."""
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         frames = plan.camera.frames_per_range if plan.camera else 1
-        return cls(plan, lens, open_target(plan.target), middle_mm(ranges_mm, lens), electrons, frames)
+        return cls(
+            plan,
+            lens,
+            open_target(plan.target),
+            middle_mm(ranges_mm, lens),
+            electrons,
+            frames,
+        )
 
     def side_px(self, range_mm: float) -> float:
         """Side of the target in the photograph, pixels."""
         pitch_um = self.plan.sensor.pixel_pitch_um
-        return self.plan.target.size_mm / float(ground_sample_mm(self.lens, range_mm, pitch_um))
+        return self.plan.target.size_mm / float(
+            ground_sample_mm(self.lens, range_mm, pitch_um)
+        )
 
     def defocus(self, range_mm: float) -> float:
         """Defocus at a range, waves RMS at the reference wavelength."""
@@ -98,7 +107,9 @@ class Setup:
         one = self._of_one_photograph(channel, min(side_px, WIDEST_PX), defocus)
         return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
 
-    def _of_one_photograph(self, channel: Channel, side_px: float, defocus: float) -> ExpectedFit:
+    def _of_one_photograph(
+        self, channel: Channel, side_px: float, defocus: float
+    ) -> ExpectedFit:
         optics = self._optics(channel)
         side = ceil(SURROUND * side_px / 2) * 2
         shape = (side, side)
@@ -112,7 +123,9 @@ class Setup:
         expansion = expand(Problem(model, (frame,), NOISE), Start(state))
         cone = len(optics.noll)
         free = np.delete(np.arange(len(expansion.information)), cone)
-        bound = bound_of(expansion.information[np.ix_(free, free)], parameter_names(state, optics.noll))
+        bound = bound_of(
+            expansion.information[np.ix_(free, free)], parameter_names(state, optics.noll)
+        )
         return ExpectedFit(bound, expansion.measured())
 
     def _optics(self, channel: Channel) -> Optics:

@@ -60,8 +60,13 @@ def _lens_notes(session: Outlook, proposal: Proposal) -> Iterator[str]:
         better = {remedy.what: remedy.std[key] for remedy in session.worthwhile(key)}
         if key == "pupil_magnification" and proposal.ranges_mm:
             better[proposal.what] = proposal.std[key]
-        would = "; ".join(f"{what} would make it ± {std:.2g}{unit}" for what, std in better.items())
-        would = would or "no measurement beside the photographs would halve that; more light or a larger target may"
+        would = "; ".join(
+            f"{what} would make it ± {std:.2g}{unit}" for what, std in better.items()
+        )
+        would = (
+            would
+            or "no measurement beside the photographs would halve that; more light or a larger target may"
+        )
         yield f"these ranges hardly determine the {name}, ± {session.std[key]:.2g}{unit}: {would}"
 
 
@@ -112,7 +117,10 @@ def _display_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
             )
     if plan.target.pixels is not None:
         return
-    seen = {at.range_mm: stripe_contrast(plan, pitch_mm, at.range_mm, at.defocus_waves) for at in advised}
+    seen = {
+        at.range_mm: stripe_contrast(plan, pitch_mm, at.range_mm, at.defocus_waves)
+        for at in advised
+    }
     range_mm = max(seen, key=seen.__getitem__)
     if seen[range_mm] > LEAST_CONTRAST:
         pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'

@@ -10,7 +10,14 @@ import numpy as np
 from labkit.advice.expected_fit import middle_mm
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Measured, Reading
-from labkit.estimation.columns import COMMON_MODE, F_NUMBER, FOCAL_LENGTH, FOCUS, MAGNIFICATION, RANGE_ZERO
+from labkit.estimation.columns import (
+    COMMON_MODE,
+    F_NUMBER,
+    FOCAL_LENGTH,
+    FOCUS,
+    MAGNIFICATION,
+    RANGE_ZERO,
+)
 from labkit.estimation.lens_fit import Measurements, fit_lens
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.stated import Stated
@@ -74,12 +81,20 @@ class Outlook:
 
     def open_numbers(self) -> list[str]:
         """Keys of what the session will hardly determine: no better than stated, or a magnification of any lens."""
-        hardly = [name for name, stated in self.stated.items() if self.std[name] > DETERMINED * stated > 0]
+        hardly = [
+            name
+            for name, stated in self.stated.items()
+            if self.std[name] > DETERMINED * stated > 0
+        ]
         return hardly if self.determined else [*hardly, "pupil_magnification"]
 
     def worthwhile(self, name: str) -> list[Remedy]:
         """Measurements of something else that would leave half of a number's error or less."""
-        return [one for one in self.remedies if one.of != name and one.std[name] <= WORTH * self.std[name]]
+        return [
+            one
+            for one in self.remedies
+            if one.of != name and one.std[name] <= WORTH * self.std[name]
+        ]
 
 
 @dataclass(frozen=True)
@@ -103,7 +118,9 @@ MEASUREMENTS: tuple[tuple[str, str, Callable[[Stated], Stated]], ...] = (
     (
         "a tape right to 1 mm",
         "range_zero_mm",
-        lambda stated: replace(stated, range_zero_std_mm=min(stated.range_zero_std_mm, 1.0)),
+        lambda stated: replace(
+            stated, range_zero_std_mm=min(stated.range_zero_std_mm, 1.0)
+        ),
     ),
     (
         "a focal length right to 0.1 %",
@@ -153,10 +170,15 @@ def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Er
     start = Point(_truth(model, first, focus_mm), np.zeros((model.groups.max() + 1, 0)))
     lens = fit_lens(model, _measurements(model, list(fits.values()), start), start)
     pupils = float(np.exp(lens.value(MAGNIFICATION)))
-    focus = lens.errors_of(np.array([model.best_focus(channel) for channel in model.channels]))
+    focus = lens.errors_of(
+        np.array([model.best_focus(channel) for channel in model.channels])
+    )
     best_focus_std = np.sqrt(np.diag(focus))
     return {
-        **{f"best_focus_mm.{c}": float(std) for c, std in zip(model.channels, best_focus_std, strict=True)},
+        **{
+            f"best_focus_mm.{c}": float(std)
+            for c, std in zip(model.channels, best_focus_std, strict=True)
+        },
         "focal_length_mm": lens.std(FOCAL_LENGTH),
         "f_number": lens.std(F_NUMBER),
         "pupil_magnification": pupils * lens.std(MAGNIFICATION),
@@ -166,7 +188,9 @@ def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Er
 
 def _model(fits: Mapping[Key, Measured], stated: Stated) -> LensModel:
     """The laws of such a session. The target leans alike in all photographs."""
-    readings = [Reading(key, key.range_mm, key.range_mm) for key in fits if key.range_mm is not None]
+    readings = [
+        Reading(key, key.range_mm, key.range_mm) for key in fits if key.range_mm is not None
+    ]
     first = next(iter(fits.values()))
     tilt_std = min(fit.foreshortening[1] for fit in fits.values())
     return LensModel(tuple(readings), first.noll, first.parts, stated, tilt_std=tilt_std)
@@ -187,11 +211,17 @@ def _measurements(model: LensModel, fits: Sequence[Measured], truth: Point) -> M
     covariance = np.array([fit.covariance for fit in fits])
     none = np.zeros_like(covariance)
     used = np.ones(len(fits), bool)
-    return Measurements(model.predicted(truth.theta, truth.own), covariance, none, none, used)
+    return Measurements(
+        model.predicted(truth.theta, truth.own), covariance, none, none, used
+    )
 
 
 def propose_ranges(
-    nearest_mm: float, channels: Sequence[str], stated: Stated, sharp: Measured, blurred: Measured
+    nearest_mm: float,
+    channels: Sequence[str],
+    stated: Stated,
+    sharp: Measured,
+    blurred: Measured,
 ) -> Proposal:
     """Propose the farthest three ranges, the first at most `nearest_mm`, that determine the pupil magnification.
 
@@ -210,7 +240,11 @@ def propose_ranges(
             continue
         focus_mm = middle_mm(ranges, lens)
         measured = {
-            mm: _at_range(float(defocus_waves(lens, mm, focus_mm, stated.reference_nm)), sharp, blurred)
+            mm: _at_range(
+                float(defocus_waves(lens, mm, focus_mm, stated.reference_nm)),
+                sharp,
+                blurred,
+            )
             for mm in ranges
         }
         fits = {Key(mm, channel): measured[mm] for mm in ranges for channel in channels}
@@ -220,12 +254,18 @@ def propose_ranges(
     return Proposal()
 
 
-def _spread_ranges(near_mm: float, lens: ThinLens, reference_nm: float) -> tuple[float, ...]:
+def _spread_ranges(
+    near_mm: float, lens: ThinLens, reference_nm: float
+) -> tuple[float, ...]:
     """Three ranges from the nearest on, STEP_WAVES of defocus apart; none where the last would be beyond infinity."""
     focal = lens.focal_length_mm
     blur_mm = STEP_WAVES * blur_per_wave_um(lens.f_number, reference_nm * 1e-3) * 1e-3
     images = float(lens.image_distance_mm(near_mm)) - lens.f_number * blur_mm * np.arange(3)
-    return tuple(float(f"{r:.4g}") for r in images * focal / (images - focal)) if images[-1] > focal else ()
+    return (
+        tuple(float(f"{r:.4g}") for r in images * focal / (images - focal))
+        if images[-1] > focal
+        else ()
+    )
 
 
 def _at_range(waves: float, sharp: Measured, blurred: Measured) -> Measured:

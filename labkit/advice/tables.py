@@ -41,17 +41,29 @@ def _range_row(at: RangeAdvice) -> list[str]:
 
 def session_rows(advice: Advice) -> Rows:
     """What to expect of all ranges together: standard errors, beside those that the plan states."""
-    rows = [["whole session", f"{advice.electrons:g} electrons at white, focus in the middle of the ranges"]]
+    rows = [
+        [
+            "whole session",
+            f"{advice.electrons:g} electrons at white, focus in the middle of the ranges",
+        ]
+    ]
     if advice.session is None:
         rows.append(["best focus", "needs defocus, mode 4, from at least two ranges"])
     else:
         rows += _error_rows(advice.session)
-        rows += [[f"with {one.what}", _in_a_line(one.std)] for one in advice.session.remedies]
+        rows += [
+            [f"with {one.what}", _in_a_line(one.std)] for one in advice.session.remedies
+        ]
     if advice.proposed_ranges_mm:
         proposal = Proposal(advice.proposed_ranges_mm, advice.proposed_std)
         rows.append([f"with {proposal.what}", _in_a_line(proposal.std)])
     if advice.frames is not None:
-        rows.append(["photographs", f"{advice.frames} for each range, so exposed, for the error wanted"])
+        rows.append(
+            [
+                "photographs",
+                f"{advice.frames} for each range, so exposed, for the error wanted",
+            ]
+        )
     return rows
 
 
@@ -59,10 +71,14 @@ def _error_rows(session: Outlook) -> Rows:
     rows = []
     for key, std in session.std.items():
         name, unit = NUMBERS.get(key) or (f"best focus {key.partition('.')[2]}", " mm")
-        stated = f", stated ± {session.stated[key]:.2g}{unit}" if key in session.stated else ""
+        stated = (
+            f", stated ± {session.stated[key]:.2g}{unit}" if key in session.stated else ""
+        )
         rows.append([name, f"± {std:.2g}{unit}{stated}"])
     return rows
 
 
 def _in_a_line(std: Errors) -> str:
-    return ", ".join(f"{name} ± {std[key]:.2g}{unit}" for key, (name, unit) in NUMBERS.items())
+    return ", ".join(
+        f"{name} ± {std[key]:.2g}{unit}" for key, (name, unit) in NUMBERS.items()
+    )

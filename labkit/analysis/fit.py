@@ -13,12 +13,22 @@ from threadpoolctl import threadpool_limits
 
 from labkit.analysis.observe import observe
 from labkit.analysis.session_parts import camera_findings, model_parts
-from labkit.analysis.session_results import as_focus, as_lens, as_wavefronts, budget, session_findings
+from labkit.analysis.session_results import (
+    as_focus,
+    as_lens,
+    as_wavefronts,
+    budget,
+    session_findings,
+)
 from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.findings import model_incomplete_everywhere, residuals_not_noise, undetermined
+from labkit.estimation.findings import (
+    model_incomplete_everywhere,
+    residuals_not_noise,
+    undetermined,
+)
 from labkit.estimation.joint import refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.model_error import with_model_error
@@ -107,14 +117,28 @@ def fit(
     folder = _folder(session, plan, ranges_mm, channels, name)
     target, steps = open_target(plan.target), Steps(progress)
     most = max(len(_wanted_keys(session, plan, ranges_mm, channels)), 1)
-    with threadpool_limits(1), _running(run, min(workers or default_workers(), most), steps) as mapped:
-        observations, assumed = observe(session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress)
+    with (
+        threadpool_limits(1),
+        _running(run, min(workers or default_workers(), most), steps) as mapped,
+    ):
+        observations, assumed = observe(
+            session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress
+        )
         assumed += _panel_findings(plan, target, observations)
         kept = KeptFits(mapped, folder / FOLDER)
         targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
         stated = Stated.of(plan)
-        fits = refined(estimate(observations, plan, targets, kept, steps, patience_s, plain), targets, stated, kept)
-        together = refit_jointly(fits, targets, stated, kept, steps) if joint and fits.lens is not None else None
+        fits = refined(
+            estimate(observations, plan, targets, kept, steps, patience_s, plain),
+            targets,
+            stated,
+            kept,
+        )
+        together = (
+            refit_jointly(fits, targets, stated, kept, steps)
+            if joint and fits.lens is not None
+            else None
+        )
         change = find_change(fits, stated)
 
     def results_of(fits: Estimate, wanted: bool = True) -> Results:
@@ -123,7 +147,9 @@ def fit(
     noted = _noted(session, plan, [*assumed, *_changes(change)])
     every = {"": results_of(fits, ranges_mm is None)}
     if together is not None:
-        every[""] = replace(results_of(replace(fits, lens=together.lens)), joint=together.differences)
+        every[""] = replace(
+            results_of(replace(fits, lens=together.lens)), joint=together.differences
+        )
     if change is not None and split:
         every |= {"-before": results_of(change.before), "-after": results_of(change.after)}
     return _written(folder, every, kept, fits.lost)
@@ -140,7 +166,9 @@ def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
         yield processes
 
 
-def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]) -> Results:
+def _written(
+    folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]
+) -> Results:
     """Write results, and return the results of the whole session with their folder.
 
     Completed fits are kept until all fits are made and written.
@@ -162,14 +190,17 @@ def _written(folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: S
             results.write(folder.with_name(folder.name + end))
     except InputError as error:
         raise InputError(
-            f"{error}; make room and {GO_ON}" + (f", but {kept.problem}" if kept.problem else "")
+            f"{error}; make room and {GO_ON}"
+            + (f", but {kept.problem}" if kept.problem else "")
         ) from error
     if not lost:
         kept.clear()
     return replace(every[""], folder=folder)
 
 
-def _panel_findings(plan: Plan, target: Target, observations: Sequence[Observation]) -> list[Finding]:
+def _panel_findings(
+    plan: Plan, target: Target, observations: Sequence[Observation]
+) -> list[Finding]:
     """Report pixels of a panel that photographs show and the plan does not state.
 
     Raises
@@ -190,15 +221,24 @@ def _panel_findings(plan: Plan, target: Target, observations: Sequence[Observati
 
 def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Finding]:
     """Report contradictions between files and plan, altered pictures and damage to the session, together with `others`."""
-    stated = contradictions(((frame.file, frame.kind, frame.path) for frame in session.frames), plan)
+    stated = contradictions(
+        ((frame.file, frame.kind, frame.path) for frame in session.frames), plan
+    )
     notes = [note for frame in session.frames for note in frame.meta.get("altered", ())]
     altered = [found("picture-altered", note=note) for note in notes]
-    repairs = [found("session-mended", note=note) for note in session.warnings]  # an import repeats the others here
+    repairs = [
+        found("session-mended", note=note) for note in session.warnings
+    ]  # an import repeats the others here
     return each_once([*stated, *altered, *others, *repairs])
 
 
 def _results(
-    fits: Estimate, plan: Plan, checksum: str, noted: Sequence[Finding], patience_s: float, wanted: bool
+    fits: Estimate,
+    plan: Plan,
+    checksum: str,
+    noted: Sequence[Finding],
+    patience_s: float,
+    wanted: bool,
 ) -> Results:
     """Make results of all or some of a session's fits. wanted: whether the fits should determine best focus."""
     fits = with_model_error(fits)
@@ -223,21 +263,35 @@ def _results(
         parts_tried=fits.tried,
         widest_light_nm=widest_light_nm(fits, plan),
         findings=tuple(findings),
-        unanswered=unanswered(findings) if fits.lost or (wanted and focus is None) else None,
+        unanswered=unanswered(findings)
+        if fits.lost or (wanted and focus is None)
+        else None,
     )
 
 
 def _changes(change: Change | None) -> list[Finding]:
     """Report a change of the lens during a session that is fitted as one."""
-    return [] if change is None else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
+    return (
+        []
+        if change is None
+        else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
+    )
 
 
 def _opened(
-    session: Session | Path | str, plan: Plan | Path | str | None, noll: tuple[int, int] | None
+    session: Session | Path | str,
+    plan: Plan | Path | str | None,
+    noll: tuple[int, int] | None,
 ) -> tuple[Session, Plan, str]:
     """Open the session; return session, plan and the plan's checksum. Raise SessionError for altered photographs or plans."""
     session = session if isinstance(session, Session) else Session.open(session)
-    chosen = session.plan if plan is None else plan if isinstance(plan, Plan) else Plan.load(Path(plan))
+    chosen = (
+        session.plan
+        if plan is None
+        else plan
+        if isinstance(plan, Plan)
+        else Plan.load(Path(plan))
+    )
     if damage := altered_files(session):
         raise SessionError("; ".join(damage))
     chosen = chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
@@ -246,22 +300,34 @@ def _opened(
 
 def _checksum(session: Session, plan: Plan) -> str:
     """Return the SHA-256 of the session's plan.toml, or of the TOML of a plan given instead."""
-    text = (session.folder / "plan.toml").read_bytes() if plan == session.plan else plan.to_toml().encode()
+    text = (
+        (session.folder / "plan.toml").read_bytes()
+        if plan == session.plan
+        else plan.to_toml().encode()
+    )
     return hashlib.sha256(text).hexdigest()
 
 
-def _folder(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None) -> Path:
+def _folder(
+    session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None
+) -> Path:
     """Return the folder of the results. Raise DataError if it holds results that this fit would not replace."""
     keys = _wanted_keys(session, plan, ranges_mm, channels)
     whole = keys == _wanted_keys(session, plan, None, None)
-    folder = session.results_folder(name or ("latest" if whole else _partial_name(ranges_mm, channels)))
+    folder = session.results_folder(
+        name or ("latest" if whole else _partial_name(ranges_mm, channels))
+    )
     if lost := sorted(kept_keys(folder) - keys):
         names = ", ".join(key.label for key in lost)
-        raise DataError(f"{folder} holds {names} too, which this fit would not replace: give it another name (--name)")
+        raise DataError(
+            f"{folder} holds {names} too, which this fit would not replace: give it another name (--name)"
+        )
     return folder
 
 
-def _wanted_keys(session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels) -> set[Key]:
+def _wanted_keys(
+    session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels
+) -> set[Key]:
     """Return the keys of all wavefronts at these ranges and channels."""
     ranges = {frame.range_mm for frame in session.frames if frame.kind == "target"}
     wanted = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm
@@ -284,8 +350,14 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
 
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
     """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
-    poor = {w.key for w in wavefronts if w.test is not None and w.test.accepted and not w.test.explains}
-    together = len(wavefronts) > 1 and mostly_unexplained(w.key not in poor for w in wavefronts)
+    poor = {
+        w.key
+        for w in wavefronts
+        if w.test is not None and w.test.accepted and not w.test.explains
+    }
+    together = len(wavefronts) > 1 and mostly_unexplained(
+        w.key not in poor for w in wavefronts
+    )
     together = together and not any(w.missing for w in wavefronts if w.key in poor)
     if together:
         chi2 = {w.key.array_name: w.chi2_per_pixel for w in wavefronts if w.key in poor}
@@ -297,7 +369,11 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
             yield undetermined(w.key, w.test.undetermined)
         elif not (w.test.explains or told):
             confirmed_by = w.test.name if w.test.accepted else None
-            yield residuals_not_noise(w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by)
+            yield residuals_not_noise(
+                w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by
+            )
         low, high = USUAL_CHI2
         if not (low <= w.chi2_per_pixel <= high or told):
-            yield found("chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high)
+            yield found(
+                "chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high
+            )

@@ -10,7 +10,11 @@ from threadpoolctl import threadpool_limits
 
 from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
-from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
+from labkit.calibration.photon_transfer import (
+    UNKNOWN_NOISE_STD,
+    usual_gain,
+    usual_read_variance,
+)
 from labkit.errors import DataError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.estimate import LocalFit
@@ -73,7 +77,11 @@ def fit_image(
     corners = _corners(images, pattern_of(cfa_pattern), target, corners_px, mm_per_pixel)
     pixels = channel_pixels(pattern_of(cfa_pattern), channel)
     noise = _noise(images, gain, read_noise)
-    return _fitted(_observation(images, _good(mask, images), target, corners, channel, pixels, noise), target, optics)
+    return _fitted(
+        _observation(images, _good(mask, images), target, corners, channel, pixels, noise),
+        target,
+        optics,
+    )
 
 
 def _fitted(observation: Observation, target: Target, optics: Optics) -> Wavefront:
@@ -103,13 +111,18 @@ def _observation(
     rows, columns = cut_around(corners, images.shape[1:])
     cut = images[:, rows, columns]
     usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])
-    poses = tuple(Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start) for c in corners)
+    poses = tuple(
+        Pose.from_corners(c, target.size_mm).shifted(rows.start, columns.start)
+        for c in corners
+    )
     return Observation(
         range_mm=None,
         measured_range_mm=None,
         channel=channel,
         names=(),
-        frames=tuple(_frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)),
+        frames=tuple(
+            _frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)
+        ),
         poses=poses,
         noise=noise,
         places=pixels.places,
@@ -122,7 +135,9 @@ def _frames(name: str, counts: ArrayLike) -> Floats:
     """Return one frame or several as (frames, rows, columns)."""
     shape = np.shape(counts)
     if len(shape) not in (2, 3):
-        raise ValueError(f"{name} has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)")
+        raise ValueError(
+            f"{name} has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)"
+        )
     images = real_array(name, counts, None, "counts")
     return images if len(shape) == 3 else images[None]
 
@@ -139,7 +154,10 @@ def _corners(
         corners = np.asarray(given, float)
         corners = np.broadcast_to(corners, (len(images), *corners.shape[-2:]))
         return list(real_array("corners_px", corners, (len(images), 4, 2), "pixels"))
-    return [find_target(grey_image(image, tuple(pattern)), target, mm_per_pixel=mm_per_pixel) for image in images]
+    return [
+        find_target(grey_image(image, tuple(pattern)), target, mm_per_pixel=mm_per_pixel)
+        for image in images
+    ]
 
 
 def _frame(image: Floats, used: Bools, pose: Pose, target: Target) -> FrameData:
@@ -155,10 +173,16 @@ def _noise(images: Floats, gain: float | None, read_noise: float | None) -> Nois
     """Return a prior for the noise from the caller's numbers, or a wide prior without them."""
     white = float(np.percentile(images, 99.5))
     if white <= 0:
-        raise DataError(f"counts up to {white:g} are no photograph: give them with the black level removed")
+        raise DataError(
+            f"counts up to {white:g} are no photograph: give them with the black level removed"
+        )
     return NoisePrior(
-        usual_gain(white) if gain is None else positive("gain", gain, "counts per electron"),
+        usual_gain(white)
+        if gain is None
+        else positive("gain", gain, "counts per electron"),
         UNKNOWN_NOISE_STD if gain is None else GIVEN_NOISE_STD,
-        usual_read_variance(white) if read_noise is None else positive("read_noise", read_noise, "counts") ** 2,
+        usual_read_variance(white)
+        if read_noise is None
+        else positive("read_noise", read_noise, "counts") ** 2,
         UNKNOWN_NOISE_STD if read_noise is None else GIVEN_NOISE_STD,
     )

@@ -6,8 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.analysis.plausibility import Sight, refuse_contradictions
-from labkit.calibration.calibrate import Calibration, ChannelData, by_range, calibrate, channel_data
-from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
+from labkit.calibration.calibrate import (
+    Calibration,
+    ChannelData,
+    by_range,
+    calibrate,
+    channel_data,
+)
+from labkit.calibration.photon_transfer import (
+    ROUNDING_VARIANCE,
+    UNKNOWN_NOISE_STD,
+    usual_gain,
+    usual_read_variance,
+)
 from labkit.errors import DataError, TargetError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
@@ -76,7 +87,9 @@ def observe(
     frames = _chosen(session, photographs, range_mm)
     channels = _channels(plan, channel)
     for name in channels:
-        as_shown(plan, target, name)  # a panel that is impossible is refused before photographs are looked at
+        as_shown(
+            plan, target, name
+        )  # a panel that is impossible is refused before photographs are looked at
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
@@ -90,13 +103,18 @@ def observe(
             observations.append(replace(observation, order=min(map(frames.index, group))))
             findings += assumed
     sights = [
-        Sight(o.measured_range_mm, at) for o in observations if o.measured_range_mm is not None for at in o.corners_px
+        Sight(o.measured_range_mm, at)
+        for o in observations
+        if o.measured_range_mm is not None
+        for at in o.corners_px
     ]
     refuse_contradictions(sights, plan, target.size_mm)
     return observations, each_once(findings)
 
 
-def _chosen(session: Session, photographs: Sequence[Frame], range_mm: float | Sequence[float] | None) -> list[Frame]:
+def _chosen(
+    session: Session, photographs: Sequence[Frame], range_mm: float | Sequence[float] | None
+) -> list[Frame]:
     frames = [frame for frame in photographs if frame.kind == "target"]
     if not frames:
         raise DataError(f"{session.folder} has no target frames: there is nothing to fit")
@@ -104,17 +122,32 @@ def _chosen(session: Session, photographs: Sequence[Frame], range_mm: float | Se
         return frames
     wanted = np.atleast_1d(np.asarray(range_mm, dtype=np.float64)).tolist()
     if not wanted:
-        raise DataError("range_mm is empty: give one range or more, or None for all of them")
-    if absent := [f"{mm:g}" for mm in wanted if not any(same_range(frame.range_mm, mm) for frame in frames)]:
-        known = ", ".join(f"{mm:g}" for mm in sorted({f.range_mm for f in frames if f.range_mm is not None}))
-        raise DataError(f"no target frames at {', '.join(absent)} mm: the session has {known or 'none with a range'}")
-    return [frame for frame in frames if any(same_range(frame.range_mm, mm) for mm in wanted)]
+        raise DataError(
+            "range_mm is empty: give one range or more, or None for all of them"
+        )
+    if absent := [
+        f"{mm:g}"
+        for mm in wanted
+        if not any(same_range(frame.range_mm, mm) for frame in frames)
+    ]:
+        known = ", ".join(
+            f"{mm:g}"
+            for mm in sorted({f.range_mm for f in frames if f.range_mm is not None})
+        )
+        raise DataError(
+            f"no target frames at {', '.join(absent)} mm: the session has {known or 'none with a range'}"
+        )
+    return [
+        frame for frame in frames if any(same_range(frame.range_mm, mm) for mm in wanted)
+    ]
 
 
 def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
     """Return the names of the requested channels, in the plan's order."""
     known = [c.name for c in plan.channel]
-    wanted = known if channel is None else [channel] if isinstance(channel, str) else channel
+    wanted = (
+        known if channel is None else [channel] if isinstance(channel, str) else channel
+    )
     if not wanted or any(name not in known for name in wanted):
         absent = ", ".join(name for name in wanted if name not in known)
         raise DataError(f"channel {absent or 'is empty'}: allowed are {', '.join(known)}")
@@ -146,7 +179,9 @@ def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
     A carpet is searched for at any scale first, for a wrong scale would match a smaller carpet inside. Other targets are
     found sooner at the right scale.
     """
-    scales = [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
+    scales = (
+        [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
+    )
     failures: list[TargetError] = []
     for scale in dict.fromkeys(scales):
         try:
@@ -164,9 +199,17 @@ def _observation(
     rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
     outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
-    data = [channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots]
+    data = [
+        channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
+    ]
     frames = tuple(
-        _frame_data(calibration, target, part, pose, f"{frame.file}: only {{}} usable pixels of channel {channel}")
+        _frame_data(
+            calibration,
+            target,
+            part,
+            pose,
+            f"{frame.file}: only {{}} usable pixels of channel {channel}",
+        )
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
     pixels = first.pixels(channel)
@@ -181,25 +224,35 @@ def _observation(
         places=pixels.places,  # the cut begins on an even row and column
         period=pixels.period,
         origin_px=(rows.start, columns.start),
-        homings=tuple(int(frame.meta["homing"]) for frame in group if "homing" in frame.meta),
+        homings=tuple(
+            int(frame.meta["homing"]) for frame in group if "homing" in frame.meta
+        ),
     )
     return observation, tuple(finding for part in data for finding in part.findings)
 
 
-def _frame_data(calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str) -> FrameData:
+def _frame_data(
+    calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str
+) -> FrameData:
     used = data.mask
     if target.surround is None:
         used = used & sees_target_only(pose, used.shape)
     if used.sum() < LEAST_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
-    frame = FrameData(data.counts, used, data.illumination, data.relative_std, rounding=data.rounding)
+    frame = FrameData(
+        data.counts, used, data.illumination, data.relative_std, rounding=data.rounding
+    )
     if not calibration.light_known:
         return replace(frame, departures=low_orders(*used.shape))
     return replace(frame, shine=Shine.seen(data.illumination / data.falloff, used))
 
 
 def _measured(group: Sequence[Frame]) -> float | None:
-    readings = [float(frame.meta["measured_range_mm"]) for frame in group if "measured_range_mm" in frame.meta]
+    readings = [
+        float(frame.meta["measured_range_mm"])
+        for frame in group
+        if "measured_range_mm" in frame.meta
+    ]
     return float(np.mean(readings)) if readings else group[0].range_mm
 
 
@@ -208,9 +261,13 @@ def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:
     noise = data.noise
     gain, read = noise.gain, noise.read_noise
     white = mosaic.white - float(np.mean(mosaic.black))
-    gain_relative_std = max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD
+    gain_relative_std = (
+        max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD
+    )
     read_variance_relative_std = (
-        max(2 * noise.read_noise_std / read, 1e-3) if read and noise.read_noise_std else UNKNOWN_NOISE_STD
+        max(2 * noise.read_noise_std / read, 1e-3)
+        if read and noise.read_noise_std
+        else UNKNOWN_NOISE_STD
     )
     return NoisePrior(
         gain if gain else usual_gain(white),

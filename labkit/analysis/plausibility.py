@@ -55,7 +55,9 @@ class _Size:
         return self.away_mm * self.side_px
 
 
-def refuse_contradictions(sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]) -> None:
+def refuse_contradictions(
+    sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]
+) -> None:
     """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers.
 
     Parameters
@@ -80,9 +82,15 @@ def refuse_contradictions(sights: Sequence[Sight], plan: Plan, size_mm: tuple[fl
         raise DataError(problem)
 
 
-def _size(range_mm: float, sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]) -> _Size:
+def _size(
+    range_mm: float, sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]
+) -> _Size:
     """Average the size over all pictures at a range; the side is along the target's first axis, whatever its proportions."""
-    areas = [cv2.contourArea(sight.corners_px.astype(np.float32)) for sight in sights if sight.range_mm == range_mm]
+    areas = [
+        cv2.contourArea(sight.corners_px.astype(np.float32))
+        for sight in sights
+        if sight.range_mm == range_mm
+    ]
     side_px = sqrt(fmean(areas) * size_mm[0] / size_mm[1])
     return _Size(range_mm, range_mm - plan.lens.focal_length_mm, side_px)
 
@@ -98,7 +106,11 @@ def _among_ranges(sizes: Sequence[_Size], plan: Plan) -> str | None:
         return f"the ranges contradict the sizes of the target in the pictures, in pixels: {seen}; check {_where_ranges(plan)}"
     (odd,) = lone
     others = [one for one in sizes if one is not odd]
-    named = ", ".join(f"{one.range_mm:g}" for one in others) if len(others) < 6 else f"{len(others)} other ranges"
+    named = (
+        ", ".join(f"{one.range_mm:g}" for one in others)
+        if len(others) < 6
+        else f"{len(others)} other ranges"
+    )
     away_mm = fmean(one.constant for one in others) / odd.side_px
     return (
         f"at {odd.range_mm:g} mm the target spans {odd.side_px:,.0f} pixels, as it would at "
@@ -124,9 +136,14 @@ def _with_the_plan(sizes: Sequence[_Size], plan: Plan) -> str | None:
     constant = focal.value * size.value / (plan.sensor.pixel_pitch_um * 1e-3)
     typical = sorted(sizes, key=lambda one: one.constant)[len(sizes) // 2]
     seen_mm, zero_mm = constant / typical.side_px, STDS * plan.fit.range_zero_std_mm
-    nearest_mm = min(max(seen_mm, typical.away_mm - zero_mm), typical.away_mm + zero_mm)  # that the tape allows
+    nearest_mm = min(
+        max(seen_mm, typical.away_mm - zero_mm), typical.away_mm + zero_mm
+    )  # that the tape allows
     uncertain = hypot(focal.std / focal.value, size.std / size.value)
-    if abs(log(seen_mm / nearest_mm)) < -log(SHORTENED) + STDS * uncertain + CORNERS_PX / typical.side_px:
+    if (
+        abs(log(seen_mm / nearest_mm))
+        < -log(SHORTENED) + STDS * uncertain + CORNERS_PX / typical.side_px
+    ):
         return None
     return (
         f"at {typical.range_mm:g} mm a target of {size.value:g} mm would span {constant / typical.away_mm:,.0f} pixels; "

@@ -10,7 +10,12 @@ import numpy as np
 from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.estimation.columns import PART
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.findings import Moves, camera_part_found, camera_parts_missing, stated_model_moves
+from labkit.estimation.findings import (
+    Moves,
+    camera_part_found,
+    camera_parts_missing,
+    stated_model_moves,
+)
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.model_error import shift
 from labkit.finding import Finding
@@ -58,16 +63,23 @@ def camera_findings(
     """
     findings = list[Finding]()
     if session.missing and session.lens is not None:
-        findings.append(camera_parts_missing(session.missing, _moves_by_missing(session, wavefronts)))
+        findings.append(
+            camera_parts_missing(session.missing, _moves_by_missing(session, wavefronts))
+        )
     change = _change(session, wavefronts)
-    findings += part_findings(session, numbers, wanted, None if change is None else change[0])
+    findings += part_findings(
+        session, numbers, wanted, None if change is None else change[0]
+    )
     if change is not None:
         findings.append(stated_model_moves(*change))
     return findings
 
 
 def part_findings(
-    session: Estimate, numbers: Mapping[str, Uncertain], wanted: Collection[str] = (), moves: Moves | None = None
+    session: Estimate,
+    numbers: Mapping[str, Uncertain],
+    wanted: Collection[str] = (),
+    moves: Moves | None = None,
 ) -> Iterator[Finding]:
     """Report every added part.
 
@@ -78,11 +90,21 @@ def part_findings(
     """
     gains = {part.name: part.gain for part in session.tried if part.adopted}
     for name in dict.fromkeys(label.split(".")[0] for label in numbers):
-        values = {label.split(".")[1]: value for label, value in numbers.items() if label.startswith(f"{name}.")}
+        values = {
+            label.split(".")[1]: value
+            for label, value in numbers.items()
+            if label.startswith(f"{name}.")
+        }
         if name == Aperture.name:
             across, down = values["lit_across"], values["lit_down"]
             words = {"across": str(across), "down": str(down)}
-            yield found("panel-aperture-found", None, words, lit_across=across.as_json(), lit_down=down.as_json())
+            yield found(
+                "panel-aperture-found",
+                None,
+                words,
+                lit_across=across.as_json(),
+                lit_down=down.as_json(),
+            )
         elif name not in wanted:
             yield camera_part_found(name, values, gains.get(name), moves)
 
@@ -93,7 +115,9 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
     for k in session.trusted:
         modes, cone = shift(session.fits[k].optimum, session.with_all_parts(k))
         here = wavefronts[k].fitted
-        there = replace(here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone)))
+        there = replace(
+            here, waves=here.waves + modes, f_number=here.f_number * float(np.exp(cone))
+        )
         pairs.append((here, there))
     return _moves(pairs, {} if session.lens is None else _focus_bias(session.lens))
 
@@ -103,10 +127,14 @@ def _focus_bias(lens: LensFit) -> dict[str, float]:
     focus = as_focus(lens)
     if focus is None or lens.bias is None:
         return {}
-    return {c: float(lens.model.best_focus(c) @ lens.bias.theta) for c in focus.best_focus_mm}
+    return {
+        c: float(lens.model.best_focus(c) @ lens.bias.theta) for c in focus.best_focus_mm
+    }
 
 
-def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, int, int] | None:
+def _change(
+    session: Estimate, wavefronts: Sequence[Wavefront]
+) -> tuple[Moves, int, int] | None:
     """Compare with the stated camera, without the added parts; None if no part was added.
 
     Returns
@@ -122,7 +150,9 @@ def _change(session: Estimate, wavefronts: Sequence[Wavefront]) -> tuple[Moves, 
     return _moves(pairs, _focus_difference(session.lens, plain.lens)), rejected, len(others)
 
 
-def _moves(pairs: Sequence[tuple[FittedWavefront, FittedWavefront]], focus_mm: Mapping[str, float]) -> Moves:
+def _moves(
+    pairs: Sequence[tuple[FittedWavefront, FittedWavefront]], focus_mm: Mapping[str, float]
+) -> Moves:
     """Return the largest changes from the first of each pair to the second."""
     waves = max(_waves_difference(here, there) for here, there in pairs)
     psfs = max(psf_difference(here, there) for here, there in pairs)
@@ -134,19 +164,27 @@ def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, 
     here, there = (None if of is None else as_focus(of) for of in (lens, other))
     if here is None or there is None:
         return {}
-    return {c: there[c].value - at.value for c, at in here.best_focus_mm.items() if c in there.best_focus_mm}
+    return {
+        c: there[c].value - at.value
+        for c, at in here.best_focus_mm.items()
+        if c in there.best_focus_mm
+    }
 
 
 def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
     """Return the distance of two wavefronts, waves RMS. Of two twins the nearer counts."""
     twin = other.waves * twin_signs(other.noll)
-    return min(float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin))
+    return min(
+        float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin)
+    )
 
 
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
     """Return numbers of all parts with standard errors, by label, and by channel for parts of single channels."""
     return {
-        tuple(map(str, column.name)): Uncertain(lens.value(PART, *column.name), lens.std(PART, *column.name))
+        tuple(map(str, column.name)): Uncertain(
+            lens.value(PART, *column.name), lens.std(PART, *column.name)
+        )
         for column in lens.model.columns
         if column.kind == PART
     }
@@ -160,7 +198,9 @@ def _of_fits(session: Estimate) -> dict[tuple[str, ...], Uncertain]:
         for k, label in enumerate(measured.parts, modes):
             own = ESTIMATED[label.partition(".")[0]].per_channel
             name = (label, local.channel) if own else (label,)
-            seen.setdefault(name, []).append((measured.values[k], measured.covariance[k, k]))
+            seen.setdefault(name, []).append(
+                (measured.values[k], measured.covariance[k, k])
+            )
     return {name: _weighted(np.array(pairs)) for name, pairs in seen.items()}
 
 

@@ -7,7 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.columns import CONE, F_NUMBER, FOCAL_LENGTH, MAGNIFICATION, RANGE_ZERO
+from labkit.estimation.columns import (
+    CONE,
+    F_NUMBER,
+    FOCAL_LENGTH,
+    MAGNIFICATION,
+    RANGE_ZERO,
+)
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.findings import two_camps
@@ -23,7 +29,16 @@ from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS
-from labkit.results import Focus, Lens, OptimumTest, OtherOptimum, Placement, Residuals, ResidualSpectrum, Wavefront
+from labkit.results import (
+    Focus,
+    Lens,
+    OptimumTest,
+    OtherOptimum,
+    Placement,
+    Residuals,
+    ResidualSpectrum,
+    Wavefront,
+)
 from labkit.uncertain import Uncertain
 
 
@@ -36,7 +51,9 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
             wavefront = _as_session_has_it(wavefront, session, k)
         wavefront = _judged(wavefront, k, session)
         explained = wavefront.test is None or wavefront.test.explains
-        wavefronts.append(wavefront if explained else replace(wavefront, missing=session.missing))
+        wavefronts.append(
+            wavefront if explained else replace(wavefront, missing=session.missing)
+        )
     return tuple(wavefronts)
 
 
@@ -48,7 +65,9 @@ def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
         return w
     modes, cone = shift(local.optimum, complete)
     std = float(error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone)))
-    return replace(w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std)
+    return replace(
+        w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std
+    )
 
 
 def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
@@ -64,7 +83,12 @@ def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
     if session.lens is None:
         if w.test.undetermined or not session.fits[k].found.settled:
             return w
-        return replace(w, test=replace(w.test, name=w.test.name if w.test.accepted else "starts", accepted=True))
+        return replace(
+            w,
+            test=replace(
+                w.test, name=w.test.name if w.test.accepted else "starts", accepted=True
+            ),
+        )
     if k in session.members and not w.test.accepted:
         return replace(w, test=replace(w.test, name="session", accepted=True))
     if k in session.outliers:
@@ -112,7 +136,9 @@ def as_focus(lens: LensFit) -> Focus | None:
     magnification[model.index(MAGNIFICATION)] = pupils.value
     covariance = lens.errors_of(np.vstack([combinations, magnification]))
     best = {
-        channel: Uncertain(float(combination @ lens.theta), float(np.sqrt(covariance[k, k])), "mm")
+        channel: Uncertain(
+            float(combination @ lens.theta), float(np.sqrt(covariance[k, k])), "mm"
+        )
         for k, (channel, combination) in enumerate(zip(channels, combinations, strict=True))
     }
     least, most = SETTINGS.magnification_bounds
@@ -123,7 +149,10 @@ def as_focus(lens: LensFit) -> Focus | None:
         best,
         pupils,
         pupils.std <= TELLING_STD and inside,
-        {c: tuple(float(rest[k]) for k in members if model.readings[k].key.channel == c) for c in channels},
+        {
+            c: tuple(float(rest[k]) for k in members if model.readings[k].key.channel == c)
+            for c in channels
+        },
         covariance,
         lens.chi2 / lens.degrees_of_freedom if lens.degrees_of_freedom >= 1 else None,
     )
@@ -144,10 +173,16 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     model = lens.model
     unit = np.eye(len(model.columns))
     seen = _stations(lens)
-    wanted = {f"best_focus_mm.{name}": model.best_focus(name) for name in model.channels if name in seen}
+    wanted = {
+        f"best_focus_mm.{name}": model.best_focus(name)
+        for name in model.channels
+        if name in seen
+    }
     wanted["focal_length_mm"] = unit[model.index(FOCAL_LENGTH)]
     wanted["f_number"] = unit[model.index(F_NUMBER)]
-    wanted["pupil_magnification"] = unit[model.index(MAGNIFICATION)] * _magnification(lens).value
+    wanted["pupil_magnification"] = (
+        unit[model.index(MAGNIFICATION)] * _magnification(lens).value
+    )
     wanted["range_zero_mm"] = unit[model.index(RANGE_ZERO)]
     return {name: lens.contributions(combination) for name, combination in wanted.items()}
 
@@ -164,7 +199,9 @@ def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
     findings = _search_findings(session, patience_s)
     if lens is None:
         return [*findings, found("no-best-focus", why=_why_no_lens(session))]
-    findings += [found("defocus-sign-open", Key(None, channel)) for channel in session.open_channels]
+    findings += [
+        found("defocus-sign-open", Key(None, channel)) for channel in session.open_channels
+    ]
     return [*findings, *_lens_findings(lens)]
 
 
@@ -178,7 +215,11 @@ def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
     ]
     findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
     if session.lens is not None and second_camp(session, session.lens.model.stated):
-        findings.append(two_camps([keys[k] for k in session.members], [keys[k] for k in session.outliers]))
+        findings.append(
+            two_camps(
+                [keys[k] for k in session.members], [keys[k] for k in session.outliers]
+            )
+        )
     else:
         findings += [found("fit-does-not-belong", keys[k]) for k in session.outliers]
     return findings
@@ -203,11 +244,18 @@ def _lens_findings(lens: LensFit) -> Iterator[Finding]:
     elif pupils.std > TELLING_STD:
         yield found("pupil-magnification-undetermined", pupil_magnification_std=pupils.std)
     if not lens.model.laws.paraxial:
-        yield found("cones-contradict-one-lens", cone_relative_error=float(np.expm1(lens.value(CONE))))
+        yield found(
+            "cones-contradict-one-lens",
+            cone_relative_error=float(np.expm1(lens.value(CONE))),
+        )
     if not lens.model.laws.shared:
-        yield found("modes-differ-between-ranges", scatter_waves=lens.model.laws.mode_scatter)
+        yield found(
+            "modes-differ-between-ranges", scatter_waves=lens.model.laws.mode_scatter
+        )
     if lens.birge_ratio > 1:
-        yield found("errors-widened", factor=lens.birge_ratio, chi2_per_freedom=lens.reduced_chi2)
+        yield found(
+            "errors-widened", factor=lens.birge_ratio, chi2_per_freedom=lens.reduced_chi2
+        )
 
 
 def _stations(lens: LensFit) -> dict[str, set[float]]:
@@ -228,7 +276,10 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
     """Convert a local fit to a result. with_stated_camera: the fit without the added camera parts, if any were added."""
     optics: Optics = local.optics
     observation, optimum = local.observation, local.optimum
-    poses = [pose.shifted(*(-float(at) for at in observation.origin_px)) for pose in optimum.state.poses]
+    poses = [
+        pose.shifted(*(-float(at) for at in observation.origin_px))
+        for pose in optimum.state.poses
+    ]
     return Wavefront(
         range_mm=observation.range_mm,
         measured_range_mm=observation.measured_range_mm,
@@ -249,11 +300,17 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
         residual_spectrum=ResidualSpectrum(
             residual_frequencies(observation.frames),
             optimum.residual_power,
-            None if with_stated_camera is None else with_stated_camera.optimum.residual_power,
+            None
+            if with_stated_camera is None
+            else with_stated_camera.optimum.residual_power,
         ),
         seconds=local.found.seconds,
         frames=observation.names,
-        placement=Placement(observation.origin_px, observation.shape, np.array([pose.corners_px() for pose in poses])),
+        placement=Placement(
+            observation.origin_px,
+            observation.shape,
+            np.array([pose.corners_px() for pose in poses]),
+        ),
         residuals=_residuals(local),
     )
 
@@ -276,10 +333,14 @@ def _residuals(local: LocalFit) -> Residuals:
     """Return counts, model and noise of each Bayer plane of each frame; nan for unused pixels."""
     observation = local.observation
     planes = []
-    for frame, (mean, std) in zip(observation.frames, residuals(local.optimum, observation.frames), strict=True):
+    for frame, (mean, std) in zip(
+        observation.frames, residuals(local.optimum, observation.frames), strict=True
+    ):
         images = np.full((3, *frame.counts.shape), np.nan)
         images[:, frame.used] = frame.counts[frame.used], mean, std
         every = observation.period
-        planes.append([images[:, row::every, column::every] for row, column in observation.places])
+        planes.append(
+            [images[:, row::every, column::every] for row, column in observation.places]
+        )
     data, model, sigma = np.moveaxis(np.array(planes), 2, 0)
     return Residuals(data, model, sigma)

@@ -32,5 +32,8 @@ class Steps:
 
     def _report(self) -> None:
         doing, colon, labels = self.step.partition(": ")
-        named = (f"{label} ({self.said[label]})" if label in self.said else label for label in labels.split(", "))
+        named = (
+            f"{label} ({self.said[label]})" if label in self.said else label
+            for label in labels.split(", ")
+        )
         self.progress(self.done, self.total, doing + colon + ", ".join(named))

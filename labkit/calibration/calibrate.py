@@ -90,7 +90,8 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
     }
     noise = {
         name: photon_transfer(
-            [scatter for flat in flats.values() for scatter in flat.scatter[name]], dark.scatter[name] if dark else ()
+            [scatter for flat in flats.values() for scatter in flat.scatter[name]],
+            dark.scatter[name] if dark else (),
         )
         for name in names
     }
@@ -113,12 +114,16 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
 def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
     """Frames by their range: those without one first, then the nearest."""
     groups: dict[float | None, list[Frame]] = {}
-    for frame in sorted(frames, key=lambda frame: (frame.range_mm is not None, frame.range_mm or 0.0)):
+    for frame in sorted(
+        frames, key=lambda frame: (frame.range_mm is not None, frame.range_mm or 0.0)
+    ):
         groups.setdefault(frame.range_mm, []).append(frame)
     return groups
 
 
-def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel: str, cut: Cut = WHOLE) -> ChannelData:
+def channel_data(
+    calibration: Calibration, frame: Frame, mosaic: Mosaic, channel: str, cut: Cut = WHOLE
+) -> ChannelData:
     """A photograph's channel with everything that belongs to it.
 
     mosaic: the photograph, decoded; cut: only these rows and columns of its pixels, both from an even one on.
@@ -128,7 +133,11 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
     _refuse_other_sensor(calibration, frame, mosaic)
     part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
     offset = part.black_map() if calibration.offset is None else calibration.offset[where]
-    factor, falloff, factor_std = np.ones(part.counts.shape), np.ones(part.counts.shape), np.zeros(part.counts.shape)
+    factor, falloff, factor_std = (
+        np.ones(part.counts.shape),
+        np.ones(part.counts.shape),
+        np.zeros(part.counts.shape),
+    )
     findings = [*mosaic.notes, *calibration.findings]
     mask = part.channel_mask(channel) & ~saturated(part)
     if calibration.illumination:
@@ -143,14 +152,18 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
         mask &= calibration.usable[where]
     mask &= np.isfinite(factor)
     if not mask.any():
-        raise DataError(f"{frame.file}: channel {channel} has no usable pixel: all are saturated or unlit in the flats")
+        raise DataError(
+            f"{frame.file}: channel {channel} has no usable pixel: all are saturated or unlit in the flats"
+        )
     return ChannelData(
         counts=part.counts.astype(np.float64) - offset,
         mask=mask,
         illumination=np.nan_to_num(factor, nan=1.0),
         relative_std=factor_std,
         falloff=falloff,
-        rounding=np.zeros(part.counts.shape) if part.tone is None else part.tone.rounding_variance(part.counts),
+        rounding=np.zeros(part.counts.shape)
+        if part.tone is None
+        else part.tone.rounding_variance(part.counts),
         noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
         findings=tuple(each_once(findings)),
     )
@@ -159,11 +172,17 @@ def channel_data(calibration: Calibration, frame: Frame, mosaic: Mosaic, channel
 def _refuse_other_sensor(calibration: Calibration, frame: Frame, mosaic: Mosaic) -> None:
     masters = [calibration.offset, calibration.response, *calibration.illumination.values()]
     rows, cols = mosaic.shape
-    if any(master is not None and master.shape != mosaic.counts.shape for master in masters):
-        raise DataError(f"{frame.file} has {rows}×{cols} pixels, other than the session's darks and flats")
+    if any(
+        master is not None and master.shape != mosaic.counts.shape for master in masters
+    ):
+        raise DataError(
+            f"{frame.file} has {rows}×{cols} pixels, other than the session's darks and flats"
+        )
 
 
-def _nearest(frame: Frame, illumination: Mapping[float | None, Floats32]) -> tuple[float | None, list[Finding]]:
+def _nearest(
+    frame: Frame, illumination: Mapping[float | None, Floats32]
+) -> tuple[float | None, list[Finding]]:
     """The range whose flats serve a frame, and a finding if that is another range."""
     if frame.range_mm in illumination:
         return frame.range_mm, []

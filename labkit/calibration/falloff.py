@@ -29,9 +29,18 @@ class Falloff:
 
         illumination: spread evenly over the frame, such as (rows, columns), or (rows, 3 columns) of a picture in colours.
         """
-        places = [np.unique(np.linspace(0, n - 1, SAMPLES).round().astype(int)) for n in illumination.shape]
-        rows, columns = (at // (n // side) for at, n, side in zip(places, illumination.shape, shape, strict=True))
-        seen, r2 = illumination[np.ix_(*places)].astype(np.float64), _square(shape, rows, columns)
+        places = [
+            np.unique(np.linspace(0, n - 1, SAMPLES).round().astype(int))
+            for n in illumination.shape
+        ]
+        rows, columns = (
+            at // (n // side)
+            for at, n, side in zip(places, illumination.shape, shape, strict=True)
+        )
+        seen, r2 = (
+            illumination[np.ix_(*places)].astype(np.float64),
+            _square(shape, rows, columns),
+        )
         lit = seen > 0
         terms = np.stack([np.ones(lit.sum()), r2[lit], r2[lit] ** 2], axis=1)
         _, a, b = np.linalg.lstsq(terms, np.log(seen[lit]), rcond=None)[0]
@@ -39,7 +48,10 @@ class Falloff:
 
     def at(self, cut: Cut) -> Floats:
         """(rows, columns) relative light, 1 in the middle, of a cut of the frame."""
-        rows, columns = (np.arange(n, dtype=np.float64)[part] for n, part in zip(self.shape, cut, strict=True))
+        rows, columns = (
+            np.arange(n, dtype=np.float64)[part]
+            for n, part in zip(self.shape, cut, strict=True)
+        )
         r2 = _square(self.shape, rows, columns)
         return np.asarray(np.exp(self.powers[0] * r2 + self.powers[1] * r2**2))
 

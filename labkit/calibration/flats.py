@@ -12,7 +12,13 @@ import numpy as np
 
 from labkit.calibration.darks import Dark
 from labkit.calibration.lattice import repeating
-from labkit.calibration.masters import Illumination, clipped_mean, outliers, shrunk, smooth_illumination
+from labkit.calibration.masters import (
+    Illumination,
+    clipped_mean,
+    outliers,
+    shrunk,
+    smooth_illumination,
+)
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
 from labkit.finding import Finding
@@ -72,13 +78,18 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     places, levels, panel = {}, {}, np.ones(mean.shape, dtype=np.float32)
     for name in names:
         places[name] = stack.first.planes(name)
-        found = [_light_and_panel(mean[plane], good[plane], stack.saturated[plane]) for plane in places[name]]
+        found = [
+            _light_and_panel(mean[plane], good[plane], stack.saturated[plane])
+            for plane in places[name]
+        ]
         smooth = [light for light, _ in found]
         for plane, (_, pattern) in zip(places[name], found, strict=True):
             panel[plane] += pattern
         levels[name] = float(np.mean([part.level for part in smooth]))
         for plane, part in zip(places[name], smooth, strict=True):
-            illumination[plane] = np.where(part.lit, part.relative * part.level / levels[name], np.nan)
+            illumination[plane] = np.where(
+                part.lit, part.relative * part.level / levels[name], np.nan
+            )
     mean[stack.saturated] = np.nan
     seen = bool(np.any(panel != 1))
     panel[panel < LEAST_LIT] = np.nan
@@ -86,7 +97,13 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
     return Flat(
-        len(stack.counts), illumination, mean.astype(np.float32), places, levels, scatter, panel if seen else None
+        len(stack.counts),
+        illumination,
+        mean.astype(np.float32),
+        places,
+        levels,
+        scatter,
+        panel if seen else None,
     )
 
 
@@ -108,7 +125,9 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
         # a difference errs as the pattern does, to and fro; a quotient would err to one side
         light = smooth_illumination(filled - smooth * pattern, good | full)
     if pattern.any():
-        light = smooth_illumination(filled / (1 + np.maximum(pattern, LEAST_LIT - 1)), good | full, NEAR_PX)
+        light = smooth_illumination(
+            filled / (1 + np.maximum(pattern, LEAST_LIT - 1)), good | full, NEAR_PX
+        )
     return light, pattern
 
 
@@ -126,26 +145,36 @@ def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) ->
             dead[plane] = outliers(ratio, shown, least=LEAST_DEFECT)
             good = shown & ~dead[plane]
             relative[plane][good], posterior = shrunk(ratio[good], 1 / weights[good])
-            std[plane] = relative[plane][good].std()  # of a pixel that no flat shows, no more is known
+            std[plane] = relative[plane][
+                good
+            ].std()  # of a pixel that no flat shows, no more is known
             std[plane][good] = posterior
     return Response(relative, std, dead)
 
 
-def flat_findings(flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]) -> Iterable[Finding]:
+def flat_findings(
+    flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]
+) -> Iterable[Finding]:
     """What is assumed of light and pixels for want of flats, by range."""
     if not flats:
         yield found("no-flat-frames")
         return
     for range_mm, flat in flats.items():
-        planes = [flat.illumination[plane] for places in flat.places.values() for plane in places]
-        unlit = float(np.mean([np.mean(np.isnan(plane)) for plane in planes]))  # of the plan's colours
+        planes = [
+            flat.illumination[plane] for places in flat.places.values() for plane in places
+        ]
+        unlit = float(
+            np.mean([np.mean(np.isnan(plane)) for plane in planes])
+        )  # of the plan's colours
         if unlit > 0.01:
             yield flats_partly_unlit(range_mm, unlit)
     if any(estimate.gain is None for estimate in noise.values()):
         yield found("gain-not-measured")
 
 
-def _mean_ratio(flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstimate) -> tuple[Floats, Floats]:
+def _mean_ratio(
+    flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstimate
+) -> tuple[Floats, Floats]:
     """Measured over expected counts of a plane's pixels, averaged over flats, and the inverse of its variance."""
     shape = flats[0].mean[plane].shape
     weighted, weights = np.zeros(shape), np.zeros(shape)
@@ -154,7 +183,9 @@ def _mean_ratio(flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstima
         expected = flat.illumination[plane].astype(np.float64) * flat.level[name]
         if flat.panel is not None:
             expected *= flat.panel[plane]
-        weight = np.nan_to_num(flat.frames * expected**2 / ((noise.gain or 0.0) * expected + floor))
+        weight = np.nan_to_num(
+            flat.frames * expected**2 / ((noise.gain or 0.0) * expected + floor)
+        )
         weight[np.isnan(flat.mean[plane] + expected)] = 0.0
         weighted += weight * np.nan_to_num(flat.mean[plane] / expected)
         weights += weight

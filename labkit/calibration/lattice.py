@@ -65,7 +65,8 @@ def _tiles(size: int) -> list[tuple[slice, slice]]:
     many = max(1, -(-(size - 2 * BORDER_PX) // (TILE_PX - 2 * BORDER_PX)))
     ends = [round(size * k / many) for k in range(many + 1)]
     return [
-        (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high)) for low, high in pairwise(ends)
+        (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high))
+        for low, high in pairwise(ends)
     ]
 
 
@@ -73,17 +74,35 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
     """The pattern of one tile."""
     knots = [_knots(n) for n in use.shape]
     weight = np.maximum(knots[0][0] @ use @ knots[1][0].T, 1e-3)
-    rest, pattern, strongest, frequencies = relative.copy(), np.zeros(use.shape), 0.0, list[Floats]()
+    rest, pattern, strongest, frequencies = (
+        relative.copy(),
+        np.zeros(use.shape),
+        0.0,
+        list[Floats](),
+    )
     while len(frequencies) < MOST_WAVES:
-        new = [f for f in _peaks(rest, use) if all(_distance(f, other) > APART for other in frequencies)]
+        new = [
+            f
+            for f in _peaks(rest, use)
+            if all(_distance(f, other) > APART for other in frequencies)
+        ]
         if not new:
             break
         frequencies += new[: MOST_WAVES - len(frequencies)]
         for frequency in frequencies * ROUNDS:
-            down, right = (np.exp(2j * np.pi * f * np.arange(n)) for f, n in zip(frequency, use.shape, strict=True))
+            down, right = (
+                np.exp(2j * np.pi * f * np.arange(n))
+                for f, n in zip(frequency, use.shape, strict=True)
+            )
             # of the other half of the spectrum there is as much again
-            amplitude = 2 * ((knots[0][0] * down.conj()) @ rest @ (knots[1][0] * right.conj()).T) / weight
-            wave = ((down[:, None] * knots[0][1]) @ amplitude @ (right[:, None] * knots[1][1]).T).real
+            amplitude = (
+                2
+                * ((knots[0][0] * down.conj()) @ rest @ (knots[1][0] * right.conj()).T)
+                / weight
+            )
+            wave = (
+                (down[:, None] * knots[0][1]) @ amplitude @ (right[:, None] * knots[1][1]).T
+            ).real
             strongest = max(strongest, float(np.abs(amplitude).mean()))
             pattern += wave
             rest -= np.where(use, wave, 0.0)
@@ -101,7 +120,9 @@ def _knots(size: int) -> tuple[Floats, Floats]:
 def _peaks(rest: Floats, use: Bools) -> list[Floats]:
     """Frequencies (2,) of what rises out of the noise in a spectrum, cycles a pixel, the strongest first."""
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in rest.shape)) * use
-    size = tuple(scipy.fft.next_fast_len(2 * n) for n in rest.shape)  # between a whole number of waves too
+    size = tuple(
+        scipy.fft.next_fast_len(2 * n) for n in rest.shape
+    )  # between a whole number of waves too
     power = np.abs(scipy.fft.rfft2(np.where(use, rest, 0.0) * window, size)) ** 2 / max(
         float(np.sum(window**2)), 1e-300
     )

@@ -45,12 +45,18 @@ def clipped_mean(stack: Counts) -> Floats:
         slab = stack[:, rows].astype(np.float64)
         away = np.abs(slab - np.median(slab, axis=0))
         own = 1.4826 * np.median(away, axis=0)  # bright pixels are noisier than others
-        mean[rows] = np.average(slab, axis=0, weights=away <= REJECT_SIGMAS * np.maximum(own, max(np.median(own), 0.5)))
+        mean[rows] = np.average(
+            slab,
+            axis=0,
+            weights=away <= REJECT_SIGMAS * np.maximum(own, max(np.median(own), 0.5)),
+        )
     return mean
 
 
 def _slabs(rows: int) -> Iterator[slice]:
-    return (slice(start, min(start + SLAB_ROWS, rows)) for start in range(0, rows, SLAB_ROWS))
+    return (
+        slice(start, min(start + SLAB_ROWS, rows)) for start in range(0, rows, SLAB_ROWS)
+    )
 
 
 def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
@@ -61,7 +67,11 @@ def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
     """
     error = np.broadcast_to(np.asarray(variance, dtype=np.float64), values.shape)
     # means of whole numbers stand on few steps: a clipped variance does not mind, a median deviation would
-    kept = values[~outliers(values, np.ones(values.shape, dtype=np.bool_), least=float(np.sqrt(error.max())))]
+    kept = values[
+        ~outliers(
+            values, np.ones(values.shape, dtype=np.bool_), least=float(np.sqrt(error.max()))
+        )
+    ]
     centre = float(kept.mean())
     prior = max(float(kept.var()) - float(np.median(error)), 0.0)
     if prior == 0.0:
@@ -79,7 +89,9 @@ class Illumination:
     lit: Bools
 
 
-def smooth_illumination(flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX) -> Illumination:
+def smooth_illumination(
+    flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX
+) -> Illumination:
     """The smooth part of a plane's mean flat.
 
     flat: (rows, cols) counts with black removed; good: pixels that may be used; smooth_px: of the Gaussian. A robust polynomial
@@ -94,7 +106,9 @@ def smooth_illumination(flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX)
     centre = float(np.median(remainder[use]))
     spread = 1.4826 * float(np.median(np.abs(remainder[use] - centre)))
     calm = np.clip(remainder, centre - 5 * spread, centre + 5 * spread) * use
-    smooth = ndimage.gaussian_filter(calm, sigma, mode="constant") / np.maximum(weight, 1e-3)
+    smooth = ndimage.gaussian_filter(calm, sigma, mode="constant") / np.maximum(
+        weight, 1e-3
+    )
     light = surface * np.where(weight > 1e-3, smooth, 1.0)
     level = float(light[use].mean())
     return Illumination(np.where(lit, light / level, 1.0), level, lit)
@@ -109,7 +123,9 @@ def _lit(flat: Floats, good: Bools) -> Bools:
     bright = coarse > LIT * np.percentile(coarse, 95)
     if bright.all():
         return np.asarray(bright)
-    holes_filled = ndimage.binary_closing(np.pad(bright, 2 * side, mode="edge"), iterations=2 * side)
+    holes_filled = ndimage.binary_closing(
+        np.pad(bright, 2 * side, mode="edge"), iterations=2 * side
+    )
     bright = holes_filled[2 * side : -2 * side, 2 * side : -2 * side]
     return np.asarray(ndimage.binary_erosion(bright, iterations=3 * side, border_value=1))
 
@@ -120,18 +136,27 @@ def _polynomial(flat: Floats, use: Bools) -> Floats:
     rows, cols = (n // block * block for n in flat.shape)
     shape = (rows // block, block, cols // block, block)
     weight = use[:rows, :cols].reshape(shape).sum(axis=(1, 3)).astype(np.float64)
-    mean = np.where(use, flat, 0.0)[:rows, :cols].reshape(shape).sum(axis=(1, 3)) / np.maximum(weight, 1.0)
-    y, x = (2 * (np.arange(n // block) * block + (block - 1) / 2) / max(n - 1, 1) - 1 for n in flat.shape)
+    mean = np.where(use, flat, 0.0)[:rows, :cols].reshape(shape).sum(
+        axis=(1, 3)
+    ) / np.maximum(weight, 1.0)
+    y, x = (
+        2 * (np.arange(n // block) * block + (block - 1) / 2) / max(n - 1, 1) - 1
+        for n in flat.shape
+    )
     design = _powers(y, x).reshape(-1, mean.size).T
     scale, trust = float(mean.max()), weight.ravel().copy()
     coefficients = np.zeros(design.shape[1])
     for _ in range(5):
         # Legendre polynomials are nearly orthogonal, so the normal equations do
         weighed = design.T * trust
-        coefficients = np.linalg.lstsq(weighed @ design, weighed @ mean.ravel() / scale, rcond=None)[0]
+        coefficients = np.linalg.lstsq(
+            weighed @ design, weighed @ mean.ravel() / scale, rcond=None
+        )[0]
         away = np.abs(mean.ravel() / scale - design @ coefficients)
         spread = 1.4826 * float(np.median(away[weight.ravel() > 0]))
-        trust = weight.ravel() / np.maximum(1.0, away / max(2 * spread, 1e-12))  # Huber's weights
+        trust = weight.ravel() / np.maximum(
+            1.0, away / max(2 * spread, 1e-12)
+        )  # Huber's weights
     y, x = (np.linspace(-1, 1, n) for n in flat.shape)
     surface = scale * np.tensordot(coefficients, _powers(y, x), axes=1)
     # outside of the lit part a polynomial may do anything
@@ -142,11 +167,20 @@ def _powers(y: Floats, x: Floats) -> Floats:
     """(terms, rows, cols) products of Legendre polynomials up to the total degree."""
     py, px = (np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T for u in (y, x))
     degrees = range(ILLUMINATION_ORDER + 1)
-    return np.array([np.outer(py[i], px[j]) for i in degrees for j in degrees if i + j <= ILLUMINATION_ORDER])
+    return np.array(
+        [
+            np.outer(py[i], px[j])
+            for i in degrees
+            for j in degrees
+            if i + j <= ILLUMINATION_ORDER
+        ]
+    )
 
 
 def outliers(values: Floats, among: Bools, least: float = 0.0) -> Bools:
     """Those `among` whose values lie 8 robust standard deviations, and `least`, from the median of them all."""
     centre = float(np.median(values[among]))
     spread = 1.4826 * float(np.median(np.abs(values[among] - centre)))
-    return np.asarray(among & (np.abs(values - centre) > max(OUTLIER_SIGMAS * spread, least)))
+    return np.asarray(
+        among & (np.abs(values - centre) > max(OUTLIER_SIGMAS * spread, least))
+    )

@@ -77,16 +77,24 @@ def scatter_of(stack: ArrayLike, *, lit: bool) -> Scatter:
     """
     frames = np.asarray(stack, dtype=np.float64)
     if frames.ndim != 2 or len(frames) < 2:
-        raise ValueError(f"photon transfer needs two frames or more, (frames, pixels), not {frames.shape}")
+        raise ValueError(
+            f"photon transfer needs two frames or more, (frames, pixels), not {frames.shape}"
+        )
     levels = frames.mean(axis=1, keepdims=True)
     steady = frames * (levels.mean() / levels) if lit else frames - levels + levels.mean()
     signal, variance = steady.mean(axis=0), steady.var(axis=0, ddof=1)
     # The mean's own noise goes with the variance's, and would tilt a line through them: shrink it by what is real.
-    real = max(0.0, 1 - float(variance.mean()) / len(frames) / max(float(signal.var()), 1e-300))
-    return Scatter(signal.mean() + real * (signal - signal.mean()), variance, len(frames) - 1)
+    real = max(
+        0.0, 1 - float(variance.mean()) / len(frames) / max(float(signal.var()), 1e-300)
+    )
+    return Scatter(
+        signal.mean() + real * (signal - signal.mean()), variance, len(frames) - 1
+    )
 
 
-def photon_transfer(flats: Iterable[Scatter], darks: Iterable[Scatter] = ()) -> NoiseEstimate:
+def photon_transfer(
+    flats: Iterable[Scatter], darks: Iterable[Scatter] = ()
+) -> NoiseEstimate:
     """Gain and read noise from flats of one channel (any number of levels) and from darks.
 
     Weighted least squares of variance on signal, each pixel by its own expected scatter, pooled over all groups.
@@ -99,7 +107,9 @@ def photon_transfer(flats: Iterable[Scatter], darks: Iterable[Scatter] = ()) -> 
         return NoiseEstimate(None, None, None, None)
     variance = np.concatenate([group.variance for group in groups])
     signal = np.concatenate([group.signal for group in groups])
-    freedom = np.concatenate([np.full(group.signal.size, float(group.freedom)) for group in groups])
+    freedom = np.concatenate(
+        [np.full(group.signal.size, float(group.freedom)) for group in groups]
+    )
     if not light:
         floor, floor_std = _mean_variance(variance, freedom)
         return NoiseEstimate(None, None, *_root(floor, floor_std))
@@ -131,7 +141,9 @@ def _mean_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
     return pooled, pooled * float(np.sqrt(2 / freedom[kept].sum()))
 
 
-def _line(signal: Floats, variance: Floats, freedom: Floats, *, floor_known: bool) -> tuple[float, float, Floats]:
+def _line(
+    signal: Floats, variance: Floats, freedom: Floats, *, floor_known: bool
+) -> tuple[float, float, Floats]:
     """(slope, floor, covariance) of variance on signal, reweighted until it stands."""
     typical = variance / _median_factor(freedom)
     middle = signal >= np.median(signal)

@@ -31,7 +31,9 @@ class Stack:
     first: Mosaic
     saturated: Bools
 
-    def scatter(self, where: Bools, offset: Floats32 | Floats, *, lit: bool) -> Iterator[Scatter]:
+    def scatter(
+        self, where: Bools, offset: Floats32 | Floats, *, lit: bool
+    ) -> Iterator[Scatter]:
         """Variance from frame to frame of some of the pixels `where`; nothing from a single frame."""
         chosen = np.flatnonzero(where)
         if len(self.counts) > 1 and chosen.size:
@@ -41,7 +43,9 @@ class Stack:
             if (tone := self.first.tone) is None:
                 yield found
             else:  # what rounding adds is known, pixel by pixel, and is no photon's
-                rounding = tone.of(int(chosen[0]) % 3).rounding_variance(counts.mean(axis=0))
+                rounding = tone.of(int(chosen[0]) % 3).rounding_variance(
+                    counts.mean(axis=0)
+                )
                 yield replace(found, variance=found.variance - rounding)
 
 
@@ -57,7 +61,9 @@ def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
         mosaic = read_raw(frame.path, sensor)
         if mosaic.counts.shape != first.counts.shape or mosaic.pattern != first.pattern:
             size = "×".join(map(str, mosaic.shape))
-            raise DataError(f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}")
+            raise DataError(
+                f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}"
+            )
         counts[place] = mosaic.counts
         saturated_pixels |= saturated(mosaic)
     return Stack(counts, replace(first, counts=counts[0]), saturated_pixels)
@@ -66,4 +72,6 @@ def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
 def saturated(mosaic: Mosaic) -> Bools:
     """(rows, cols) pixels at the white level, or so near below it that their noise is cut."""
     black = mosaic.black_map()
-    return np.asarray(mosaic.counts >= mosaic.white - SATURATION_MARGIN * (mosaic.white - black))
+    return np.asarray(
+        mosaic.counts >= mosaic.white - SATURATION_MARGIN * (mosaic.white - black)
+    )

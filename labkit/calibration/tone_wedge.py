@@ -102,7 +102,9 @@ def measure_tone(photograph: Path) -> Tone:
     except RawError as error:
         raise RawError(f"{photograph}: {error}") from error
     if container.kind == "raw":
-        raise RawError(f"{photograph}: is a raw file: its numbers are proportional to light, and have no tone curve")
+        raise RawError(
+            f"{photograph}: is a raw file: its numbers are proportional to light, and have no tone curve"
+        )
     try:
         picture, _ = read_file(photograph, container)
     except RawError as error:
@@ -122,7 +124,9 @@ def measure_tone(photograph: Path) -> Tone:
 def _measured(picture: Picture, wedge: CellTarget) -> Tone:
     planes = np.atleast_3d(picture.numbers / picture.white)
     corners = find_target(srgb(planes).mean(axis=2), wedge)
-    rows, cols = (n // patches for n, patches in zip(wedge.cells.shape, PATCHES, strict=True))
+    rows, cols = (
+        n // patches for n, patches in zip(wedge.cells.shape, PATCHES, strict=True)
+    )
     duty = wedge.cells.reshape(PATCHES[0], rows, PATCHES[1], cols).mean(axis=(1, 3)).ravel()
     seen = [planes[inside] for inside in _insides(corners, planes.shape[:2])]
     _refuse_unusable(seen)
@@ -138,19 +142,33 @@ def _measured(picture: Picture, wedge: CellTarget) -> Tone:
 def _places() -> Iterator[tuple[float, float]]:
     """(y, x) of each step's middle in the wedge, from 0 to 1."""
     rows, cols = PATCHES
-    yield from (((row + 0.5) / rows, (col + 0.5) / cols) for row in range(rows) for col in range(cols))
+    yield from (
+        ((row + 0.5) / rows, (col + 0.5) / cols)
+        for row in range(rows)
+        for col in range(cols)
+    )
 
 
-def _insides(corners: Floats, shape: tuple[int, ...]) -> Iterator[np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+def _insides(
+    corners: Floats, shape: tuple[int, ...]
+) -> Iterator[np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
     """For each step the pixels to look at. Raises DataError where they are too few."""
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    from_wedge = cv2.getPerspectiveTransform(unit, np.ascontiguousarray(corners[:, ::-1], dtype=np.float32))
+    from_wedge = cv2.getPerspectiveTransform(
+        unit, np.ascontiguousarray(corners[:, ::-1], dtype=np.float32)
+    )
     half = INSIDE / 2 / np.array(PATCHES[::-1])
     for y, x in _places():
-        quad = cv2.perspectiveTransform(((2 * unit - 1) * half + (x, y)).astype(np.float32)[None], from_wedge)[0]
-        inside = cv2.fillConvexPoly(np.zeros(shape, np.uint8), np.rint(quad).astype(np.int32), 1).astype(np.bool_)
+        quad = cv2.perspectiveTransform(
+            ((2 * unit - 1) * half + (x, y)).astype(np.float32)[None], from_wedge
+        )[0]
+        inside = cv2.fillConvexPoly(
+            np.zeros(shape, np.uint8), np.rint(quad).astype(np.int32), 1
+        ).astype(np.bool_)
         if (seen := np.count_nonzero(inside)) < LEAST_PX:
-            raise DataError(f"a step of the wedge shows {seen} pixels, {LEAST_PX} are needed: go nearer")
+            raise DataError(
+                f"a step of the wedge shows {seen} pixels, {LEAST_PX} are needed: go nearer"
+            )
         yield inside
 
 
@@ -158,9 +176,14 @@ def _refuse_unusable(seen: list[Floats]) -> None:
     """Raise DataError for steps that are clipped, or whose dots can be seen. seen: (pixels, planes) of each."""
     clipped = sum(bool((pixels >= 1).mean(axis=0).max() > CLIPPED) for pixels in seen)
     if clipped:
-        raise DataError(f"{clipped} of the {len(seen)} steps are clipped at full scale: expose less")
+        raise DataError(
+            f"{clipped} of the {len(seen)} steps are clipped at full scale: expose less"
+        )
     relative, absolute = UNEVEN
-    scatter = max(float(np.max(pixels.std(axis=0) / (relative * pixels.mean(axis=0) + absolute))) for pixels in seen)
+    scatter = max(
+        float(np.max(pixels.std(axis=0) / (relative * pixels.mean(axis=0) + absolute)))
+        for pixels in seen
+    )
     if scatter > 1:
         raise DataError(
             f"the steps are no even greys, their pixels scatter {scatter:.1f} times as much as allowed: the half-tone's dots "

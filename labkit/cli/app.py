@@ -24,9 +24,16 @@ app.add_typer(camera_app, name="camera")
 rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
 app.add_typer(rail_app, name="rail")
 
-CameraPlace = Annotated[str, typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="A plan, or a camera's address.")]
-PlanPath = Annotated[Path, typer.Argument(metavar="PLAN.toml", help="The plan: what to do, and with what.")]
-SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="The session's folder.")]
+CameraPlace = Annotated[
+    str,
+    typer.Argument(metavar="[PLAN.toml | ADDRESS]", help="A plan, or a camera's address."),
+]
+PlanPath = Annotated[
+    Path, typer.Argument(metavar="PLAN.toml", help="The plan: what to do, and with what.")
+]
+SessionPath = Annotated[
+    Path, typer.Argument(metavar="SESSION", help="The session's folder.")
+]
 
 
 def _version(asked: bool) -> None:
@@ -38,11 +45,21 @@ def _version(asked: bool) -> None:
 @app.callback()
 def options(
     ctx: typer.Context,
-    debug: Annotated[bool, typer.Option("--debug", help="Show where in the code an error arose.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show where in the code an error arose.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, nothing else.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the answer as JSON, nothing else.")
+    ] = False,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Print the version and exit.",
+        ),
     ] = False,
 ) -> None:
     """Options of every command; they may stand after it too."""

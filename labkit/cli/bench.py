@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import CameraPlace, PlanPath, SessionPath, app, camera_app, rail_app, target_app
+from labkit.cli.app import (
+    CameraPlace,
+    PlanPath,
+    SessionPath,
+    app,
+    camera_app,
+    rail_app,
+    target_app,
+)
 from labkit.cli.complete import panels, targets
+from labkit.cli.device_tables import NONE_OF, device_tables
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError, PlanError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
-    from labkit.devices.inventory import Connected
     from labkit.devices.operator import Operator
     from labkit.plan import Plan
     from labkit.session.session import Session
@@ -27,15 +35,12 @@ if TYPE_CHECKING:
 TargetText = Annotated[
     str,
     typer.Argument(
-        metavar="SPEC", help="A plan, or a target such as sierpinski:order=5,size_mm=46.8.", autocompletion=targets
+        metavar="SPEC",
+        help="A plan, or a target such as sierpinski:order=5,size_mm=46.8.",
+        autocompletion=targets,
     ),
 ]
 
-Found = TypeVar("Found")
-NONE_OF = {
-    "Cameras": 'none on USB; one on a network is not looked for: camera.address = "gphoto2:ptpip:ADDRESS"',
-    "Rails": "none answers at a serial port on USB that no program holds",
-}
 SAFE = "every photograph so far is safe, "
 DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
 
@@ -45,10 +50,15 @@ DAMAGED = "photographs are missing or the journal is damaged: labkit verify name
 @app.command()
 def devices(
     ctx: typer.Context,
-    udev: Annotated[bool, typer.Option("--udev", help="Print only the udev rules that give access.")] = False,
+    udev: Annotated[
+        bool, typer.Option("--udev", help="Print only the udev rules that give access.")
+    ] = False,
     no_probe: Annotated[
         bool,
-        typer.Option("--no-probe", help="Open no serial port: that restarts some controllers, which then need homing."),
+        typer.Option(
+            "--no-probe",
+            help="Open no serial port: that restarts some controllers, which then need homing.",
+        ),
     ] = False,
 ) -> None:
     """List devices, ports and drivers. Also which program holds each device, and what may not be opened."""
@@ -60,31 +70,13 @@ def devices(
         console.say(udev_rules(connected))
         console.answer({"udev": udev_rules(connected)})
         return
-    for title, rows in _device_tables(connected):
+    for title, rows in device_tables(connected):
         nothing = "not looked at" if rows is None else NONE_OF.get(title, "none")
         console.say(title)
         console.table(rows or [[nothing]], indent="  ")
     for note in connected.notes:
         console.warn(note)
     console.answer(asdict(connected))
-
-
-def _device_tables(connected: Connected) -> tuple[tuple[str, Sequence[list[str]] | None], ...]:
-    """Title and rows of each kind of device, with the line for the plan; None for what was not looked at."""
-    cameras, rails, usb = connected.cameras, connected.rails, connected.usb
-    named = [(p, f'display.address = "{p.address}"' if p.address else "") for p in connected.pages]
-    return (
-        ("Cameras", _each(cameras, lambda c: [c.address, c.model, f'camera.address = "{c.address}"'])),
-        ("Rails", _each(rails, lambda r: [r.address, r.model, f'rail.address = "{r.address}"'])),
-        ("Pages", [[page.url, page.text, line] for page, line in named]),
-        ("USB", _each(usb, lambda d: [d.where, d.vendor_product, d.name, "camera" * d.is_camera])),
-        ("Serial ports", [[port.path, port.vendor_product, port.name, port.stable_path] for port in connected.serial]),
-        ("Installed drivers", [[kind, ", ".join(f"{n}:" for n in names)] for kind, names in connected.drivers.items()]),
-    )
-
-
-def _each(found: Sequence[Found] | None, row: Callable[[Found], list[str]]) -> list[list[str]] | None:
-    return None if found is None else [row(one) for one in found]
 
 
 @camera_app.command("settings")
@@ -101,7 +93,9 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
     for setting in settings:
         allowed = "read only" if setting.readonly else ", ".join(map(str, setting.choices))
         cells = (setting.name, str(setting.value), allowed)
-        rows.append(["".join(letter for letter in cell if letter.isprintable()) for cell in cells])
+        rows.append(
+            ["".join(letter for letter in cell if letter.isprintable()) for cell in cells]
+        )
     console.table(rows)
     console.answer({**asdict(info), "settings": [asdict(setting) for setting in settings]})
 
@@ -116,14 +110,28 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     with alone.camera:
         found = take_test_frame(alone)
     console.warn(*found.problems)
-    console.say(f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}")
+    console.say(
+        f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}"
+    )
     rows = [["colour", "median", "brightest", "saturated", "noise"]]
     for colour in found.colours:
         full = f"{colour.full_percent:.2g} %"
-        rows.append([colour.name, f"{colour.median:.0f}", f"{colour.brightest:.0f}", full, f"{colour.noise:.1f}"])
+        rows.append(
+            [
+                colour.name,
+                f"{colour.median:.0f}",
+                f"{colour.brightest:.0f}",
+                full,
+                f"{colour.noise:.1f}",
+            ]
+        )
     console.table(rows)
     if found.edge_px is not None:
-        blur = "" if found.blur_px is None else f"; a point spreads over {found.blur_px:.1f} pixels"
+        blur = (
+            ""
+            if found.blur_px is None
+            else f"; a point spreads over {found.blur_px:.1f} pixels"
+        )
         console.say(f"focus: the sharpest edges rise over {found.edge_px:.1f} pixels{blur}")
     console.say(f"target: {found.target}")
     console.warn(*(f"check by hand: {words}" for words in found.by_hand))
@@ -134,11 +142,18 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
 def camera_tone(
     ctx: typer.Context,
     photograph: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="The photograph of the wedge: JPEG, PNG or TIFF.")
+        Path,
+        typer.Argument(
+            metavar="IMAGE", help="The photograph of the wedge: JPEG, PNG or TIFF."
+        ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="TONE.toml", help="File to write; nothing is overwritten.", show_default="the terminal"),
+        typer.Option(
+            metavar="TONE.toml",
+            help="File to write; nothing is overwritten.",
+            show_default="the terminal",
+        ),
     ] = None,
 ) -> None:
     """Measure a camera's tone curve. From a photograph of labkit target serve wedge:size_mm=100; prints it for the plan."""
@@ -161,12 +176,22 @@ def camera_tone(
 def target_render(
     ctx: typer.Context,
     spec: TargetText,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write: .png or .pdf.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="File to write: .png or .pdf.")
+    ],
     dpi: Annotated[
-        float | None, typer.Option(metavar="DPI", help="Raster in dots per inch.", show_default="what suits the file")
+        float | None,
+        typer.Option(
+            metavar="DPI",
+            help="Raster in dots per inch.",
+            show_default="what suits the file",
+        ),
     ] = None,
     pixels: Annotated[
-        int | None, typer.Option(metavar="N", help="Raster in dots along the height, instead of --dpi.")
+        int | None,
+        typer.Option(
+            metavar="N", help="Raster in dots along the height, instead of --dpi."
+        ),
     ] = None,
 ) -> None:
     """Write a target to print, in its true size."""
@@ -176,7 +201,9 @@ def target_render(
     console: Console = ctx.obj
     made = render_file(open_target(spec), file, dpi=dpi, pixels=pixels)
     height, width = made.size_mm
-    console.say(f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm")
+    console.say(
+        f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm"
+    )
     for note in made.notes:
         console.say(note)
     console.answer({**asdict(made), "path": str(made.path)})
@@ -196,7 +223,10 @@ def target_serve(
         ),
     ] = None,
     listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where to listen; 0.0.0.0:8642 for other machines.")
+        str,
+        typer.Option(
+            metavar="HOST:PORT", help="Where to listen; 0.0.0.0:8642 for other machines."
+        ),
     ] = "127.0.0.1:8642",
 ) -> None:
     """Show a target in a browser. On an iPad or any display, until Ctrl-C; the operator's page shows patterns too."""
@@ -210,15 +240,27 @@ def target_serve(
     context = DeviceContext(show_link=console.link, warn=console.warn)
     with ExitStack() as stack:
         plans = panel_plans(spec, panel or [], listen)
-        displays = [stack.enter_context(open_display(address, plan, context)) for address, plan in plans]
+        displays = [
+            stack.enter_context(open_display(address, plan, context))
+            for address, plan in plans
+        ]
         with suppress(KeyboardInterrupt):  # the way to end it
             serve_target(target, displays, context)
 
 
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a session that was interrupted.")]
-Simulate = Annotated[bool, typer.Option("--simulate", help="Use simulated devices instead of the plan's.")]
-NoPreflight = Annotated[bool, typer.Option("--no-preflight", help="Begin without checking everything first.")]
-WithMonitor = Annotated[bool, typer.Option("--monitor", help="Serve an operator's page; a web display always does.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue a session that was interrupted.")
+]
+Simulate = Annotated[
+    bool, typer.Option("--simulate", help="Use simulated devices instead of the plan's.")
+]
+NoPreflight = Annotated[
+    bool, typer.Option("--no-preflight", help="Begin without checking everything first.")
+]
+WithMonitor = Annotated[
+    bool,
+    typer.Option("--monitor", help="Serve an operator's page; a web display always does."),
+]
 Listen = Annotated[
     str | None,
     typer.Option(
@@ -254,7 +296,9 @@ def capture(
         refuse_existing(session, "--resume")
     with ExitStack() as stack:
         begun = resume and (session / JOURNAL).exists()
-        if begun and not missing(opened := stack.enter_context(begin(plan, session, resume))):
+        if begun and not missing(
+            opened := stack.enter_context(begin(plan, session, resume))
+        ):
             _report_complete(console, opened)
             return
         page = f"web://{listen}" if listen else "web:" if monitor else None
@@ -268,7 +312,14 @@ def capture(
             console.warn(warning)
         report = stack.enter_context(console.progress("capturing"))
         ask = partial(operator.ask, wants="done") if operator.present else None
-        run_capture(opened, bench, progress=report, ask=ask, warn=console.warn, check=not no_preflight)
+        run_capture(
+            opened,
+            bench,
+            progress=report,
+            ask=ask,
+            warn=console.warn,
+            check=not no_preflight,
+        )
     _report_capture(console, session, len(opened.frames))
 
 
@@ -281,12 +332,19 @@ def _open_bench(
     from labkit.devices.operator import Operator
     from labkit.devices.registry import open_devices, open_monitor
 
-    context = DeviceContext(show_link=console.link, warn=console.warn, operator=Operator(console.still))
+    context = DeviceContext(
+        show_link=console.link, warn=console.warn, operator=Operator(console.still)
+    )
     with ExitStack() as stack:
         if page_address:
             page = stack.enter_context(open_monitor(page_address, plan, context))
             context = replace(context, observers=(page,))
-        yield stack.enter_context(open_devices(plan, "simulated:" if simulate else None, context)), context.operator
+        yield (
+            stack.enter_context(
+                open_devices(plan, "simulated:" if simulate else None, context)
+            ),
+            context.operator,
+        )
 
 
 @contextmanager
@@ -306,11 +364,21 @@ def _saying_what_is_safe(console: Console, session: Session) -> Iterator[None]:
 def _resume_command(ctx: typer.Context) -> str:
     """What to type to go on with a capture that was interrupted: as it was given, with --resume."""
     console: Console = ctx.obj
-    given = {"resume": True, **ctx.params, "quiet": console.quiet, "json": console.json, "debug": console.debug}
+    given = {
+        "resume": True,
+        **ctx.params,
+        "quiet": console.quiet,
+        "json": console.json,
+        "debug": console.debug,
+    }
     words = [str(given.pop(name)) for name in ("plan", "session")]
     for name, value in {**given, "resume": True}.items():
         if value:
-            words += [f"--{name.replace('_', '-')}"] if value is True else [f"--{name}", str(value)]
+            words += (
+                [f"--{name.replace('_', '-')}"]
+                if value is True
+                else [f"--{name}", str(value)]
+            )
     return shlex.join(["labkit", "capture", *words])
 
 
@@ -319,8 +387,12 @@ def _report_complete(console: Console, session: Session) -> None:
     from labkit.session.verify import altered
 
     if damage := altered(session):
-        raise LabkitError(f"{session.folder} has all that the plan asks for, but {'; '.join(damage)}")
-    _report_capture(console, session.folder, len(session.frames), ", all that the plan asks for")
+        raise LabkitError(
+            f"{session.folder} has all that the plan asks for, but {'; '.join(damage)}"
+        )
+    _report_capture(
+        console, session.folder, len(session.frames), ", all that the plan asks for"
+    )
 
 
 def _report_capture(console: Console, session: Path, frames: int, remark: str = "") -> None:
@@ -335,7 +407,9 @@ def rail_calibrate(
     at: Annotated[
         list[float] | None,
         typer.Option(
-            metavar="MM", help="A rail position to measure at; may be repeated.", show_default="three, over the travel"
+            metavar="MM",
+            help="A rail position to measure at; may be repeated.",
+            show_default="three, over the travel",
         ),
     ] = None,
 ) -> None:
@@ -358,14 +432,20 @@ def rail_calibrate(
         rail.home()
         read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
         say = console.warn if at_terminal() else None
-        positions, ranges = measure(rail, places, lambda question: ask_until(question, read), say)
+        positions, ranges = measure(
+            rail, places, lambda question: ask_until(question, read), say
+        )
     try:
         zero = find_zero(positions, ranges)
     except DataError as error:
-        listed = ", ".join(f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True))
+        listed = ", ".join(
+            f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True)
+        )
         raise DataError(f"measured (mm): {listed}; {error}") from error
     std = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
-    console.say(f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}")
+    console.say(
+        f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}"
+    )
     for place, misfit in zip(positions, zero.misfit_mm, strict=True):
         console.say(f"# at {place:g} mm measured {misfit:+.1f} mm from that")
     console.answer(asdict(zero))

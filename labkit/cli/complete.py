@@ -32,7 +32,9 @@ def targets(incomplete: str) -> list[str]:
 
 def channels(ctx: typer.Context, incomplete: str) -> list[str]:
     """Channels of the session that was given; the usual ones where there is none to read."""
-    session = ctx.params.get("session") or next(iter(ctx.args), "")  # a line that is not complete has it left over
+    session = ctx.params.get("session") or next(
+        iter(ctx.args), ""
+    )  # a line that is not complete has it left over
     try:
         plan = tomllib.loads((Path(session) / "plan.toml").read_text(encoding="utf-8"))
         names = [str(channel["name"]) for channel in plan["channel"]]

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
 Images = Annotated[
-    list[Path], typer.Argument(metavar="IMAGE... PLAN.toml", help="Frames of one scene, and their plan.")
+    list[Path],
+    typer.Argument(
+        metavar="IMAGE... PLAN.toml", help="Frames of one scene, and their plan."
+    ),
 ]
 Boxes = Annotated[
     list[str] | None,
@@ -36,24 +39,47 @@ Boxes = Annotated[
 Psf = Annotated[
     Path | None,
     typer.Option(
-        metavar="SESSION", help="Whose wavefront and best focus are taken.", show_default="none: fitted along"
+        metavar="SESSION",
+        help="Whose wavefront and best focus are taken.",
+        show_default="none: fitted along",
     ),
 ]
 Focus = Annotated[
-    str | None, typer.Option(metavar="MM[±MM]", help="What the lens is focused at.", show_default="as in the session")
+    str | None,
+    typer.Option(
+        metavar="MM[±MM]",
+        help="What the lens is focused at.",
+        show_default="as in the session",
+    ),
 ]
-OneRange = Annotated[bool, typer.Option("--one-range", help="All edges stand at one range.")]
-Force = Annotated[bool, typer.Option("--force", help="Take the PSF of another camera, channel or aperture.")]
+OneRange = Annotated[
+    bool, typer.Option("--one-range", help="All edges stand at one range.")
+]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Take the PSF of another camera, channel or aperture."),
+]
 
 
 Channels = Annotated[
     list[str] | None,
-    typer.Option("--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"),
+    typer.Option(
+        "--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"
+    ),
 ]
-Most = Annotated[int, typer.Option(min=1, metavar="N", help="Edges that are looked for where no box is given.")]
+Most = Annotated[
+    int,
+    typer.Option(
+        min=1, metavar="N", help="Edges that are looked for where no box is given."
+    ),
+]
 Out = Annotated[
     Path | None,
-    typer.Option(metavar="FOLDER", help="Write edges.json and the depth map here.", show_default="nothing is written"),
+    typer.Option(
+        metavar="FOLDER",
+        help="Write edges.json and the depth map here.",
+        show_default="nothing is written",
+    ),
 ]
 
 
@@ -62,7 +88,9 @@ def edges(
     ctx: typer.Context,
     images: Images,
     psf: Psf = None,
-    psf_name: Annotated[str, typer.Option("--psf-name", metavar="NAME", help="Of the session's results.")] = "latest",
+    psf_name: Annotated[
+        str, typer.Option("--psf-name", metavar="NAME", help="Of the session's results.")
+    ] = "latest",
     box: Boxes = None,
     focus: Focus = None,
     channel: Channels = None,
@@ -79,11 +107,26 @@ def edges(
 
     console: Console = ctx.obj
     if len(images) < 2:
-        raise DataError("give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml")
+        raise DataError(
+            "give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml"
+        )
     *photographs, plan_path = images
     results = None if psf is None else Results.load(psf, psf_name)
-    boxes, focused = [_box(text) for text in box or ()], None if focus is None else _focus(focus)
-    scene = Scene(photographs, Plan.load(plan_path), results, boxes, focused, channel, one_range, most, force)
+    boxes, focused = (
+        [_box(text) for text in box or ()],
+        None if focus is None else _focus(focus),
+    )
+    scene = Scene(
+        photographs,
+        Plan.load(plan_path),
+        results,
+        boxes,
+        focused,
+        channel,
+        one_range,
+        most,
+        force,
+    )
     with console.progress("edges") as report:
         outcome = measure_edges(scene, workers, report)
     _show(console, outcome, scene, out)
@@ -104,13 +147,17 @@ def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | Non
             console.say(f"written: {path}")
     console.answer(outcome.as_json())
     if not measured:
-        raise DataError(f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}")
+        raise DataError(
+            f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}"
+        )
 
 
 def _box(text: str) -> Box:
     """Raises DataError."""
     if not re.fullmatch(r"\s*-?\d{1,6}(\s*,\s*-?\d{1,6}){3}\s*", text):
-        raise DataError(f"--box {text}: give R0,C0,R1,C1, whole pixels of the raw, such as 100,200,164,264")
+        raise DataError(
+            f"--box {text}: give R0,C0,R1,C1, whole pixels of the raw, such as 100,200,164,264"
+        )
     r0, c0, r1, c1 = map(int, text.split(","))
     return r0, c0, r1, c1
 

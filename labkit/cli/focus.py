@@ -29,14 +29,22 @@ LEAST_SPAN = 0.1  # of the sharpest: less is the noise of one frame and the next
 At = Annotated[
     float | None,
     typer.Option(
-        "--range", metavar="MM", help="Home the plan's rail and move it to this range first.", show_default="it stays"
+        "--range",
+        metavar="MM",
+        help="Home the plan's rail and move it to this range first.",
+        show_default="it stays",
     ),
 ]
-Monitor = Annotated[bool, typer.Option("--monitor", help="Serve an operator's page that shows each photograph.")]
+Monitor = Annotated[
+    bool,
+    typer.Option("--monitor", help="Serve an operator's page that shows each photograph."),
+]
 Listen = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST:PORT", help="Where that page listens, such as 0.0.0.0:8642.", show_default="this machine only"
+        metavar="HOST:PORT",
+        help="Where that page listens, such as 0.0.0.0:8642.",
+        show_default="this machine only",
     ),
 ]
 
@@ -57,13 +65,17 @@ def camera_focus(
     from labkit.devices.registry import observers_of, open_monitor
 
     console: Console = ctx.obj
-    context = DeviceContext(show_link=console.link, warn=console.warn, operator=Operator(console.still))
+    context = DeviceContext(
+        show_link=console.link, warn=console.warn, operator=Operator(console.still)
+    )
     readings: list[FocusReading] = []
     with ExitStack() as stack:
         alone = open_alone(where, context)
         stack.enter_context(alone.camera)
         if monitor or listen:
-            page = stack.enter_context(open_monitor(f"web://{listen}" if listen else "web:", alone.plan, context))
+            page = stack.enter_context(
+                open_monitor(f"web://{listen}" if listen else "web:", alone.plan, context)
+            )
             context = replace(context, observers=(page,))
         shown = _set_up(alone, range_mm, context, stack)
         with suppress(KeyboardInterrupt):  # the way to end it
@@ -73,7 +85,9 @@ def camera_focus(
     _say_best(console, readings)
 
 
-def _set_up(alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack) -> Sequence[object]:
+def _set_up(
+    alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack
+) -> Sequence[object]:
     """Show the plan's target, and move its rail, as far as it has them; what was opened for that."""
     from labkit.acquisition.sequence import shown_picture
     from labkit.devices.registry import open_display, open_rail
@@ -81,11 +95,18 @@ def _set_up(alone: Alone, range_mm: float | None, context: DeviceContext, stack:
     plan, opened = alone.plan, list[object]()
     if range_mm is not None:
         if plan.rail is None:
-            raise PlanError(f"--range {range_mm:g}: to move a rail it takes a plan with [rail]")
+            raise PlanError(
+                f"--range {range_mm:g}: to move a rail it takes a plan with [rail]"
+            )
         rail = stack.enter_context(open_rail(plan.rail.address, plan, context))
-        reached = sorted(plan.rail.range_mm(end) for end in (rail.travel_mm.low_mm, rail.travel_mm.high_mm))
+        reached = sorted(
+            plan.rail.range_mm(end)
+            for end in (rail.travel_mm.low_mm, rail.travel_mm.high_mm)
+        )
         if not reached[0] <= range_mm <= reached[1]:
-            raise PlanError(f"--range {range_mm:g}: the rail reaches {reached[0]:g} to {reached[1]:g} mm")
+            raise PlanError(
+                f"--range {range_mm:g}: the rail reaches {reached[0]:g} to {reached[1]:g} mm"
+            )
         rail.home()
         rail.move_to(plan.rail.position_mm(range_mm))
         opened.append(rail)
@@ -102,10 +123,14 @@ def line(readings: Sequence[FocusReading]) -> str:
     words = [f"{last.source} {last.number}"]
     if last.edge_px is not None:
         edges = [reading.edge_px for reading in readings if reading.edge_px is not None]
-        words.append(f"edges rise over {last.edge_px:.1f} px, best {min(edges):.1f} {bars(edges)}")
+        words.append(
+            f"edges rise over {last.edge_px:.1f} px, best {min(edges):.1f} {bars(edges)}"
+        )
     words.append(f"clipped {last.full_percent:.2g} %")
     if last.corners_px is not None:
-        words.append(f"target: blur {last.blur_px:.1f} px, {last.margin_px:.0f} px inside the frame")
+        words.append(
+            f"target: blur {last.blur_px:.1f} px, {last.margin_px:.0f} px inside the frame"
+        )
     return "; ".join([*words, *([last.note] if last.note else [])])
 
 
@@ -121,5 +146,12 @@ def _say_best(console: Console, readings: Sequence[FocusReading]) -> None:
     sharp = [reading for reading in readings if reading.edge_px is not None]
     best = min(sharp, key=lambda reading: reading.edge_px or 0.0, default=None)
     if best is not None:
-        console.say(f"sharpest: {best.source} {best.number}, edges rise over {best.edge_px:.1f} px")
-    console.answer({"best": None if best is None else best.number, "readings": [asdict(each) for each in readings]})
+        console.say(
+            f"sharpest: {best.source} {best.number}, edges rise over {best.edge_px:.1f} px"
+        )
+    console.answer(
+        {
+            "best": None if best is None else best.number,
+            "readings": [asdict(each) for each in readings],
+        }
+    )

@@ -40,8 +40,12 @@ def run(args: Sequence[str]) -> int:
     end = args.index("--") if "--" in args else len(args)
     flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
     rest = [arg for arg in args[:end] if arg not in GLOBAL_FLAGS] + list(args[end:])
-    console = Console(json="--json" in flags)  # what is wrong with the options themselves is JSON too
-    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it logs what it raises as well
+    console = Console(
+        json="--json" in flags
+    )  # what is wrong with the options themselves is JSON too
+    logging.getLogger("tifffile").addHandler(
+        logging.NullHandler()
+    )  # it logs what it raises as well
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -68,13 +72,19 @@ def _interrupts(console: Console) -> Iterator[None]:
 
     def interrupt(number: int, frame: object) -> NoReturn:
         for each in INTERRUPTS:
-            signal.signal(each, signal.SIG_IGN)  # a terminal that is closed sends several: one is enough
+            signal.signal(
+                each, signal.SIG_IGN
+            )  # a terminal that is closed sends several: one is enough
         console.interrupted_by = signal.Signals(number).name
         raise KeyboardInterrupt(console.interrupted_by)
 
     ours = threading.current_thread() is threading.main_thread()
     before = {number: signal.getsignal(number) for number in INTERRUPTS}
-    before = {number: handler for number, handler in before.items() if ours and handler == signal.SIG_DFL}
+    before = {
+        number: handler
+        for number, handler in before.items()
+        if ours and handler == signal.SIG_DFL
+    }
     for number in before:  # but not under nohup, which has SIGHUP ignored
         signal.signal(number, interrupt)
     try:
@@ -98,7 +108,9 @@ def _failed(error: BaseException, console: Console) -> int:
             print(usage, file=sys.stderr)
         else:
             context = getattr(error, "ctx", None)
-            error_line(f"{usage.rstrip('.')}. See {context.command_path if context else 'labkit'} --help.")
+            error_line(
+                f"{usage.rstrip('.')}. See {context.command_path if context else 'labkit'} --help."
+            )
         console.failed("UsageError", usage)
         return error.exit_code
     words, status = _words(error, console)
@@ -112,10 +124,19 @@ def _words(error: BaseException, console: Console) -> tuple[str, int]:
     if isinstance(error, LabkitError):
         return f"{error}{console.hint}", error.exit_status
     if isinstance(error, OSError):
-        return f"{error.filename or 'the system'}: {error.strerror or error}{console.hint}", 2
+        return (
+            f"{error.filename or 'the system'}: {error.strerror or error}{console.hint}",
+            2,
+        )
     if isinstance(error, MemoryError):
-        return f"there is not enough memory{f': {error}' if str(error) else ''}; close other programs{console.hint}", 1
-    return f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where{console.hint}", 1
+        return (
+            f"there is not enough memory{f': {error}' if str(error) else ''}; close other programs{console.hint}",
+            1,
+        )
+    return (
+        f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where{console.hint}",
+        1,
+    )
 
 
 def _interrupted(console: Console) -> int:

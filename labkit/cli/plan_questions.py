@@ -89,18 +89,28 @@ RANGES = (1.0, 1.05, 1.1)
 """Of a first range, which is so many focal lengths or the target's sides away that the target fills a third of a frame."""
 
 
-def plan_by_questions(ask: Ask, folder: Path, image: Path | None = None) -> tuple[str, tuple[str, ...]]:
+def plan_by_questions(
+    ask: Ask, folder: Path, image: Path | None = None
+) -> tuple[str, tuple[str, ...]]:
     """The text of a plan, which loads, and what to know of it. folder: where it will lie; image: gives defaults.
 
     Raises what `ask` raises, RawError for an image that is none.
     """
-    mono = image is None and ask("Does the sensor have a colour filter array? yes or no", _yes_or_no, "yes") is False
+    mono = (
+        image is None
+        and ask("Does the sensor have a colour filter array? yes or no", _yes_or_no, "yes")
+        is False
+    )
     heading, tables = draft_tables(image, mono)
     answers = _Answers(ask, folder)
     answers.blocks.append([*(heading or ["# Made by labkit plan --interactive."])])
     for name, rows in tables:
         answers.table(name, _of_kind(answers, rows) if name == "[target]" else iter(rows))
-    if ask("Will labkit take the photographs itself (camera, rail, display)? yes or no", _yes_or_no, "no"):
+    if ask(
+        "Will labkit take the photographs itself (camera, rail, display)? yes or no",
+        _yes_or_no,
+        "no",
+    ):
         answers.table("[camera]", iter(CAMERA))
         answers.table("[rail]", _with_ranges(answers))
         answers.table("[display]", _shown(answers))
@@ -138,8 +148,14 @@ class _Answers:
         words = WORDS.get(f"{table}.{key}")
         if words is None:
             return given
-        words = words.format(name=here.get("name", ""), kinds=", ".join(_kinds()), panels=", ".join(sorted(PANELS)))
-        as_typed = ", ".join(f"{x:g}" for x in given) if isinstance(given, list) else str(given)
+        words = words.format(
+            name=here.get("name", ""),
+            kinds=", ".join(_kinds()),
+            panels=", ".join(sorted(PANELS)),
+        )
+        as_typed = (
+            ", ".join(f"{x:g}" for x in given) if isinstance(given, list) else str(given)
+        )
 
         def read(text: str) -> Any:
             value = _parsed(text, given)
@@ -151,17 +167,25 @@ class _Answers:
     def _check(self, table: str, here: dict[str, Any], key: str, value: Any) -> None:
         """Raise PlanError for an answer that the plan, as far as it is known, would not take."""
         if table == "target" and key == "kind" and value not in _kinds():
-            raise PlanError(f"target.kind = {shown(value)}: allowed is {', '.join(_kinds())}")
+            raise PlanError(
+                f"target.kind = {shown(value)}: allowed is {', '.join(_kinds())}"
+            )
         if key == "address":
             scheme = str(value).partition(":")[0]
             if scheme not in installed(table):
                 known = ", ".join(f"{name}:" for name in installed(table))
-                raise PlanError(f"{table}.address = {shown(value)}: allowed is one of {known} and where")
+                raise PlanError(
+                    f"{table}.address = {shown(value)}: allowed is one of {known} and where"
+                )
         if key == "panel":
             panel_info(DisplaySettings.from_tables({**here, key: value}))
         tables = {**STAND_INS, **self.tables}
         filled = {**_stand_in(table, {**here, key: value}), **here, key: value}
-        tables[table] = [*self.tables[table][:-1], filled] if isinstance(tables.get(table), list) else filled
+        tables[table] = (
+            [*self.tables[table][:-1], filled]
+            if isinstance(tables.get(table), list)
+            else filled
+        )
         context = {"folder": self._folder, "files": "" if key == "file" else "unchecked"}
         try:
             Plan.model_validate(tables, context=context)
@@ -182,7 +206,10 @@ def _stand_in(table: str, here: Mapping[str, Any]) -> dict[str, Any]:
     """What a table lacks until all of it was asked for."""
     if table == "target":
         needed = NEEDED.get(str(here.get("kind")), ())
-        return {"size_mm": 50.0, **{key: tomllib.loads(f"x = {EXAMPLES[key][0]}")["x"] for key in needed}}
+        return {
+            "size_mm": 50.0,
+            **{key: tomllib.loads(f"x = {EXAMPLES[key][0]}")["x"] for key in needed},
+        }
     if table == "display" and here.get("address") == BY_HAND:
         return {}
     rows = {"camera": CAMERA, "display": DISPLAY}.get(table, ())
@@ -207,7 +234,9 @@ def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
 def _with_ranges(answers: _Answers) -> Iterator[Row]:
     """The rail's rows, with ranges from which the target fills a good part of a small frame."""
     lens, target = answers.tables["lens"], answers.tables["target"]
-    first = float(f"{max(60 * float(target['size_mm']), 2 * float(lens['focal_length_mm'])):.1g}")
+    first = float(
+        f"{max(60 * float(target['size_mm']), 2 * float(lens['focal_length_mm'])):.1g}"
+    )
     for key, value, why in RAIL:
         if key == "ranges_mm":
             value = f"[{', '.join(f'{first * step:.10g}' for step in RANGES)}]"

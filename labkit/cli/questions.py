@@ -25,7 +25,12 @@ def ask(question: str, default: str = "") -> str:
     terminal = at_terminal()
     if terminal:
         forget_typed(sys.stdin)
-    print(f"{question}{f' [{default}]' if default else ''}: ", end="", file=sys.stderr, flush=True)
+    print(
+        f"{question}{f' [{default}]' if default else ''}: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
     line = sys.stdin.readline() if sys.stdin is not None and not sys.stdin.closed else ""
     if not (terminal and line.endswith("\n")):
         print(file=sys.stderr)

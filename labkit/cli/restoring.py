@@ -24,35 +24,81 @@ if TYPE_CHECKING:
 METHODS = ("model", "richardson-lucy", "richardson-lucy-blind", "wiener", "total-variation")
 
 Photographs = Annotated[
-    list[Path], typer.Argument(metavar="IMAGE... | SESSION", help="Raw files of one scene, or a session's folder.")
+    list[Path],
+    typer.Argument(
+        metavar="IMAGE... | SESSION", help="Raw files of one scene, or a session's folder."
+    ),
 ]
 Psf = Annotated[
-    Path | None, typer.Option(metavar="SESSION", help="Whose lens took them.", show_default="the session given")
+    Path | None,
+    typer.Option(
+        metavar="SESSION", help="Whose lens took them.", show_default="the session given"
+    ),
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to make.", show_default="beside the photograph")]
-ResultsName = Annotated[str, typer.Option("--name", metavar="NAME", help="Of the session's results.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Folder to make.", show_default="beside the photograph"
+    ),
+]
+ResultsName = Annotated[
+    str, typer.Option("--name", metavar="NAME", help="Of the session's results.")
+]
 Range = Annotated[
     float | None,
-    typer.Option("--range", metavar="MM", help="From which they were taken.", show_default="the session's only one"),
+    typer.Option(
+        "--range",
+        metavar="MM",
+        help="From which they were taken.",
+        show_default="the session's only one",
+    ),
 ]
 Channels = Annotated[
     list[str] | None,
-    typer.Option("--channel", metavar="NAME", help="Only this colour; may be repeated.", show_default="all"),
+    typer.Option(
+        "--channel",
+        metavar="NAME",
+        help="Only this colour; may be repeated.",
+        show_default="all",
+    ),
 ]
-Strength = Annotated[str, typer.Option("--lambda", metavar="L", help="A number, discrepancy, or l-curve.")]
-Samples = Annotated[int | None, typer.Option(min=1, max=32, metavar="N", help="To a pixel.", show_default="Nyquist's")]
+Strength = Annotated[
+    str, typer.Option("--lambda", metavar="L", help="A number, discrepancy, or l-curve.")
+]
+Samples = Annotated[
+    int | None,
+    typer.Option(min=1, max=32, metavar="N", help="To a pixel.", show_default="Nyquist's"),
+]
 Crop = Annotated[
-    str | None, typer.Option(metavar="R0,C0,R1,C1", help="Only these rows and columns.", show_default="all")
+    str | None,
+    typer.Option(
+        metavar="R0,C0,R1,C1", help="Only these rows and columns.", show_default="all"
+    ),
 ]
 Tile = Annotated[
-    int | None, typer.Option(min=32, metavar="PX", help="Side of a tile.", show_default="what memory allows")
+    int | None,
+    typer.Option(
+        min=32, metavar="PX", help="Side of a tile.", show_default="what memory allows"
+    ),
 ]
 Memory = Annotated[
-    float | None, typer.Option(min=0.01, metavar="GB", help="To use at most.", show_default="what is free")
+    float | None,
+    typer.Option(
+        min=0.01, metavar="GB", help="To use at most.", show_default="what is free"
+    ),
 ]
-FitDefocus = Annotated[bool, typer.Option("--fit-defocus", help="Estimate the photograph's own defocus.")]
-Force = Annotated[bool, typer.Option("--force", help="Take the PSF though camera, aperture or colour is another.")]
-SixteenBit = Annotated[bool, typer.Option("--sixteen-bit", help="Write a linear 16-bit TIFF too.")]
+FitDefocus = Annotated[
+    bool, typer.Option("--fit-defocus", help="Estimate the photograph's own defocus.")
+]
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Take the PSF though camera, aperture or colour is another."
+    ),
+]
+SixteenBit = Annotated[
+    bool, typer.Option("--sixteen-bit", help="Write a linear 16-bit TIFF too.")
+]
 Method = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}.")]
 
 
@@ -100,14 +146,21 @@ def restore(
 
 
 def _restored(
-    console: Console, photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted
+    console: Console,
+    photographs: list[Path],
+    psf: Path | None,
+    out: Path | None,
+    name: str,
+    wanted: Wanted,
 ) -> None:
     """Restore each range's photographs into a folder, and say so."""
     from labkit.restoring.restore import restore_images, restore_session
     from labkit.results import Results
 
     if psf is None and not (len(photographs) == 1 and photographs[0].is_dir()):
-        raise DataError("whose lens took them? Give --psf SESSION, or a session's folder alone")
+        raise DataError(
+            "whose lens took them? Give --psf SESSION, or a session's folder alone"
+        )
     folder = photographs[0] if psf is None else psf
     results, session = Results.load(folder, name), _session(folder, own=psf is None)
     answers = []
@@ -115,26 +168,46 @@ def _restored(
         with console.progress("restoring") as report:
             if psf is None:
                 assert session is not None
-                made = restore_session(session, results, range_mm, place, wanted, console.say, report)
+                made = restore_session(
+                    session, results, range_mm, place, wanted, console.say, report
+                )
             else:
-                made = restore_images(photographs, results, session, place, wanted, console.say, report)
+                made = restore_images(
+                    photographs, results, session, place, wanted, console.say, report
+                )
         console.warn(*made.notes)
         chosen = made.about["lambda"]
-        by = f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}" if chosen else str(wanted.method)
+        by = (
+            f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}"
+            if chosen
+            else str(wanted.method)
+        )
         console.say(f"restored: {made.folder}, {by}, {made.about['seconds']:.0f} s")
         answers.append({"folder": str(made.folder), **made.about})
     console.answer(answers[0] if len(answers) == 1 else {"restored": answers})
 
 
 def _places(
-    photographs: list[Path], psf: Path | None, out: Path | None, name: str, wanted: Wanted, results: Results
+    photographs: list[Path],
+    psf: Path | None,
+    out: Path | None,
+    name: str,
+    wanted: Wanted,
+    results: Results,
 ) -> list[tuple[Path, float | None]]:
     """Folders to write to, each with its range."""
     if psf is not None:
-        return [(out or photographs[0].parent / f"{photographs[0].stem}-restored", wanted.range_mm)]
+        return [
+            (
+                out or photographs[0].parent / f"{photographs[0].stem}-restored",
+                wanted.range_mm,
+            )
+        ]
     ranges = results.ranges_mm if wanted.range_mm is None else (wanted.range_mm,)
     base = out or photographs[0] / "results" / name / "restored"
-    return [(base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges]
+    return [
+        (base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges
+    ]
 
 
 def _session(folder: Path, own: bool) -> Session | None:

@@ -27,10 +27,19 @@ def demo(
     ctx: typer.Context,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder to make.", show_default="labkit-demo, or the next free name"),
+        typer.Option(
+            metavar="DIR",
+            help="Folder to make.",
+            show_default="labkit-demo, or the next free name",
+        ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Number of the lens, sensor, rail and noise to simulate.")
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Number of the lens, sensor, rail and noise to simulate.",
+        ),
     ] = 1,
 ) -> None:
     """Measure a simulated lens. From capture to report; prints the truth beside the estimate, then what to do next."""
@@ -39,7 +48,9 @@ def demo(
     console: Console = ctx.obj
     folder = out or new_folder(Path("labkit-demo"))
     comparison = run_demo(folder, seed, console.progress)
-    console.table([["quantity", "truth", "estimate", "std. error", "error/std."], *comparison.rows()])
+    console.table(
+        [["quantity", "truth", "estimate", "std. error", "error/std."], *comparison.rows()]
+    )
     heading = ["waves RMS", "truth", "error", "expected", "worst mode's error/std."]
     console.table([heading, *comparison.wavefront_rows()])
     console.say(f"report: {comparison.report}")
@@ -51,7 +62,10 @@ def demo(
 def import_(
     ctx: typer.Context,
     frames: Annotated[
-        Path, typer.Argument(metavar="FRAMES.csv", help="The list of photographs: file, kind, range_mm.")
+        Path,
+        typer.Argument(
+            metavar="FRAMES.csv", help="The list of photographs: file, kind, range_mm."
+        ),
     ],
     plan: PlanPath,
     session: SessionPath,
@@ -64,8 +78,14 @@ def import_(
         made = import_frames(frames, plan, session, report)
     for warning in made.warnings:
         console.warn(warning)
-    kinds = {kind: sum(frame.kind == kind for frame in made.frames) for kind in ("target", "flat", "dark", "bias")}
-    console.say(f"{session}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count))
+    kinds = {
+        kind: sum(frame.kind == kind for frame in made.frames)
+        for kind in ("target", "flat", "dark", "bias")
+    }
+    console.say(
+        f"{session}: "
+        + ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    )
     console.answer({"session": str(session), "frames": len(made.frames), "kinds": kinds})
 
 
@@ -73,13 +93,20 @@ def import_(
 def plan_(
     ctx: typer.Context,
     image: Annotated[
-        Path | None, typer.Argument(metavar="[IMAGE]", help="A photograph: raw, JPEG, TIFF, PNG or PGM.")
+        Path | None,
+        typer.Argument(
+            metavar="[IMAGE]", help="A photograph: raw, JPEG, TIFF, PNG or PGM."
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="PLAN.toml", help="File to write; nothing is overwritten.")] = Path(
-        "plan.toml"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(metavar="PLAN.toml", help="File to write; nothing is overwritten."),
+    ] = Path("plan.toml"),
     interactive: Annotated[
-        bool, typer.Option("--interactive", help="Ask for each value; a photograph gives the defaults.")
+        bool,
+        typer.Option(
+            "--interactive", help="Ask for each value; a photograph gives the defaults."
+        ),
     ] = False,
 ) -> None:
     """Draft a plan from a photograph, or ask. What its file does not state is left to fill in, with an example."""
@@ -90,7 +117,9 @@ def plan_(
         _ask_for_plan(console, image, out)
         return
     if image is None:
-        raise DataError("give a photograph to make the plan from, or --interactive to be asked")
+        raise DataError(
+            "give a photograph to make the plan from, or --interactive to be asked"
+        )
     draft = draft_plan(image)
     write_draft(draft, out)
     console.say(f"{out}: fill in {', '.join(draft.fill_in)}")
@@ -126,7 +155,14 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
     notes = [*opened.warnings, *remarks(opened)]
     for note in notes:
         console.warn(note)
-    console.answer({"session": str(session), "frames": len(opened.frames), "problems": problems, "remarks": notes})
+    console.answer(
+        {
+            "session": str(session),
+            "frames": len(opened.frames),
+            "problems": problems,
+            "remarks": notes,
+        }
+    )
     if problems:
         raise LabkitError(f"{session}: {'; '.join(problems)}")
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
@@ -134,7 +170,12 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
 
 OnlyRanges = Annotated[
     list[float] | None,
-    typer.Option("--range", metavar="MM", help="Fit this range only; may be repeated.", show_default="all"),
+    typer.Option(
+        "--range",
+        metavar="MM",
+        help="Fit this range only; may be repeated.",
+        show_default="all",
+    ),
 ]
 OnlyChannels = Annotated[
     list[str] | None,
@@ -147,18 +188,25 @@ OnlyChannels = Annotated[
     ),
 ]
 OtherPlan = Annotated[
-    Path | None, typer.Option(metavar="PLAN.toml", help="Plan to fit by.", show_default="the session's own")
+    Path | None,
+    typer.Option(
+        metavar="PLAN.toml", help="Plan to fit by.", show_default="the session's own"
+    ),
 ]
 Modes = Annotated[
     str | None,
     typer.Option(
-        metavar="FIRST:LAST", help="First and last Zernike mode, in Noll's order.", show_default="as in the plan"
+        metavar="FIRST:LAST",
+        help="First and last Zernike mode, in Noll's order.",
+        show_default="as in the plan",
     ),
 ]
 ResultsName = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", help="Name for the results.", show_default="latest; of a fit in part, its ranges and channels"
+        metavar="NAME",
+        help="Name for the results.",
+        show_default="latest; of a fit in part, its ranges and channels",
     ),
 ]
 Patience = Annotated[
@@ -170,12 +218,27 @@ Patience = Annotated[
         show_default="as many starts as it needs",
     ),
 ]
-Joint = Annotated[bool, typer.Option("--joint", help="Finally climb over all frames at once.")]
-Split = Annotated[bool, typer.Option("--split", help="Fit separately what came before and after the lens was changed.")]
-Plain = Annotated[bool, typer.Option("--plain", help="Use no part of the camera that the plan does not state.")]
-Diagnose = Annotated[bool, typer.Option("--diagnose", help="Show which parts of the camera were tried.")]
+Joint = Annotated[
+    bool, typer.Option("--joint", help="Finally climb over all frames at once.")
+]
+Split = Annotated[
+    bool,
+    typer.Option(
+        "--split", help="Fit separately what came before and after the lens was changed."
+    ),
+]
+Plain = Annotated[
+    bool,
+    typer.Option("--plain", help="Use no part of the camera that the plan does not state."),
+]
+Diagnose = Annotated[
+    bool, typer.Option("--diagnose", help="Show which parts of the camera were tried.")
+]
 Workers = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Processes at once.", show_default="one for each core")
+    int | None,
+    typer.Option(
+        min=1, metavar="N", help="Processes at once.", show_default="one for each core"
+    ),
 ]
 
 
@@ -226,7 +289,9 @@ def _kept_if_interrupted(console: Console) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        console.hint = "; fits that are done are kept, and the same command goes on from there"
+        console.hint = (
+            "; fits that are done are kept, and the same command goes on from there"
+        )
         raise
 
 
@@ -237,7 +302,9 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
     """
     from labkit.findings import NO_ANSWER
 
-    said = {"session-mended"} | (set(NO_ANSWER) if results.unanswered else set())  # before the fit, and as the error
+    said = {"session-mended"} | (
+        set(NO_ANSWER) if results.unanswered else set()
+    )  # before the fit, and as the error
     for finding in results.findings:
         if finding.warns and finding.code not in said:
             console.warn(finding.text)
@@ -249,7 +316,9 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
         console.table(results.budget_rows())
     if results.joint:
         most = max(results.joint, key=results.joint.__getitem__)
-        console.say(f"jointly climbed: {most} moved most, by {results.joint[most]:.2f} standard errors")
+        console.say(
+            f"jointly climbed: {most} moved most, by {results.joint[most]:.2f} standard errors"
+        )
     console.say(f"results: {results.folder}/results.json")
     console.answer(results.as_json())
     if results.unanswered:
@@ -270,7 +339,9 @@ def _modes(noll: str | None) -> tuple[int, int] | None:
 def report(
     ctx: typer.Context,
     session: SessionPath,
-    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the results to report.")] = "latest",
+    name: Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the results to report.")
+    ] = "latest",
 ) -> None:
     """Write the report as one HTML page. It needs nothing beside it; figures also lie in the folder."""
     from labkit.report.html import write_report
@@ -278,7 +349,9 @@ def report(
     from labkit.session.session import Session
 
     console: Console = ctx.obj
-    _ = Session.open(session).plan  # one that was altered is named before anything is reported
+    _ = Session.open(
+        session
+    ).plan  # one that was altered is named before anything is reported
     made = write_report(Results.load(session, name))
     console.say(f"report: {made}")
     console.answer({"report": str(made)})
@@ -290,11 +363,22 @@ def advise(
     plan: PlanPath,
     ranges_mm: Annotated[
         list[float] | None,
-        typer.Option("--range", metavar="MM", help="A range; may be repeated.", show_default="the plan's"),
+        typer.Option(
+            "--range",
+            metavar="MM",
+            help="A range; may be repeated.",
+            show_default="the plan's",
+        ),
     ] = None,
-    electrons: Annotated[float, typer.Option(metavar="N", help="Electrons at white in one photograph.")] = 20_000,
+    electrons: Annotated[
+        float, typer.Option(metavar="N", help="Electrons at white in one photograph.")
+    ] = 20_000,
     want: Annotated[
-        float | None, typer.Option(metavar="WAVES", help="Report how many photographs this standard error requires.")
+        float | None,
+        typer.Option(
+            metavar="WAVES",
+            help="Report how many photographs this standard error requires.",
+        ),
     ] = None,
 ) -> None:
     """Predict what a plan will determine. Standard errors at each range and of the lens, and what would reduce them."""
@@ -303,7 +387,9 @@ def advise(
     from labkit.plan import Plan
 
     console: Console = ctx.obj
-    advice = advise_on(Plan.load(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want)
+    advice = advise_on(
+        Plan.load(plan), ranges_mm=ranges_mm, electrons=electrons, want_waves=want
+    )
     console.table(range_rows(advice))
     console.table(session_rows(advice))
     for note in advice.notes:
@@ -315,12 +401,23 @@ def advise(
 def study(
     ctx: typer.Context,
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="The study; a wrong name lists them.", autocompletion=studies)
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="The study; a wrong name lists them.",
+            autocompletion=studies,
+        ),
     ],
-    quick: Annotated[bool, typer.Option("--quick", help="Run a few trials only, to see that it works.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Run a few trials only, to see that it works.")
+    ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for figure, CSV and JSON.", show_default="nothing is written"),
+        typer.Option(
+            metavar="DIR",
+            help="Folder for figure, CSV and JSON.",
+            show_default="nothing is written",
+        ),
     ] = None,
     workers: Workers = None,
 ) -> None:

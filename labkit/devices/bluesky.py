@@ -99,7 +99,14 @@ class ScanRail:
 
     def describe(self) -> Reading:
         """What `read` gives."""
-        return {self.name: {"source": "labkit rail", "dtype": "number", "shape": [], "units": "mm"}}
+        return {
+            self.name: {
+                "source": "labkit rail",
+                "dtype": "number",
+                "shape": [],
+                "units": "mm",
+            }
+        }
 
     def read_configuration(self) -> Reading:
         """Its travel."""
@@ -109,7 +116,14 @@ class ScanRail:
 
     def describe_configuration(self) -> Reading:
         """What `read_configuration` gives."""
-        return {f"{self.name}_travel": {"source": "labkit rail", "dtype": "array", "shape": [2], "units": "mm"}}
+        return {
+            f"{self.name}_travel": {
+                "source": "labkit rail",
+                "dtype": "array",
+                "shape": [2],
+                "units": "mm",
+            }
+        }
 
     def _move(self) -> None:
         self.position = self._rail.move_to(self._sent_to_mm)
@@ -140,15 +154,26 @@ class ScanCamera:
 
     def read(self) -> Reading:
         """The file of the last photograph, and its exposure time."""
-        values = {"file": str(self._frame.path) if self._frame else "", "exposure_s": _exposure_s(self._frame)}
-        return {f"{self.name}_{key}": {"value": value, "timestamp": self._taken_at} for key, value in values.items()}
+        values = {
+            "file": str(self._frame.path) if self._frame else "",
+            "exposure_s": _exposure_s(self._frame),
+        }
+        return {
+            f"{self.name}_{key}": {"value": value, "timestamp": self._taken_at}
+            for key, value in values.items()
+        }
 
     def describe(self) -> Reading:
         """What `read` gives."""
         source = f"labkit {self._info.driver}"
         return {
             f"{self.name}_file": {"source": source, "dtype": "string", "shape": []},
-            f"{self.name}_exposure_s": {"source": source, "dtype": "number", "shape": [], "units": "s"},
+            f"{self.name}_exposure_s": {
+                "source": source,
+                "dtype": "number",
+                "shape": [],
+                "units": "s",
+            },
         }
 
     def read_configuration(self) -> Reading:
@@ -158,7 +183,13 @@ class ScanCamera:
 
     def describe_configuration(self) -> Reading:
         """What `read_configuration` gives."""
-        return {f"{self.name}_model": {"source": f"labkit {self._info.driver}", "dtype": "string", "shape": []}}
+        return {
+            f"{self.name}_model": {
+                "source": f"labkit {self._info.driver}",
+                "dtype": "string",
+                "shape": [],
+            }
+        }
 
     def _expose(self) -> None:
         while any(self._folder.glob(f"{self.name}_{self._number:04d}.*")):

@@ -102,7 +102,9 @@ def list_connected(probe: bool = False) -> Connected:
     try:
         devices = tuple(_usb_devices())
     except usb.core.NoBackendError:
-        notes += ("USB was not looked at: libusb is missing (Debian: apt-get install libusb-1.0-0)",)
+        notes += (
+            "USB was not looked at: libusb is missing (Debian: apt-get install libusb-1.0-0)",
+        )
     except usb.core.USBError as error:
         notes += (f"USB was not looked at: {error}",)
     if not PROC.is_dir():
@@ -115,7 +117,9 @@ def list_connected(probe: bool = False) -> Connected:
         notes += _hindrances(port.path, port.permitted, port.holders)
     rails, silent = _rails(ports) if probe else (None, ())
     drivers = {device: installed(device) for device in GROUPS}
-    return Connected(cameras, devices, ports, drivers, (*notes, *silent), rails, tuple(_open_pages()))
+    return Connected(
+        cameras, devices, ports, drivers, (*notes, *silent), rails, tuple(_open_pages())
+    )
 
 
 def udev_rules(connected: Connected) -> str:
@@ -125,13 +129,21 @@ def udev_rules(connected: Connected) -> str:
         "# sudo udevadm control --reload && sudo udevadm trigger, then plug the devices in again",
     ]
     rules = [
-        (device.vendor_product, device.name, 'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {ids}, {access}')
+        (
+            device.vendor_product,
+            device.name,
+            'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {ids}, {access}',
+        )
         for device in connected.usb or ()
         if device.is_camera
     ]
     rules += [
         # ModemManager takes every new port for a modem, and talks to it
-        (port.vendor_product, port.name, 'SUBSYSTEM=="tty", {ids}, {access}, ENV{{ID_MM_DEVICE_IGNORE}}="1"')
+        (
+            port.vendor_product,
+            port.name,
+            'SUBSYSTEM=="tty", {ids}, {access}, ENV{{ID_MM_DEVICE_IGNORE}}="1"',
+        )
         for port in connected.serial
     ]
     written = set()
@@ -140,12 +152,16 @@ def udev_rules(connected: Connected) -> str:
         if not ids or (vendor_product, rule) in written:
             continue
         written.add((vendor_product, rule))
-        attribute, group = ("ATTR", "plugdev") if "usb_device" in rule else ("ATTRS", "dialout")
+        attribute, group = (
+            ("ATTR", "plugdev") if "usb_device" in rule else ("ATTRS", "dialout")
+        )
         match = f'{attribute}{{idVendor}}=="{ids[1]}", {attribute}{{idProduct}}=="{ids[2]}"'
         access = f'MODE="0660", GROUP="{group}", TAG+="uaccess"'
         lines += [f"# {printable(name)}", rule.format(ids=match, access=access)]
     if not written:
-        lines.append("# no camera and no USB serial port is plugged in: plug them in and run this again")
+        lines.append(
+            "# no camera and no USB serial port is plugged in: plug them in and run this again"
+        )
     return "\n".join(lines)
 
 
@@ -165,7 +181,9 @@ def holders(paths: Iterable[str], proc: Path = PROC) -> dict[str, tuple[str, ...
             continue
         with suppress(OSError):  # gone meanwhile, or somebody else's
             opened = {os.readlink(handle) for handle in (folder / "fd").iterdir()}
-            name = printable((folder / "comm").read_text(encoding="utf-8", errors="replace").strip())
+            name = printable(
+                (folder / "comm").read_text(encoding="utf-8", errors="replace").strip()
+            )
             for path in opened & names_by_path.keys():
                 names_by_path[path].append(f"{name} ({folder.name})")
     return {path: tuple(sorted(names)) for path, names in names_by_path.items()}
@@ -175,9 +193,15 @@ def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[st
     """What keeps us from opening a device, in words."""
     notes: tuple[str, ...] = ()
     if not permitted:
-        notes += (f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",)
+        notes += (
+            f"{where}: no permission to open it; `labkit devices --udev` prints the rule that gives it",
+        )
     if names:
-        advice = "; let it go with: gio mount -s gphoto2" if any("gvfs" in name for name in names) else ""
+        advice = (
+            "; let it go with: gio mount -s gphoto2"
+            if any("gvfs" in name for name in names)
+            else ""
+        )
         notes += (f"{where}: in use by {', '.join(names)}{advice}",)
     return notes
 
@@ -188,7 +212,9 @@ def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
     notes: tuple[str, ...] = ()
     for name, find in finders().items():
         try:
-            seen = tuple(FoundCamera(address, printable(model)) for address, model in find())
+            seen = tuple(
+                FoundCamera(address, printable(model)) for address, model in find()
+            )
             found = (*(found or ()), *seen)
         except DeviceError as error:
             notes += (f"cameras of {name}: were not looked at: {error}",)
@@ -208,14 +234,18 @@ def _rails(ports: Iterable[SerialPort]) -> tuple[tuple[FoundRail, ...], tuple[st
                 notes.append(f"{port.path}: was not asked for a rail: {error}")
                 break
             if model is not None:
-                found.append(FoundRail(f"{name}:{port.stable_path or port.path}", printable(model)))
+                found.append(
+                    FoundRail(f"{name}:{port.stable_path or port.path}", printable(model))
+                )
                 break
     return tuple(found), tuple(notes)
 
 
 def _open_pages() -> Iterator[OpenPage]:
     for find in page_finders().values():
-        yield from (OpenPage(address, url, printable(text)) for address, url, text in find())
+        yield from (
+            OpenPage(address, url, printable(text)) for address, url, text in find()
+        )
 
 
 def _usb_devices() -> Iterator[UsbDevice]:
@@ -227,7 +257,11 @@ def _usb_devices() -> Iterator[UsbDevice]:
             where=f"{device.bus or 0:03d},{device.address or 0:03d}",
             vendor_product=f"{device.idVendor:04x}:{device.idProduct:04x}",
             name=_name(device),
-            is_camera=any(interface.bInterfaceClass == IMAGE_CLASS for setting in device for interface in setting),
+            is_camera=any(
+                interface.bInterfaceClass == IMAGE_CLASS
+                for setting in device
+                for interface in setting
+            ),
             holders=held[file],
             permitted=_may_open(file),
         )
@@ -260,6 +294,8 @@ def _may_open(path: str) -> bool:
 def _name(device: usb.core.Device) -> str:
     """Maker and product, as far as this user may read them."""
     try:
-        return printable(" ".join(str(word) for word in (device.manufacturer, device.product) if word))
+        return printable(
+            " ".join(str(word) for word in (device.manufacturer, device.product) if word)
+        )
     except (usb.core.USBError, ValueError, NotImplementedError):
         return ""

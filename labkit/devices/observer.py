@@ -18,7 +18,15 @@ class Observer(Protocol):
         """Something happened: the journal's events, and `doing` (what) as each step begins."""
         ...
 
-    def took(self, name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic, done: int, total: int) -> None:
+    def took(
+        self,
+        name: str,
+        kind: FrameKind,
+        range_mm: float | None,
+        mosaic: Mosaic,
+        done: int,
+        total: int,
+    ) -> None:
         """A photograph is safe in the session: done of total."""
         ...
 

@@ -51,7 +51,9 @@ class Operator:
     still: a context in which the terminal shows nothing else, so that one can type.
     """
 
-    def __init__(self, still: Callable[[], AbstractContextManager[object]] = nullcontext) -> None:
+    def __init__(
+        self, still: Callable[[], AbstractContextManager[object]] = nullcontext
+    ) -> None:
         self._still = still
         self._changed = threading.Condition()
         self._count = 0
@@ -75,14 +77,18 @@ class Operator:
         Raises DeviceError with nobody to ask, DeviceTimeoutError after an hour, KeyboardInterrupt from a page that aborts.
         """
         if not self.present:
-            raise DeviceError(f"someone is needed here ({text}): run this at a terminal, or with --monitor")
+            raise DeviceError(
+                f"someone is needed here ({text}): run this at a terminal, or with --monitor"
+            )
         with self._changed:
             self._count += 1
             self._question, self._answer = Question(self._count, text, wants), None
         self._notify()
         try:
             with self._still():
-                return self._wait(text if wants == "number" else f"{text}, then press Enter").strip()
+                return self._wait(
+                    text if wants == "number" else f"{text}, then press Enter"
+                ).strip()
         finally:
             with self._changed:
                 self._question = None
@@ -91,7 +97,11 @@ class Operator:
     def answer(self, number: int, text: str) -> bool:
         """Answer the question of that number; whether it was still open, and not answered by anyone else."""
         with self._changed:
-            accepted = self._question is not None and self._question.number == number and self._answer is None
+            accepted = (
+                self._question is not None
+                and self._question.number == number
+                and self._answer is None
+            )
             if accepted:
                 self._answer = text
                 self._changed.notify_all()
@@ -125,15 +135,22 @@ class Operator:
                     self._changed.wait(POLL_S)
                 if self._answer is not None:
                     if terminal is not None:
-                        print(f"answered on the operator's page: {self._answer or 'done'}", file=sys.stderr)
+                        print(
+                            f"answered on the operator's page: {self._answer or 'done'}",
+                            file=sys.stderr,
+                        )
                     return self._answer
             if typed:
                 return typed
             if typed == "":
                 terminal = None
                 if not self._pages:
-                    raise DeviceError(f"the terminal was closed before anyone answered: {prompt}")
-        raise DeviceTimeoutError(f"nobody answered within {ANSWER_S / 60:.0f} minutes: {prompt}")
+                    raise DeviceError(
+                        f"the terminal was closed before anyone answered: {prompt}"
+                    )
+        raise DeviceTimeoutError(
+            f"nobody answered within {ANSWER_S / 60:.0f} minutes: {prompt}"
+        )
 
 
 def _terminal() -> TextIO | None:

@@ -29,16 +29,24 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
     Raises TargetError if no such size is near, if the panel is too small, or if a radiance is above white.
     """
     cells = target.cells.shape if isinstance(target, CellTarget) else None
-    rows, cols = (whole_pixels(target.size_mm[i], cells[i] if cells else 1, panel.pitch_mm) for i in range(2))
+    rows, cols = (
+        whole_pixels(target.size_mm[i], cells[i] if cells else 1, panel.pitch_mm)
+        for i in range(2)
+    )
     if rows > panel.pixels[0] or cols > panel.pixels[1]:
         raise TargetError(
             f"the target takes {rows} × {cols} pixels of {panel.pitch_mm:g} mm; "
             f"the panel has {panel.pixels[0]} × {panel.pixels[1]}: take a smaller target"
         )
-    y_mm, x_mm = (((np.arange(n) + 0.5) / n - 0.5) * side for n, side in zip((rows, cols), target.size_mm, strict=True))
+    y_mm, x_mm = (
+        ((np.arange(n) + 0.5) / n - 0.5) * side
+        for n, side in zip((rows, cols), target.size_mm, strict=True)
+    )
     radiance = target.radiance(y_mm[:, None], x_mm[None, :])
     if radiance.max() > 1:
-        raise TargetError(f"the target's radiance goes up to {radiance.max():g}; a panel shows 0 to 1")
+        raise TargetError(
+            f"the target's radiance goes up to {radiance.max():g}; a panel shows 0 to 1"
+        )
     if target.surround:
         framed = np.full(panel.pixels, target.surround)
         top, left = (panel.pixels[0] - rows) // 2, (panel.pixels[1] - cols) // 2

@@ -36,7 +36,9 @@ def panel_info(settings: DisplaySettings) -> PanelInfo:
 
 def plan_panel(plan: Plan) -> PanelInfo | None:
     """The panel that a plan's target is shown on; None without one, or on paper. Raises PlanError."""
-    return None if plan.display is None or plan.display.by_hand else panel_info(plan.display)
+    return (
+        None if plan.display is None or plan.display.by_hand else panel_info(plan.display)
+    )
 
 
 def paper_panel(target: Target) -> PanelInfo:
@@ -63,7 +65,9 @@ def panel_pitch_mm(plan: Plan) -> float | None:
         return None
     if pixels.pitch_mm is None:
         if shown is None:
-            raise PlanError("target.pixels.pitch_mm is missing: give it, or the panel as [display] panel")
+            raise PlanError(
+                "target.pixels.pitch_mm is missing: give it, or the panel as [display] panel"
+            )
         return shown
     if shown is not None and abs(pixels.pitch_mm / shown - 1) > SAME_PITCH:
         raise PlanError(

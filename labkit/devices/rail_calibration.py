@@ -43,13 +43,18 @@ def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
             raise PlanError(f"--at {asked_mm[0]:g}: give two positions or more, far apart")
         for mm in asked_mm:
             if not travel.low_mm <= mm <= travel.high_mm:
-                raise PlanError(f"--at {mm:g}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm")
+                raise PlanError(
+                    f"--at {mm:g}: the rail goes from {travel.low_mm:g} to {travel.high_mm:g} mm"
+                )
         return tuple(asked_mm)
     if travel.high_mm - travel.low_mm > ENDLESS_MM:
         raise PlanError(
             "this rail does not report its travel: give positions to measure at, such as --at 10 --at 200 --at 390"
         )
-    return tuple(round(travel.low_mm + share * (travel.high_mm - travel.low_mm), 1) for share in SHARES)
+    return tuple(
+        round(travel.low_mm + share * (travel.high_mm - travel.low_mm), 1)
+        for share in SHARES
+    )
 
 
 def read_range(text: str, focal_length_mm: float) -> float:
@@ -62,13 +67,22 @@ def read_range(text: str, focal_length_mm: float) -> float:
         raise DataError(f"{shown(text)} is no range: type a number of mm, such as 1750")
     if range_mm <= focal_length_mm:
         metres = 1000 * range_mm
-        meant = f"; if metres were meant, type {metres:g}" if focal_length_mm < metres < LONGEST_MM else ""
-        raise DataError(f"{range_mm:g} mm is not beyond the focal length, {focal_length_mm:g} mm{meant}")
+        meant = (
+            f"; if metres were meant, type {metres:g}"
+            if focal_length_mm < metres < LONGEST_MM
+            else ""
+        )
+        raise DataError(
+            f"{range_mm:g} mm is not beyond the focal length, {focal_length_mm:g} mm{meant}"
+        )
     return range_mm
 
 
 def measure(
-    rail: Rail, places: Sequence[float], ask: Callable[[str], float], say: Callable[[str], None] | None
+    rail: Rail,
+    places: Sequence[float],
+    ask: Callable[[str], float],
+    say: Callable[[str], None] | None,
 ) -> tuple[list[float], list[float]]:
     """(positions, ranges) in mm, measured at places by whoever answers `ask`.
 
@@ -81,7 +95,9 @@ def measure(
     def take(k: int) -> float:
         before = ranges[k]
         positions[k] = rail.move_to(places[k])
-        ranges[k] = ask(f"The rail stands at {positions[k]:.3f} mm. Range from the target to the lens, in mm")
+        ranges[k] = ask(
+            f"The rail stands at {positions[k]:.3f} mm. Range from the target to the lens, in mm"
+        )
         return before
 
     for k in range(len(places)):
@@ -97,14 +113,18 @@ def measure(
     return positions, ranges
 
 
-def misfitting(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> tuple[int, ...]:
+def misfitting(
+    positions_mm: Sequence[float], ranges_mm: Sequence[float]
+) -> tuple[int, ...]:
     """Which readings to take again: the one without which the others agree, or all where there is not just one such."""
     every = range(len(positions_mm))
     if _agree(positions_mm, ranges_mm):
         return ()
     others = {k: [i for i in every if i != k] for k in every}
     suspects = [
-        k for k, kept in others.items() if _agree([positions_mm[i] for i in kept], [ranges_mm[i] for i in kept])
+        k
+        for k, kept in others.items()
+        if _agree([positions_mm[i] for i in kept], [ranges_mm[i] for i in kept])
     ]
     return tuple(suspects) if len(suspects) == 1 else tuple(every)
 
@@ -126,7 +146,9 @@ def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> Rail
     at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0
     if span_mm < 2 * TAPE_MM:
-        raise DataError(f"the places measured lie {span_mm:g} mm apart: take some at least {2 * TAPE_MM:g} mm apart")
+        raise DataError(
+            f"the places measured lie {span_mm:g} mm apart: take some at least {2 * TAPE_MM:g} mm apart"
+        )
     slope = float(np.polynomial.Polynomial.fit(at, ranges, 1).convert().coef[1])
     if abs(abs(slope) - 1) > 2 * TAPE_MM / span_mm:
         raise DataError(

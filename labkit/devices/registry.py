@@ -19,7 +19,14 @@ from typing import Any
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.observer import Monitor, Observed, Observer
 from labkit.devices.operator import AnswerPage
-from labkit.devices.protocols import Camera, Controller, Display, Rail, SeesDisplay, Timekeeper
+from labkit.devices.protocols import (
+    Camera,
+    Controller,
+    Display,
+    Rail,
+    SeesDisplay,
+    Timekeeper,
+)
 from labkit.errors import PlanError
 from labkit.plan import Plan
 from labkit.plan.tables import BY_HAND
@@ -93,7 +100,9 @@ def open_controller(address: str, plan: Plan, context: DeviceContext) -> Control
 
 
 @contextmanager
-def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContext | None = None) -> Iterator[Devices]:
+def open_devices(
+    plan: Plan, simulated: str | None = None, context: DeviceContext | None = None
+) -> Iterator[Devices]:
     """All three devices of a plan, opened together and closed together.
 
     simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
@@ -105,11 +114,17 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
     """
     context = context or DeviceContext()
     if plan.camera is None or plan.rail is None:
-        missing = ", ".join(f"[{name}]" for name in ("camera", "rail") if getattr(plan, name) is None)
-        raise PlanError(f"the plan has no {missing}: to capture, it needs [camera] and [rail]")
+        missing = ", ".join(
+            f"[{name}]" for name in ("camera", "rail") if getattr(plan, name) is None
+        )
+        raise PlanError(
+            f"the plan has no {missing}: to capture, it needs [camera] and [rail]"
+        )
     shown_at = BY_HAND if plan.display is None else plan.display.address
     with ExitStack() as stack:
-        camera = stack.enter_context(open_camera(simulated or plan.camera.address, plan, context))
+        camera = stack.enter_context(
+            open_camera(simulated or plan.camera.address, plan, context)
+        )
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, context))
         display = stack.enter_context(open_display(simulated or shown_at, plan, context))
         if isinstance(camera, SeesDisplay):
@@ -125,14 +140,26 @@ def open_devices(plan: Plan, simulated: str | None = None, context: DeviceContex
 
 def observers_of(context: DeviceContext, devices: Iterable[object]) -> tuple[Observer, ...]:
     """The caller's observers and those that devices bring with them, such as a web display's monitor; each once."""
-    brought = [observer for device in devices if isinstance(device, Observed) for observer in device.observers]
-    return tuple({id(observer): observer for observer in (*context.observers, *brought)}.values())
+    brought = [
+        observer
+        for device in devices
+        if isinstance(device, Observed)
+        for observer in device.observers
+    ]
+    return tuple(
+        {id(observer): observer for observer in (*context.observers, *brought)}.values()
+    )
 
 
 def _open(device: str, address: str, plan: Plan, context: DeviceContext) -> Any:
     scheme = address.partition(":")[0]
     found = entry_points(group=GROUPS[device], name=scheme)
     if not found:
-        known = ", ".join(f"{name}:" for name in installed(device)) or "none (is labkit installed?)"
-        raise PlanError(f'{device}.address = "{address}": no driver "{scheme}" for a {device}; installed: {known}')
+        known = (
+            ", ".join(f"{name}:" for name in installed(device))
+            or "none (is labkit installed?)"
+        )
+        raise PlanError(
+            f'{device}.address = "{address}": no driver "{scheme}" for a {device}; installed: {known}'
+        )
     return next(iter(found)).load()(address, plan, context)

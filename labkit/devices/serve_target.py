@@ -29,13 +29,18 @@ RETRY_S = 1.0
 
 
 def serve_target(
-    target: Target, displays: Sequence[Display], context: DeviceContext, going: Callable[[], bool] = lambda: True
+    target: Target,
+    displays: Sequence[Display],
+    context: DeviceContext,
+    going: Callable[[], bool] = lambda: True,
 ) -> None:
     """Show the target on every display, then whatever of CHOICES comes by context.requests, while `going`.
 
     A display that is not right is waited for, without end. Raises TargetError for a panel that it does not fit.
     """
-    pictures = {name: [_picture(name, target, display) for display in displays] for name in CHOICES}
+    pictures = {
+        name: [_picture(name, target, display) for display in displays] for name in CHOICES
+    }
     queues: list[SimpleQueue[Picture]] = [SimpleQueue() for _ in displays]
     ended = threading.Event()
 
@@ -43,7 +48,9 @@ def serve_target(
         return going() and not ended.is_set()
 
     for display, queue in zip(displays, queues, strict=True):
-        threading.Thread(target=_keep_showing, args=(display, queue, context, serving), daemon=True).start()
+        threading.Thread(
+            target=_keep_showing, args=(display, queue, context, serving), daemon=True
+        ).start()
     observers = observers_of(context, displays)
     picked = TARGET
     try:
@@ -68,16 +75,27 @@ def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str
             raise PlanError(f"plan {spec}: it has no [display]; add one, or give --panel")
         return [(settings.address, Plan.model_construct(display=settings))]
     if not panels:
-        raise PlanError(f"which panel? Give --panel, one of {', '.join(sorted(PANELS))}; or a plan with [display]")
+        raise PlanError(
+            f"which panel? Give --panel, one of {', '.join(sorted(PANELS))}; or a plan with [display]"
+        )
     plans = []
     for number, panel in enumerate(panels, 1):
         address = f"web://{listen}" + (f"/{number}" if len(panels) > 1 else "")
-        plans.append((address, Plan.model_construct(display=DisplaySettings(address=address, panel=panel))))
+        plans.append(
+            (
+                address,
+                Plan.model_construct(display=DisplaySettings(address=address, panel=panel)),
+            )
+        )
     return plans
 
 
 def _picture(name: str, target: Target, display: Display) -> Picture:
-    return panel_picture(target, display.panel).grey if name == TARGET else pattern(name, display.panel)
+    return (
+        panel_picture(target, display.panel).grey
+        if name == TARGET
+        else pattern(name, display.panel)
+    )
 
 
 def _next_request(context: DeviceContext, going: Callable[[], bool]) -> str | None:
@@ -92,7 +110,10 @@ def _next_request(context: DeviceContext, going: Callable[[], bool]) -> str | No
 
 
 def _keep_showing(
-    display: Display, queue: SimpleQueue[Picture], context: DeviceContext, going: Callable[[], bool]
+    display: Display,
+    queue: SimpleQueue[Picture],
+    context: DeviceContext,
+    going: Callable[[], bool],
 ) -> None:
     """Show the latest of the queue's pictures, again until it is shown or there is a later one."""
     wanted: Picture | None = None

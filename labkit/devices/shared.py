@@ -36,7 +36,12 @@ class SharedParts:
         self._made: dict[str, _Shared] = {}
         self._lock = threading.RLock()
 
-    def lease(self, key: str, make: Callable[[], Part], end: Callable[[Part], None] = lambda part: None) -> Lease[Part]:
+    def lease(
+        self,
+        key: str,
+        make: Callable[[], Part],
+        end: Callable[[Part], None] = lambda part: None,
+    ) -> Lease[Part]:
         """The part of that key, made by `make` if there is none; `end` is called with it after its last user."""
         with self._lock:
             if key in self._given:
@@ -45,13 +50,18 @@ class SharedParts:
             if shared is None:
                 shared = self._made[key] = _Shared(make(), end)
             shared.users += 1
-            held = [shared]  # emptied by the first call, so that a second one counts nothing
+            held = [
+                shared
+            ]  # emptied by the first call, so that a second one counts nothing
             return Lease(shared.part, lambda: self._release(key, held))
 
     def items(self) -> tuple[tuple[str, Any], ...]:
         """(key, part) of everything that is there now."""
         with self._lock:
-            return (*self._given.items(), *((key, shared.part) for key, shared in self._made.items()))
+            return (
+                *self._given.items(),
+                *((key, shared.part) for key, shared in self._made.items()),
+            )
 
     def values(self) -> tuple[Any, ...]:
         """Everything that is there now."""

@@ -27,7 +27,9 @@ def pattern(name: str, panel: PanelInfo) -> Grey:
             return np.zeros(panel.pixels, dtype=np.uint8)
         case "grey":
             # half the light of white
-            return np.full(panel.pixels, round(255 * 0.5 ** (1 / panel.gamma)), dtype=np.uint8)
+            return np.full(
+                panel.pixels, round(255 * 0.5 ** (1 / panel.gamma)), dtype=np.uint8
+            )
         case "focus":
             return _focus(panel)
         case "alignment":
@@ -38,16 +40,24 @@ def pattern(name: str, panel: PanelInfo) -> Grey:
 def _focus(panel: PanelInfo) -> Grey:
     """A star of black and white sectors, and patches of lines 1 to 8 pixels wide, upright and lying, round it."""
     rows, cols = panel.pixels
-    y, x = np.mgrid[:rows, :cols] - np.array([(rows - 1) / 2, (cols - 1) / 2])[:, None, None]
+    y, x = (
+        np.mgrid[:rows, :cols] - np.array([(rows - 1) / 2, (cols - 1) / 2])[:, None, None]
+    )
     sector = np.floor(np.arctan2(y, x) * SECTORS / (2 * np.pi)).astype(int)
-    picture = np.where((sector % 2 == 0) & (np.hypot(y, x) < 0.3 * min(rows, cols)), 255, 0).astype(np.uint8)
+    picture = np.where(
+        (sector % 2 == 0) & (np.hypot(y, x) < 0.3 * min(rows, cols)), 255, 0
+    ).astype(np.uint8)
     side = min(rows, cols) // 8
     pitch = min(cols // len(LINE_WIDTHS_PX), side * 2)
     for i, width in enumerate(LINE_WIDTHS_PX):
-        left = cols // 2 + round((i - len(LINE_WIDTHS_PX) / 2) * pitch) + (pitch - side) // 2
+        left = (
+            cols // 2 + round((i - len(LINE_WIDTHS_PX) / 2) * pitch) + (pitch - side) // 2
+        )
         lines = (np.arange(side) // width % 2 == 0).astype(np.uint8) * 255
         picture[side // 4 : side // 4 + side, left : left + side] = lines[None, :]
-        picture[rows - side // 4 - side : rows - side // 4, left : left + side] = lines[:, None]
+        picture[rows - side // 4 - side : rows - side // 4, left : left + side] = lines[
+            :, None
+        ]
     return picture
 
 
@@ -59,7 +69,9 @@ def _alignment(panel: PanelInfo) -> Grey:
     rows, cols = panel.pixels
     picture = np.zeros(panel.pixels, dtype=np.uint8)
     picture[[0, -1], :] = picture[:, [0, -1]] = 255
-    picture[(rows - 1) // 2 : rows // 2 + 1, :] = picture[:, (cols - 1) // 2 : cols // 2 + 1] = 255
+    picture[(rows - 1) // 2 : rows // 2 + 1, :] = picture[
+        :, (cols - 1) // 2 : cols // 2 + 1
+    ] = 255
     for every_mm, length in TICKS_MM:
         for axis, view in ((0, picture), (1, picture.T)):
             middle, across = view.shape[0] / 2, view.shape[1] // 2
@@ -72,13 +84,22 @@ def _alignment(panel: PanelInfo) -> Grey:
 
 
 def _mark_corners(picture: Grey) -> None:
-    side = min(picture.shape) // 8 // 8 * 8  # whole pixels for the 6 cells of a mark and a white cell around
+    side = (
+        min(picture.shape) // 8 // 8 * 8
+    )  # whole pixels for the 6 cells of a mark and a white cell around
     if side == 0:
         return
     margin, cell = side // 2, side // 8
     marks = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    places = ((margin, margin), (margin, -margin - side), (-margin - side, -margin - side), (-margin - side, margin))
+    places = (
+        (margin, margin),
+        (margin, -margin - side),
+        (-margin - side, -margin - side),
+        (-margin - side, margin),
+    )
     for number, (top, left) in enumerate(places):
         place = picture[top:, left:][:side, :side]
         place[:] = 255
-        place[cell:-cell, cell:-cell] = cv2.aruco.generateImageMarker(marks, number, 6 * cell)
+        place[cell:-cell, cell:-cell] = cv2.aruco.generateImageMarker(
+            marks, number, 6 * cell
+        )

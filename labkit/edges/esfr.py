@@ -17,8 +17,14 @@ from labkit.types import Bools, Floats
 from labkit.uncertain import Uncertain
 
 OVERSAMPLING = 4  # bins to a pixel
-LEAST_SLANT, MOST_SLANT = 1.5, 42.0  # degrees from the lines' normal, between which the bins are filled evenly
-LEAST_LINES, LEAST_CHANGE = 8, 0.2  # that cross the edge; and how much of the greatest change counts as that
+LEAST_SLANT, MOST_SLANT = (
+    1.5,
+    42.0,
+)  # degrees from the lines' normal, between which the bins are filled evenly
+LEAST_LINES, LEAST_CHANGE = (
+    8,
+    0.2,
+)  # that cross the edge; and how much of the greatest change counts as that
 MOST_CORRECTION = 10.0  # of the derivative's own response
 HIGHEST = 2.0  # cycles a sample, up to which curves are given
 
@@ -68,7 +74,9 @@ def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
             f"{LEAST_SLANT:g} to {MOST_SLANT:g}"
         )
     distance, values = _projected(turned, slope, offset)
-    across_mm = step * pitch_um * 1e-3 * np.cos(np.arctan(slope))  # of one sample along a line, across the edge
+    across_mm = (
+        step * pitch_um * 1e-3 * np.cos(np.arctan(slope))
+    )  # of one sample along a line, across the edge
     return _response(distance / step, values, turned[0].values.shape[1], across_mm, slant)
 
 
@@ -91,7 +99,9 @@ def _line(planes: Sequence[Plane]) -> tuple[float, float]:
         crossings = [_crossings(plane, fitted) for plane in planes]
         row, column = (np.concatenate(each) for each in zip(*crossings, strict=True))
         if row.size < LEAST_LINES:
-            raise DataError(f"{row.size} lines cross the edge: the method of ISO 12233 needs {LEAST_LINES}")
+            raise DataError(
+                f"{row.size} lines cross the edge: the method of ISO 12233 needs {LEAST_LINES}"
+            )
         slope, offset = np.polyfit(row, column, 1)
         fitted = float(slope), float(offset)
     assert fitted is not None
@@ -116,10 +126,14 @@ def _crossings(plane: Plane, line: tuple[float, float] | None) -> tuple[Floats, 
 
 def _hamming(off: Floats, width: float) -> Floats:
     """Hamming's window of a width about 0, 0 outside it."""
-    return np.where(np.abs(off) <= width / 2, 0.54 + 0.46 * np.cos(2 * np.pi * off / width), 0.0)
+    return np.where(
+        np.abs(off) <= width / 2, 0.54 + 0.46 * np.cos(2 * np.pi * off / width), 0.0
+    )
 
 
-def _projected(planes: Sequence[Plane], slope: float, offset: float) -> tuple[Floats, Floats]:
+def _projected(
+    planes: Sequence[Plane], slope: float, offset: float
+) -> tuple[Floats, Floats]:
     """(n,) each: distance from the line along rows, in pixels of the raw, and value, of all samples.
 
     Of the lines only a whole number of the edge's passages from column to column, so that all phases have equal parts.
@@ -136,7 +150,9 @@ def _projected(planes: Sequence[Plane], slope: float, offset: float) -> tuple[Fl
     return np.concatenate(distances), np.concatenate(values)
 
 
-def _response(distance: Floats, values: Floats, width: int, across_mm: float, slant: float) -> Esfr:
+def _response(
+    distance: Floats, values: Floats, width: int, across_mm: float, slant: float
+) -> Esfr:
     """From samples (n,) at distances, in samples along a line, of which there are `width`. across_mm: what one of them is
     across the edge."""
     low, high = np.percentile(distance, (2, 98))
@@ -163,7 +179,9 @@ def _response(distance: Floats, values: Floats, width: int, across_mm: float, sl
     value = np.abs(spectrum) / np.abs(spectrum[0]) * correction
     phase = np.conj(spectrum / np.maximum(np.abs(spectrum), 1e-30))
     by_bin = (phase[:, None] * transform).real / np.abs(spectrum[0]) * correction[:, None]
-    by_bin -= value[:, None] * (transform[0].real * np.sign(spectrum[0].real) / np.abs(spectrum[0]))
+    by_bin -= value[:, None] * (
+        transform[0].real * np.sign(spectrum[0].real) / np.abs(spectrum[0])
+    )
     std = np.sqrt(by_bin**2 @ variance)
     frequency = cycles * OVERSAMPLING / across_mm
     mtf50, mtf10 = (crossing(frequency, value, std, level) for level in (0.5, 0.1))
@@ -185,7 +203,9 @@ def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
     freedom = np.maximum(many - 1, 0)
     # the scatter follows the light: pooled over neighbouring bins
     wide = np.ones(9)
-    pooled = np.convolve(scatter, wide, "same") / np.maximum(np.convolve(freedom, wide, "same"), 1)
+    pooled = np.convolve(scatter, wide, "same") / np.maximum(
+        np.convolve(freedom, wide, "same"), 1
+    )
     return mean, pooled / np.maximum(many, 1)
 
 

@@ -36,10 +36,14 @@ class FoundEdge:
         y, x = rows - self.middle[0], columns - self.middle[1]
         across = x * np.cos(self.angle) + y * np.sin(self.angle)
         along = y * np.cos(self.angle) - x * np.sin(self.angle)
-        return np.asarray((np.abs(across) <= depth_px) & (np.abs(along) <= self.length_px / 2))
+        return np.asarray(
+            (np.abs(across) <= depth_px) & (np.abs(along) <= self.length_px / 2)
+        )
 
 
-def find_edges(picture: Floats, first: tuple[int, int] = (0, 0), step: int = 1, most: int = 60) -> list[FoundEdge]:
+def find_edges(
+    picture: Floats, first: tuple[int, int] = (0, 0), step: int = 1, most: int = 60
+) -> list[FoundEdge]:
     """Straight edges between two even sides, the clearest first, none upon another.
 
     picture: (rows, columns) of one colour, black removed, whose samples lie `step` pixels of the raw apart from (row, column)
@@ -53,10 +57,18 @@ def find_edges(picture: Floats, first: tuple[int, int] = (0, 0), step: int = 1, 
     stretched = np.sqrt(np.clip((picture - low) / (high - low), 0, 1))
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
     lines = detector.detect(np.round(255 * stretched).astype(np.uint8))[0]
-    pieces = [] if lines is None else [p for line in lines.reshape(-1, 4) for p in _pieces(line.astype(float))]
+    pieces = (
+        []
+        if lines is None
+        else [p for line in lines.reshape(-1, 4) for p in _pieces(line.astype(float))]
+    )
     judged = [(piece, *_judged(picture, *piece)) for piece in pieces]
     scale = float(high - low)
-    good = [(start, end, rise) for (start, end), rise, even in judged if even and abs(rise) > LEAST_STEP * scale]
+    good = [
+        (start, end, rise)
+        for (start, end), rise, even in judged
+        if even and abs(rise) > LEAST_STEP * scale
+    ]
     good.sort(key=lambda of: -abs(of[2]) * np.hypot(*(of[1] - of[0])))
     found: list[FoundEdge] = []
     for start, end, rise in good:
@@ -93,7 +105,12 @@ def _judged(picture: Floats, start: Floats, end: Floats) -> tuple[float, bool]:
     for sign in (-1, 1):
         x = start[0] + along[0] * steps[:, None] + sign * normal[0] * depth
         y = start[1] + along[1] * steps[:, None] + sign * normal[1] * depth
-        if x.min() < 0 or y.min() < 0 or x.max() > picture.shape[1] - 1 or y.max() > picture.shape[0] - 1:
+        if (
+            x.min() < 0
+            or y.min() < 0
+            or x.max() > picture.shape[1] - 1
+            or y.max() > picture.shape[0] - 1
+        ):
             return 0.0, False
         sides.append(picture[np.round(y).astype(int), np.round(x).astype(int)])
     rise = float(np.median(sides[1]) - np.median(sides[0]))
@@ -102,13 +119,23 @@ def _judged(picture: Floats, start: Floats, end: Floats) -> tuple[float, bool]:
 
 
 def _found(
-    start: Floats, end: Floats, rise: float, share: float, first: tuple[int, int], step: int, shape: tuple[int, ...]
+    start: Floats,
+    end: Floats,
+    rise: float,
+    share: float,
+    first: tuple[int, int],
+    step: int,
+    shape: tuple[int, ...],
 ) -> FoundEdge:
     """In pixels of the raw."""
     along = end - start
     angle = float(np.arctan2(along[0], -along[1])) + (np.pi if rise < 0 else 0.0)
     corners = np.array(
-        [at + sign * DEEP * np.array([np.cos(angle), np.sin(angle)]) for at in (start, end) for sign in (-1, 1)]
+        [
+            at + sign * DEEP * np.array([np.cos(angle), np.sin(angle)])
+            for at in (start, end)
+            for sign in (-1, 1)
+        ]
     )
     low = np.floor(corners.min(axis=0)).clip(0)
     high = np.minimum(np.ceil(corners.max(axis=0)) + 1, [shape[1], shape[0]])
@@ -121,7 +148,11 @@ def _found(
     middle = (start + end) / 2
     where = (first[0] + step * float(middle[1]), first[1] + step * float(middle[0]))
     return FoundEdge(
-        box, where, float((angle + np.pi) % (2 * np.pi) - np.pi), step * float(np.hypot(*along)), abs(share)
+        box,
+        where,
+        float((angle + np.pi) % (2 * np.pi) - np.pi),
+        step * float(np.hypot(*along)),
+        abs(share),
     )
 
 

@@ -26,8 +26,13 @@ from labkit.types import Floats
 
 NOISE = 2  # log gain, log read variance of a frame
 MOST_NOISE_STEP = 1.0
-MOST_WAVES_STEP = 0.5  # near best focus the information on defocus vanishes, and a step by it has no end
-EXACTLY, ROUGHLY = 0.03, 0.3  # standard errors of the last step: of a climb, and of one that only begins another
+MOST_WAVES_STEP = (
+    0.5  # near best focus the information on defocus vanishes, and a step by it has no end
+)
+EXACTLY, ROUGHLY = (
+    0.03,
+    0.3,
+)  # standard errors of the last step: of a climb, and of one that only begins another
 USUAL_MODE_STD = 0.05  # waves RMS of a mode of a lens that nothing is known of, where one is fitted along
 
 
@@ -42,8 +47,12 @@ class LensPrior:
 
     def __post_init__(self) -> None:
         modes = len(self.mean)
-        if self.covariance.shape != (modes, modes) or not np.all(np.linalg.eigvalsh(self.covariance) > 0):
-            raise ValueError(f"{modes} modes need a positive covariance ({modes}, {modes}), waves RMS squared")
+        if self.covariance.shape != (modes, modes) or not np.all(
+            np.linalg.eigvalsh(self.covariance) > 0
+        ):
+            raise ValueError(
+                f"{modes} modes need a positive covariance ({modes}, {modes}), waves RMS squared"
+            )
         object.__setattr__(self, "precision", np.linalg.inv(self.covariance))
 
     @classmethod
@@ -65,20 +74,30 @@ class EdgeState:
     @property
     def vector(self) -> Floats:
         """All parameters in the thesis's order."""
-        return np.concatenate([self.modes, self.log_noise.ravel(), self.defoci, self.edges.ravel()])
+        return np.concatenate(
+            [self.modes, self.log_noise.ravel(), self.defoci, self.edges.ravel()]
+        )
 
     def at(self, vector: Floats) -> EdgeState:
         """The state of another vector."""
         ends = np.cumsum([self.modes.size, self.log_noise.size, self.defoci.size])
         modes, noise, defoci, edges = np.split(vector, ends)
-        return EdgeState(modes, noise.reshape(self.log_noise.shape), defoci, edges.reshape(self.edges.shape))
+        return EdgeState(
+            modes,
+            noise.reshape(self.log_noise.shape),
+            defoci,
+            edges.reshape(self.edges.shape),
+        )
 
     def moved(self, step: Floats) -> EdgeState:
         """After a step in all parameters, that of the noise held within a factor of e, those of waves within half a wave."""
         noise = slice(self.modes.size, self.modes.size + self.log_noise.size)
         step = step.copy()
         step[noise] = np.clip(step[noise], -MOST_NOISE_STEP, MOST_NOISE_STEP)
-        for waves in (slice(0, noise.start), slice(noise.stop, noise.stop + self.defoci.size)):
+        for waves in (
+            slice(0, noise.start),
+            slice(noise.stop, noise.stop + self.defoci.size),
+        ):
             step[waves] = np.clip(step[waves], -MOST_WAVES_STEP, MOST_WAVES_STEP)
         return self.at(self.vector + step)
 
@@ -106,9 +125,13 @@ class EdgeProblem:
                 f"noll = {[of.noll for of in self.optics]}: the same of all colours is needed, defocus first"
             )
         if len(self.lens.mean) != len(self.noll) - 1:
-            raise ValueError(f"{len(self.lens.mean)} modes in the lens's prior: {len(self.noll) - 1} are needed")
+            raise ValueError(
+                f"{len(self.lens.mean)} modes in the lens's prior: {len(self.noll) - 1} are needed"
+            )
         if not self.regions or max(r.frame for r in self.regions) >= len(self.noise):
-            raise ValueError(f"{len(self.regions)} regions, noise of {len(self.noise)} frames: each needs its frame's")
+            raise ValueError(
+                f"{len(self.regions)} regions, noise of {len(self.noise)} frames: each needs its frame's"
+            )
 
     @property
     def noll(self) -> tuple[int, ...]:
@@ -128,22 +151,38 @@ class EdgeProblem:
         """(modes,) of the wavefront behind a region."""
         return np.concatenate([state.defoci[self.regions[k].depth, None], state.modes])
 
-    def start(self, defoci: Sequence[float], edges: Sequence[Edge], log_noise: Floats | None = None) -> EdgeState:
+    def start(
+        self,
+        defoci: Sequence[float],
+        edges: Sequence[Edge],
+        log_noise: Floats | None = None,
+    ) -> EdgeState:
         """Defoci, edges and noise (frames, 2), and all else as it is expected to be."""
-        noise = np.array([of.centre for of in self.noise]) if log_noise is None else log_noise
-        return EdgeState(self.lens.mean.copy(), noise, np.array(defoci, float), np.array([e.theta for e in edges]))
+        noise = (
+            np.array([of.centre for of in self.noise]) if log_noise is None else log_noise
+        )
+        return EdgeState(
+            self.lens.mean.copy(),
+            noise,
+            np.array(defoci, float),
+            np.array([e.theta for e in edges]),
+        )
 
     def slopes(self, state: EdgeState, k: int) -> tuple[Slopes, list[int]]:
         """A region's mean and variance with their slopes, (5.47)-(5.48), and where its parameters stand among all: those of the
         mean, then the noise's two."""
         region = self.regions[k]
-        mean, by_edge, by_waves = mean_and_slopes(region, state.edge(k), self.optics_of(k), self.waves(state, k))
+        mean, by_edge, by_waves = mean_and_slopes(
+            region, state.edge(k), self.optics_of(k), self.waves(state, k)
+        )
         gain, read_variance = np.exp(state.log_noise[region.frame])
         modes, noise = state.modes.size, state.modes.size + state.log_noise.size
         places = [noise + region.depth, *range(modes)]
         places += [noise + state.defoci.size + EDGE_SIZE * k + i for i in range(EDGE_SIZE)]
         places += [modes + NOISE * region.frame, modes + NOISE * region.frame + 1]
-        return Slopes(mean, gain, read_variance, of_mean=np.concatenate([by_waves, by_edge])), places
+        return Slopes(
+            mean, gain, read_variance, of_mean=np.concatenate([by_waves, by_edge])
+        ), places
 
     def objective(self, state: EdgeState) -> float:
         """Log-likelihood of everything measured, the priors included, but for its constant. Thesis (5.49)."""
@@ -177,7 +216,11 @@ class EdgeProblem:
         per_edge = ("angle", "distance", "near", "far")
         return (
             *(f"mode {j}" for j in self.noll[1:]),
-            *(f"{name} of frame {j}" for j in range(len(self.noise)) for name in ("gain", "read variance")),
+            *(
+                f"{name} of frame {j}"
+                for j in range(len(self.noise))
+                for name in ("gain", "read variance")
+            ),
             *(f"defocus {g}" for g in range(state.defoci.size)),
             *(f"{name} of edge {k}" for k in range(len(self.regions)) for name in per_edge),
         )
@@ -189,7 +232,12 @@ class EdgeProblem:
     def alone(self, k: int) -> EdgeProblem:
         """One region by itself."""
         region = replace(self.regions[k], frame=0, depth=0, light=0)
-        return replace(self, optics=(self.optics_of(k),), regions=(region,), noise=(self.noise[self.regions[k].frame],))
+        return replace(
+            self,
+            optics=(self.optics_of(k),),
+            regions=(region,),
+            noise=(self.noise[self.regions[k].frame],),
+        )
 
 
 @dataclass(frozen=True)
@@ -205,7 +253,9 @@ class EdgeFit:
 
     def defocus(self, depth: int = 0) -> tuple[float, float]:
         """Waves RMS at the reference, and its standard error."""
-        return float(self.state.defoci[depth]), float(np.sqrt(self.defocus_covariance([depth])[0, 0]))
+        return float(self.state.defoci[depth]), float(
+            np.sqrt(self.defocus_covariance([depth])[0, 0])
+        )
 
     def defocus_covariance(self, depths: Sequence[int]) -> Floats:
         """(n, n) of some defoci, waves RMS squared."""
@@ -220,7 +270,12 @@ class EdgeFit:
 
     def edge_std(self, k: int) -> Floats:
         """(4,) standard errors of an edge's angle (radians), distance (pixels) and radiances (counts)."""
-        first = self.state.modes.size + self.state.log_noise.size + self.state.defoci.size + EDGE_SIZE * k
+        first = (
+            self.state.modes.size
+            + self.state.log_noise.size
+            + self.state.defoci.size
+            + EDGE_SIZE * k
+        )
         return np.asarray(np.sqrt(np.diag(self.covariance)[first : first + EDGE_SIZE]))
 
     def residuals(self, k: int) -> Floats:
@@ -251,10 +306,16 @@ def fit_edges(
         (`labkit.edges.search`)
     """
     if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
-        raise ValueError("no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere")
-    end, steps, converged = climb(_Scored(problem, start, tuple(held)), tolerance=tolerance, max_steps=max_steps)
+        raise ValueError(
+            "no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere"
+        )
+    end, steps, converged = climb(
+        _Scored(problem, start, tuple(held)), tolerance=tolerance, max_steps=max_steps
+    )
     information = end.scored[2]
-    return EdgeFit(problem, end.state, end.objective, inverse(information), steps, converged)
+    return EdgeFit(
+        problem, end.state, end.objective, inverse(information), steps, converged
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,19 +39,29 @@ def sides_of(ends: Sequence[EdgeFit]) -> tuple[Side, ...]:
         return any(low <= end.defocus()[0] <= high for low, high in followed)
 
     straight = [_is_parabola(end, 0) for end in ends]
-    for end in (end for end, is_straight in zip(ends, straight, strict=True) if not is_straight):
+    for end in (
+        end for end, is_straight in zip(ends, straight, strict=True) if not is_straight
+    ):
         if not seen(end):
             values, likelihood = _profile(end, 0)
             followed.append((values[0], values[-1]))
             sides += _sides(values, likelihood)
-    sides += [side_of(end) for end, is_straight in zip(ends, straight, strict=True) if is_straight and not seen(end)]
+    sides += [
+        side_of(end)
+        for end, is_straight in zip(ends, straight, strict=True)
+        if is_straight and not seen(end)
+    ]
     return tuple(sorted(sides, key=lambda side: -side.log_likelihood))
 
 
 def side_of(fit: EdgeFit, depth: int = 0) -> Side:
     """By the curvature. Where no other even mode is known, only the square of defocus is near zero."""
     value, std = fit.defocus(depth)
-    return Side(value, std if np.any(fit.problem.lens.mean) else symmetric_error(value, std), fit.objective)
+    return Side(
+        value,
+        std if np.any(fit.problem.lens.mean) else symmetric_error(value, std),
+        fit.objective,
+    )
 
 
 def near_focus(fit: EdgeFit, depth: int = 0) -> tuple[Side, ...] | None:
@@ -67,7 +77,10 @@ def _is_parabola(fit: EdgeFit, depth: int) -> bool:
     best, std = fit.defocus(depth)
     if not std < WIDEST:
         return False
-    fallen = [fit.objective - _held(fit, fit.state, depth, best + by * std)[1] for by in (-PROBED, PROBED)]
+    fallen = [
+        fit.objective - _held(fit, fit.state, depth, best + by * std)[1]
+        for by in (-PROBED, PROBED)
+    ]
     return max(abs(of - PROBED**2 / 2) for of in fallen) < BENT
 
 
@@ -85,21 +98,31 @@ def _profile(fit: EdgeFit, depth: int) -> tuple[Floats, Floats]:
     return values, likelihood
 
 
-def _follow(fit: EdgeFit, depth: int, found: dict[float, tuple[EdgeState, float]], values: Floats) -> None:
+def _follow(
+    fit: EdgeFit, depth: int, found: dict[float, tuple[EdgeState, float]], values: Floats
+) -> None:
     """Add values, one after another, to what was found, until they are out of the question."""
     for value in values:
         nearest = min(found, key=lambda known: abs(known - value))
-        found[value] = found[nearest] if nearest == value else _held(fit, found[nearest][0], depth, value)
+        found[value] = (
+            found[nearest]
+            if nearest == value
+            else _held(fit, found[nearest][0], depth, value)
+        )
         if max(likelihood for _, likelihood in found.values()) - found[value][1] > DEEPEST:
             break
 
 
-def _held(fit: EdgeFit, start: EdgeState, depth: int, value: float) -> tuple[EdgeState, float]:
+def _held(
+    fit: EdgeFit, start: EdgeState, depth: int, value: float
+) -> tuple[EdgeState, float]:
     """Everything else fitted to a defocus, and the log-likelihood there."""
     defoci = start.defoci.copy()
     defoci[depth] = value
     place = start.modes.size + start.log_noise.size + depth
-    end = fit_edges(fit.problem, replace(start, defoci=defoci), tolerance=ROUGHLY, held=(place,))
+    end = fit_edges(
+        fit.problem, replace(start, defoci=defoci), tolerance=ROUGHLY, held=(place,)
+    )
     return end.state, end.objective
 
 
@@ -108,7 +131,10 @@ def _sides(values: Floats, likelihood: Floats) -> tuple[Side, ...]:
     log = CubicSpline(values, likelihood)(at)
     parts = np.split(np.arange(FINE), _valleys(log))
     return tuple(
-        sorted((_about_likeliest(at[part], log[part]) for part in parts), key=lambda side: -side.log_likelihood)
+        sorted(
+            (_about_likeliest(at[part], log[part]) for part in parts),
+            key=lambda side: -side.log_likelihood,
+        )
     )
 
 
@@ -116,7 +142,10 @@ def _valleys(log: Floats) -> list[int]:
     """Where the sides part: at the lowest place between the highest and the highest that is beyond a valley."""
     top = int(np.argmax(log))
     found = []
-    for beyond in (np.arange(top, -1, -1), np.arange(top, len(log))):  # away from the top, on either hand
+    for beyond in (
+        np.arange(top, -1, -1),
+        np.arange(top, len(log)),
+    ):  # away from the top, on either hand
         climbs = log[beyond] - np.minimum.accumulate(log[beyond])
         other = int(np.argmax(climbs))
         if climbs[other] > VALLEY and log[beyond[other]] > log[top] - DEEPEST:
@@ -127,4 +156,8 @@ def _valleys(log: Floats) -> list[int]:
 def _about_likeliest(at: Floats, log: Floats) -> Side:
     """The likeliest value, and how far others lie from it, RMS."""
     best, weight = int(np.argmax(log)), np.exp(log - log.max())
-    return Side(float(at[best]), float(np.sqrt(weight @ (at - at[best]) ** 2 / weight.sum())), float(log[best]))
+    return Side(
+        float(at[best]),
+        float(np.sqrt(weight @ (at - at[best]) ** 2 / weight.sum())),
+        float(log[best]),
+    )

@@ -43,36 +43,56 @@ class FocusLaw:
 
     def __post_init__(self) -> None:
         size = FOCI + len(self.channels)
-        if len(self.focus_mm) != len(self.channels) or self.covariance.shape != (size, size):
-            raise ValueError(f"{len(self.channels)} channels need as many best foci and a covariance {(size, size)}")
+        if len(self.focus_mm) != len(self.channels) or self.covariance.shape != (
+            size,
+            size,
+        ):
+            raise ValueError(
+                f"{len(self.channels)} channels need as many best foci and a covariance {(size, size)}"
+            )
 
     def defocus(self, channel: str, range_mm: float) -> float:
         """Waves RMS at the reference, of a range: positive beyond best focus."""
         focus, zero = self.focus_mm[self.channels.index(channel)], self.zero_mm
-        return float(defocus_waves(self.lens, range_mm + zero, focus + zero, self.reference_nm, self.convention))
+        return float(
+            defocus_waves(
+                self.lens, range_mm + zero, focus + zero, self.reference_nm, self.convention
+            )
+        )
 
     def slope(self, channel: str, range_mm: float) -> float:
         """Of defocus by range, waves per mm."""
         step = 1e-5 * range_mm
-        return (self.defocus(channel, range_mm + step) - self.defocus(channel, range_mm - step)) / (2 * step)
+        return (
+            self.defocus(channel, range_mm + step) - self.defocus(channel, range_mm - step)
+        ) / (2 * step)
 
     def range_mm(self, channel: str, defocus: float) -> float:
         """Of a defocus, waves RMS: infinite where it lies beyond that of infinity."""
-        near, far = max(NEAREST * self.lens.focal_length_mm - self.zero_mm, 1.0), FARTHEST_MM
+        near, far = (
+            max(NEAREST * self.lens.focal_length_mm - self.zero_mm, 1.0),
+            FARTHEST_MM,
+        )
         if defocus >= self.defocus(channel, far):
             return np.inf
         if defocus <= self.defocus(channel, near):
             return near
-        inverse = brentq(lambda v: self.defocus(channel, 1 / v) - defocus, 1 / far, 1 / near, xtol=1e-15)
+        inverse = brentq(
+            lambda v: self.defocus(channel, 1 / v) - defocus, 1 / far, 1 / near, xtol=1e-15
+        )
         return float(1 / inverse)
 
     def varied(self, step: Floats) -> "FocusLaw":
         """The law after a step in what its covariance is of."""
         f, n, pupils = np.exp(step[:ZERO])
         old = self.lens
-        lens = ThinLens(old.focal_length_mm * f, old.f_number * n, old.pupil_magnification * pupils)
+        lens = ThinLens(
+            old.focal_length_mm * f, old.f_number * n, old.pupil_magnification * pupils
+        )
         foci = tuple(float(mm) for mm in np.add(self.focus_mm, step[FOCI:]))
-        return replace(self, lens=lens, focus_mm=foci, zero_mm=self.zero_mm + float(step[ZERO]))
+        return replace(
+            self, lens=lens, focus_mm=foci, zero_mm=self.zero_mm + float(step[ZERO])
+        )
 
 
 @dataclass(frozen=True)
@@ -93,7 +113,9 @@ class EdgeRange:
 
 
 def edge_range(
-    law: FocusLaw, sides: Sequence[tuple[str, Sequence[Side]]], correlation: Floats | None = None
+    law: FocusLaw,
+    sides: Sequence[tuple[str, Sequence[Side]]],
+    correlation: Floats | None = None,
 ) -> EdgeRange:
     """The range of an edge from its defocus in one colour or several. sides: of each colour its name and the ends of its fit.
 
@@ -108,7 +130,9 @@ def edge_range(
     found = []
     for chosen in product(*(ends for _, ends in sides)):
         std = np.array([end.std for end in chosen])
-        sign = np.sign([end.defocus for end in chosen])  # on the other side errors are reversed with it
+        sign = np.sign(
+            [end.defocus for end in chosen]
+        )  # on the other side errors are reversed with it
         shared = correlation * np.outer(std * sign, std * sign)
         weight = np.asarray(np.linalg.inv(shared + TINY * np.diag(std**2)), np.float64)
         defocus = np.array([end.defocus for end in chosen])
@@ -116,7 +140,9 @@ def edge_range(
         if not np.isfinite(value):
             continue
         left = defocus - [law.defocus(name, value) for name in names]
-        lost = 2 * sum(top - end.log_likelihood for top, end in zip(best, chosen, strict=True))
+        lost = 2 * sum(
+            top - end.log_likelihood for top, end in zip(best, chosen, strict=True)
+        )
         error = _error(law, names, defocus, weight, value)
         found.append((float(left @ weight @ left) + lost, Uncertain(value, error, "mm")))
     if not found:
@@ -131,20 +157,29 @@ def edge_range(
     return EdgeRange(likeliest, None)
 
 
-def _common_range(law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats) -> float:
+def _common_range(
+    law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats
+) -> float:
     """By least squares in 1 / range, where the law is nearly straight; infinite where none has any."""
-    own = [min(law.range_mm(name, value), FARTHEST_MM) for name, value in zip(names, defocus, strict=True)]
+    own = [
+        min(law.range_mm(name, value), FARTHEST_MM)
+        for name, value in zip(names, defocus, strict=True)
+    ]
     inverse = float(np.mean([1 / value for value in own]))
     for _ in range(STEPS):
         at = 1 / max(inverse, 1 / FARTHEST_MM)
         left = defocus - [law.defocus(name, at) for name in names]
         slope = np.array([-law.slope(name, at) * at**2 for name in names])
         inverse += float(slope @ weight @ left / (slope @ weight @ slope))
-        inverse = min(max(inverse, 1 / FARTHEST_MM), 1 / (NEAREST * law.lens.focal_length_mm))
+        inverse = min(
+            max(inverse, 1 / FARTHEST_MM), 1 / (NEAREST * law.lens.focal_length_mm)
+        )
     return 1 / inverse if inverse > 2 / FARTHEST_MM else np.inf
 
 
-def _error(law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats, value: float) -> float:
+def _error(
+    law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats, value: float
+) -> float:
     """Of a range: that of the defocus, and that of the law, by differences.
 
     What an edge measures is how wide it is blurred, 8 N times the path: with another f-number its defocus would be another.
@@ -154,12 +189,23 @@ def _error(law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats,
     slopes = np.zeros(size)
     for k in np.flatnonzero(np.diag(law.covariance) > 0):
         step = np.zeros(size)
-        step[k] = min(float(np.sqrt(law.covariance[k, k])), 1e-3 if k < ZERO else 1e-3 * value)
+        step[k] = min(
+            float(np.sqrt(law.covariance[k, k])), 1e-3 if k < ZERO else 1e-3 * value
+        )
         ends = []
         for sign in (1, -1):
             varied = law.varied(sign * step)
-            ends.append(_common_range(varied, names, defocus * law.lens.f_number / varied.lens.f_number, weight))
-        slopes[k] = (ends[0] - ends[1]) / (2 * step[k]) if np.all(np.isfinite(ends)) else np.inf
+            ends.append(
+                _common_range(
+                    varied,
+                    names,
+                    defocus * law.lens.f_number / varied.lens.f_number,
+                    weight,
+                )
+            )
+        slopes[k] = (
+            (ends[0] - ends[1]) / (2 * step[k]) if np.all(np.isfinite(ends)) else np.inf
+        )
     lens = slopes @ law.covariance @ slopes if np.all(np.isfinite(slopes)) else np.inf
     return float(np.sqrt(1 / (by_range @ weight @ by_range) + lens))
 

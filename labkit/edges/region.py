@@ -75,9 +75,13 @@ class Region:
     def __post_init__(self) -> None:
         size = (np.size(self.rows),)
         for name, unit in (("rows", "pixels"), ("columns", "pixels"), ("counts", "counts")):
-            object.__setattr__(self, name, real_array(name, getattr(self, name), size, unit))
+            object.__setattr__(
+                self, name, real_array(name, getattr(self, name), size, unit)
+            )
         if size[0] < LEAST_PIXELS:
-            raise ValueError(f"{size[0]} pixels around an edge: {LEAST_PIXELS} are needed at least")
+            raise ValueError(
+                f"{size[0]} pixels around an edge: {LEAST_PIXELS} are needed at least"
+            )
 
     @property
     def offsets(self) -> tuple[Floats, Floats]:
@@ -92,18 +96,24 @@ class Region:
 
     def part(self, chosen: Bools) -> "Region":
         """Only some of the pixels. chosen: (n,) mask. Raises ValueError where they are too few."""
-        arrays = {name: getattr(self, name)[chosen] for name in ("rows", "columns", "counts")}
+        arrays = {
+            name: getattr(self, name)[chosen] for name in ("rows", "columns", "counts")
+        }
         return replace(self, **arrays)
 
 
-def mean_and_slopes(region: Region, edge: Edge, optics: Optics, waves: Floats) -> tuple[Floats, Floats, Floats]:
+def mean_and_slopes(
+    region: Region, edge: Edge, optics: Optics, waves: Floats
+) -> tuple[Floats, Floats, Floats]:
     """(n,) mean counts; (4, n) slopes by angle, distance, near, far; (modes, n) slopes by the modes, per wave RMS.
 
     Thesis (5.12), (5.16), (5.20), (5.25)-(5.27).
     """
     across, along = region.across_and_along(edge)
     pitch_um = optics.pitch_um
-    spread = edge_spread(optics, waves, edge.angle, float(np.abs(across).max()) * pitch_um + pitch_um)
+    spread = edge_spread(
+        optics, waves, edge.angle, float(np.abs(across).max()) * pitch_um + pitch_um
+    )
     rows = spread.read(across * pitch_um)
     step, line, by_waves, turning = rows[0], rows[1] * pitch_um, rows[2:-1], rows[-1]
     rise = edge.far - edge.near

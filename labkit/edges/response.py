@@ -32,11 +32,19 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
     optics, region = fit.problem.optics_of(k), fit.problem.regions[k]
     highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.light.nodes)))
     frequency = np.linspace(0, highest, POINTS)
-    of = camera_slice(optics, fit.problem.waves(fit.state, k), fit.state.edge(k).angle, frequency)
+    of = camera_slice(
+        optics, fit.problem.waves(fit.state, k), fit.state.edge(k).angle, frequency
+    )
     value = np.abs(of.value)
     phase = np.divide(np.conj(of.value), value, out=np.ones_like(of.value), where=value > 0)
     gradient = (of.by_waves * phase).real
     covariance = fit.wavefront_covariance(region.depth)
     std = np.sqrt(np.einsum("if,ij,jf->f", gradient, covariance, gradient).clip(0))
     per_mm = 1e3 * frequency
-    return FittedResponse(per_mm, value, std, crossing(per_mm, value, std, 0.5), crossing(per_mm, value, std, 0.1))
+    return FittedResponse(
+        per_mm,
+        value,
+        std,
+        crossing(per_mm, value, std, 0.5),
+        crossing(per_mm, value, std, 0.1),
+    )

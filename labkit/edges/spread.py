@@ -21,7 +21,10 @@ from labkit.types import Complexes, Floats
 NODES, NODES_PER_STEEPNESS = 30, 0.75
 """Of a slice's Chebyshev series in sqrt(1 - f lambda N), in which it is smooth to both ends: right to 1e-8 (tests hold it)."""
 
-PERIODS, LEAST_REACH = 8.0, 150.0  # of the train, in reaches, of which each is at least so many lambda N
+PERIODS, LEAST_REACH = (
+    8.0,
+    150.0,
+)  # of the train, in reaches, of which each is at least so many lambda N
 FINER = 6.0  # samples to a period of the highest frequency: a quintic spline errs by 2e-6 of a perfect lens
 TURN = 1e-4  # radians, of the difference that gives the slope of pixel and camera by the azimuth
 
@@ -37,7 +40,13 @@ class Slice:
     by_azimuth: Complexes
 
 
-def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Floats, lens_only: bool = False) -> Slice:
+def camera_slice(
+    optics: Optics,
+    waves: Floats,
+    azimuth: float,
+    frequency: Floats,
+    lens_only: bool = False,
+) -> Slice:
     """The slice at frequencies (f,), cycles/um, that need not be in order.
 
     waves: (modes,) RMS at the reference; azimuth: radians from x (right) towards y (down). lens_only: without pixel and camera.
@@ -51,7 +60,9 @@ def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Float
         slopes += share * slope
     if lens_only:
         return Slice(frequency, lens, slopes[:-1], slopes[-1])
-    beyond, low, high = (_beyond(optics, azimuth + turn, frequency) for turn in (0.0, -TURN, TURN))
+    beyond, low, high = (
+        _beyond(optics, azimuth + turn, frequency) for turn in (0.0, -TURN, TURN)
+    )
     turning = slopes[-1] * beyond + lens * (high - low) / (2 * TURN)
     return Slice(frequency, lens * beyond, slopes[:-1] * beyond, turning)
 
@@ -65,14 +76,23 @@ def _lens_slice(
     count = NODES + int(NODES_PER_STEEPNESS * steepness(wavefront))
     angle = np.pi * (np.arange(count) + 0.5) / count
     at = ((1 + np.cos(angle)) / 2) ** 2  # 1 - f lambda N
-    value, slopes = turning_transfer_function(wavefront, (1 - at) * 1e3 * cutoff, float(np.rad2deg(azimuth)))
+    value, slopes = turning_transfer_function(
+        wavefront, (1 - at) * 1e3 * cutoff, float(np.rad2deg(azimuth))
+    )
     series = (
-        scipy.fft.dct(np.stack([part for row in (value, *slopes) for part in (row.real, row.imag)]), axis=1) / count
+        scipy.fft.dct(
+            np.stack([part for row in (value, *slopes) for part in (row.real, row.imag)]),
+            axis=1,
+        )
+        / count
     )
     series[:, 0] /= 2
     below = frequency < cutoff
     spread = np.zeros((len(series), frequency.size))
-    spread[:, below] = series @ chebyshev.chebvander(2 * np.sqrt(1 - frequency[below] / cutoff) - 1, count - 1).T
+    spread[:, below] = (
+        series
+        @ chebyshev.chebvander(2 * np.sqrt(1 - frequency[below] / cutoff) - 1, count - 1).T
+    )
     rows = spread[0::2] + 1j * spread[1::2]
     return rows[0], rows[1:]
 
@@ -80,7 +100,14 @@ def _lens_slice(
 def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWavefront:
     """The wavefront without errors, in one of the light's wavelengths relative to the nominal one."""
     none = np.zeros((len(optics.noll), len(optics.noll)))
-    return FittedWavefront(optics.noll, waves, none, node * optics.wavelength_um, optics.reference_um, optics.f_number)
+    return FittedWavefront(
+        optics.noll,
+        waves,
+        none,
+        node * optics.wavelength_um,
+        optics.reference_um,
+        optics.f_number,
+    )
 
 
 def _beyond(optics: Optics, azimuth: float, frequency: Floats) -> Floats:
@@ -104,7 +131,9 @@ class EdgeSpread:
     reach_um: float
 
 
-def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) -> EdgeSpread:
+def edge_spread(
+    optics: Optics, waves: Floats, azimuth: float, reach_um: float
+) -> EdgeSpread:
     """Of a camera, for an edge whose normal lies at an azimuth, radians from x (right) towards y (down).
 
     waves: (modes,) RMS at the reference. Raises ValueError for no reach. Thesis (5.12), (5.16), (5.20), (5.27).
@@ -116,7 +145,11 @@ def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) 
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
     of = camera_slice(optics, waves, azimuth, harmonic / period_um)
     size = scipy.fft.next_fast_len(int(FINER * period_um / airy_um), real=True)
-    steps = (-2j / np.pi) * np.concatenate([of.value[None], of.by_waves, of.by_azimuth[None]]) / harmonic
+    steps = (
+        (-2j / np.pi)
+        * np.concatenate([of.value[None], of.by_waves, of.by_azimuth[None]])
+        / harmonic
+    )
     line = 4 / period_um * of.value
     spectrum = np.zeros((len(steps) + 1, size // 2 + 1), complex)
     spectrum[:, harmonic] = np.concatenate([steps[:1], line[None], steps[1:]]) * size / 2
@@ -125,7 +158,12 @@ def edge_spread(optics: Optics, waves: Floats, azimuth: float, reach_um: float) 
     places = np.arange(-half, half + 1)
     at_um, rows = places * period_um / size, every[:, places]
     halo, slope = _other_edges(2 * np.pi * at_um / period_um)
-    tail = sum(share * node for share, node in optics.light.shares) * 2 * optics.airy_um / np.pi**3
+    tail = (
+        sum(share * node for share, node in optics.light.shares)
+        * 2
+        * optics.airy_um
+        / np.pi**3
+    )
     rows[0] += 0.5 + tail * 2 * np.pi / period_um * halo
     rows[1] += tail * (2 * np.pi / period_um) ** 2 * slope
     spline = make_interp_spline(at_um, rows.T, k=5)

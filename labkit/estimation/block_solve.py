@@ -67,7 +67,9 @@ class Normal:
         """(p, p) covariance of the common columns."""
         reduced = self.common - np.einsum("gpl,glq->pq", self.cross, self.eliminated)
         scale = 1 / np.sqrt(np.diag(reduced))
-        return np.asarray(np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale))
+        return np.asarray(
+            np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
+        )
 
     @cached_property
     def own_covariance(self) -> Floats:
@@ -82,19 +84,26 @@ class Normal:
 
     def log_determinant(self) -> float:
         """Return ln of the determinant of the whole matrix."""
-        return float(-np.linalg.slogdet(self.covariance)[1] - np.linalg.slogdet(self.own_covariance)[1].sum())
+        return float(
+            -np.linalg.slogdet(self.covariance)[1]
+            - np.linalg.slogdet(self.own_covariance)[1].sum()
+        )
 
     def damped(self, damping: float) -> Normal:
         """Return Marquardt's equations: every diagonal element grows by the share `damping`."""
         return Normal(_grown(self.common, damping), self.cross, _grown(self.own, damping))
 
-    def solve_within(self, common: Floats, own: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    def solve_within(
+        self, common: Floats, own: Floats, low: Floats, high: Floats
+    ) -> tuple[Floats, Floats]:
         """Solve within bounds (p,): common columns stop at a bound, all other columns follow."""
         held = np.zeros(len(common), bool)
         ends = np.zeros(len(common))
         while True:
             stiff = self._holding(held)
-            step, own_step = stiff.solve(np.where(held, np.diag(stiff.common) * ends, common), own)
+            step, own_step = stiff.solve(
+                np.where(held, np.diag(stiff.common) * ends, common), own
+            )
             beyond = ~held & ((step < low) | (step > high))
             if not beyond.any():
                 return step, own_step
@@ -168,9 +177,11 @@ class LeastSquares(Position):
         model, turned = self.model, self.own_slopes.transpose(0, 2, 1)
         weighted = self.data.precision @ self.slopes
         return Normal(
-            np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])) + np.diag(model.prior_std**-2.0),
+            np.tensordot(self.slopes, weighted, ([0, 1], [0, 1]))
+            + np.diag(model.prior_std**-2.0),
             model.by_group(turned @ weighted).transpose(0, 2, 1),
-            model.by_group(turned @ (self.data.precision @ self.own_slopes)) + np.diag(model.local_std**-2.0),
+            model.by_group(turned @ (self.data.precision @ self.own_slopes))
+            + np.diag(model.local_std**-2.0),
         )
 
     def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
@@ -185,17 +196,23 @@ class LeastSquares(Position):
         gradient -= (theta - model.centre) / model.prior_std**2
         own -= self.point.own / model.local_std**2
         low, high = model.bounds()
-        change, own_change = self.normal.damped(damping).solve_within(gradient, own, low - theta, high - theta)
+        change, own_change = self.normal.damped(damping).solve_within(
+            gradient, own, low - theta, high - theta
+        )
         square = max(float(change @ gradient + np.sum(own_change * own)), 0.0)
         return Step(np.append(change, own_change), square**0.5, square / 2)
 
     def moved(self, change: Floats) -> LeastSquares:
         theta, own = np.split(change, [self.point.theta.size])
         within = np.clip(self.point.theta + theta, *self.model.bounds())
-        return replace(self, point=Point(within, self.point.own + own.reshape(self.point.own.shape)))
+        return replace(
+            self, point=Point(within, self.point.own + own.reshape(self.point.own.shape))
+        )
 
 
-def solve(model: LensModel, data: Data, start: Point, tolerance: float = 1e-4) -> LeastSquares:
+def solve(
+    model: LensModel, data: Data, start: Point, tolerance: float = 1e-4
+) -> LeastSquares:
     """Minimise the squared misfits of data and priors, from a start, within the model's bounds.
 
     The first step is damped by 1e-9 only, for the weakest combinations have 1e-9 of the others' information.

@@ -30,7 +30,9 @@ Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
 def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts, in log-likelihood."""
-    return sum(SETTINGS.part_cost + SETTINGS.clear_gain * (name in BLURS[1:]) for name in parts)
+    return sum(
+        SETTINGS.part_cost + SETTINGS.clear_gain * (name in BLURS[1:]) for name in parts
+    )
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
@@ -40,15 +42,25 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
     ----------
     fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test.
     """
-    names = [name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)]
-    whole = {name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits)) for name in names}
+    names = [
+        name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)
+    ]
+    whole = {
+        name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits))
+        for name in names
+    }
     for name in [name for name in names if KNOWN[name].per_channel]:
         by_channel = dict[str, ScoreTest]()
         for channel, one in fits:
             test = one.scores[name]
-            by_channel[channel] = by_channel[channel] + test if channel in by_channel else test
+            by_channel[channel] = (
+                by_channel[channel] + test if channel in by_channel else test
+            )
         tests = list(by_channel.values())
-        whole[name] = ScoreTest(np.concatenate([c.slope for c in tests]), block_diag(*(c.information for c in tests)))
+        whole[name] = ScoreTest(
+            np.concatenate([c.slope for c in tests]),
+            block_diag(*(c.information for c in tests)),
+        )
     return whole
 
 
@@ -60,7 +72,9 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
         for name in dict.fromkeys(name for name in names if name in KNOWN):
             at = len(measured.noll) + np.flatnonzero([one == name for one in names])
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
-            losses[name] = losses.get(name, 0.0) + 0.5 * float(values @ np.linalg.solve(covariance, values))
+            losses[name] = losses.get(name, 0.0) + 0.5 * float(
+                values @ np.linalg.solve(covariance, values)
+            )
     return losses
 
 
@@ -120,10 +134,15 @@ class CameraChoice:
             else:
                 return best
 
-    def _proposals(self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Iterator[Parts]:
+    def _proposals(
+        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts
+    ) -> Iterator[Parts]:
         """Propose other choices of parts, the most promising first."""
         tests = summed_score_tests(list(ends.values()))
-        gains = {name: test.gain - cost(Parts([name])) + SETTINGS.part_cost for name, test in tests.items()}
+        gains = {
+            name: test.gain - cost(Parts([name])) + SETTINGS.part_cost
+            for name, test in tests.items()
+        }
         self.tried = [one for one in self.tried if one.name not in gains]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
         losses = wald_losses([optimum.measured for _, optimum in ends.values()])
@@ -138,7 +157,9 @@ class CameraChoice:
             more_common = [one for one in BLURS[: BLURS.index(name)] if one in tests]
             for one in more_common:
                 yield (parts - {name}) | {one}
-            if len(more_common) > 1 and sum(len(KNOWN[one].labels) for one in more_common) <= len(KNOWN[name].labels):
+            if len(more_common) > 1 and sum(
+                len(KNOWN[one].labels) for one in more_common
+            ) <= len(KNOWN[name].labels):
                 yield (parts - {name}) | set(more_common)
 
     def _reached(
@@ -154,7 +175,9 @@ class CameraChoice:
         added = choice - parts
         if self._better(ends, fits, parts, choice):
             self.tried = [one for one in self.tried if one.name not in choice]
-            self.tried += [PartTried(name, self._gain(ends, fits), True) for name in sorted(choice)]
+            self.tried += [
+                PartTried(name, self._gain(ends, fits), True) for name in sorted(choice)
+            ]
             self.missing = tuple(name for name in self.missing if name not in choice)
             return {k: (ends[k][0], fits.get(k, ends[k][1])) for k in ends}
         if added and self._gain(ends, fits) > SETTINGS.part_cost:
@@ -167,16 +190,27 @@ class CameraChoice:
         def shown(k: int) -> float:
             optimum = ends[k][1]
             losses = wald_losses([optimum.measured])
-            return sum(optimum.scores[n].gain if n in optimum.scores else losses.get(n, 0.0) for n in names)
+            return sum(
+                optimum.scores[n].gain if n in optimum.scores else losses.get(n, 0.0)
+                for n in names
+            )
 
         return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]
 
     @staticmethod
-    def _gain(ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum]) -> float:
-        return sum(fit.log_likelihood - ends[k][1].log_likelihood for k, fit in fits.items())
+    def _gain(
+        ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum]
+    ) -> float:
+        return sum(
+            fit.log_likelihood - ends[k][1].log_likelihood for k, fit in fits.items()
+        )
 
     def _better(
-        self, ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum], parts: Parts, choice: Parts
+        self,
+        ends: Mapping[int, tuple[str, Optimum]],
+        fits: Mapping[int, Optimum],
+        parts: Parts,
+        choice: Parts,
     ) -> bool:
         """Whether fits with other parts gain more than the parts' cost, and explain a further fit or their share."""
         gain = self._gain(ends, fits) - cost(choice) + cost(parts)

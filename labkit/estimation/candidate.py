@@ -72,7 +72,12 @@ class Measured:
         if parts == self.parts:
             return self
         modes, size = len(self.noll), len(self.noll) + len(parts) + 2
-        at = [*range(modes), *(modes + parts.index(label) for label in self.parts), size - 2, size - 1]
+        at = [
+            *range(modes),
+            *(modes + parts.index(label) for label in self.parts),
+            size - 2,
+            size - 1,
+        ]
         values = np.zeros(size)
         values[at] = self.values
         covariance = np.eye(size) * SETTINGS.unknown**2
@@ -82,7 +87,14 @@ class Measured:
         model = np.zeros((size, size)) if self.model.size else self.model
         if self.model.size:
             model[np.ix_(at, at)] = self.model
-        return replace(self, values=values, covariance=covariance, calibration=calibration, model=model, parts=parts)
+        return replace(
+            self,
+            values=values,
+            covariance=covariance,
+            calibration=calibration,
+            model=model,
+            parts=parts,
+        )
 
     def twin(self) -> Measured:
         """Reverse the even modes: the twin makes the same pictures."""

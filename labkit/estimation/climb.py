@@ -12,7 +12,14 @@ import scipy.linalg
 
 from labkit.arrays import positive, real_array
 from labkit.estimation.identifiability import inverse
-from labkit.estimation.likelihood import Detector, FrameData, Score, chi2, log_likelihood, score
+from labkit.estimation.likelihood import (
+    Detector,
+    FrameData,
+    Score,
+    chi2,
+    log_likelihood,
+    score,
+)
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
@@ -67,7 +74,9 @@ class Position(Protocol):
 P = TypeVar("P", bound=Position)
 
 
-def climb(start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1e-3) -> tuple[P, int, bool]:
+def climb(
+    start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1e-3
+) -> tuple[P, int, bool]:
     """Climb to the maximum near a start.
 
     Parameters
@@ -115,7 +124,9 @@ def damped_step(gradient: Floats, information: Floats, damping: float) -> Step:
     scale = np.zeros_like(gradient)
     scale[free] = 1 / np.sqrt(np.diag(information)[free])
     scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
-    change = np.asarray(scipy.linalg.solve(scaled, gradient * scale, assume_a="pos") * scale)
+    change = np.asarray(
+        scipy.linalg.solve(scaled, gradient * scale, assume_a="pos") * scale
+    )
     square = float(change @ information @ change)
     return Step(change, square**0.5, float(change @ gradient) - square / 2)
 
@@ -179,7 +190,12 @@ class State:
         real_array("waves", self.waves, (None,), "waves RMS, one for each mode")
         real_array("scales", self.scales, (frames,), "counts, one for each pose")
         real_array("ambients", self.ambients, (frames,), "counts, one for each pose")
-        real_array("log_noise", self.log_noise, (NOISE,), "logarithms of counts per electron and of counts^2")
+        real_array(
+            "log_noise",
+            self.log_noise,
+            (NOISE,),
+            "logarithms of counts per electron and of counts^2",
+        )
         real_array("unevenness", self.unevenness, (None,), "relative")
 
     @property
@@ -237,7 +253,9 @@ class Problem:
 
     def relative(self, state: State, drawing: Drawing | None = None) -> list[Floats]:
         """Return the relative image (pixels,) of each frame. drawing: drawing at the state's poses, if at hand."""
-        return self.model.means(state.waves, drawing or self.draw(state), [f.used for f in self.frames])
+        return self.model.means(
+            state.waves, drawing or self.draw(state), [f.used for f in self.frames]
+        )
 
     def drawn(self, state: State) -> Start:
         """Return a state with its drawing and relative images."""
@@ -246,19 +264,36 @@ class Problem:
 
     def objective(self, state: State, relative: Sequence[Floats]) -> float:
         """Return the log-likelihood of frames and noise calibration."""
-        total = sum(log_likelihood(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True))
-        return total - 0.5 * float(self.noise.precision @ (state.log_noise - self.noise.centre) ** 2)
+        total = sum(
+            log_likelihood(u, f, d)
+            for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)
+        )
+        return total - 0.5 * float(
+            self.noise.precision @ (state.log_noise - self.noise.centre) ** 2
+        )
 
-    def foreseen(self, state: State, step: Floats, evaluations: Sequence[Evaluation]) -> list[Floats]:
+    def foreseen(
+        self, state: State, step: Floats, evaluations: Sequence[Evaluation]
+    ) -> list[Floats]:
         """Predict the relative image (pixels,) of each frame after a short step, from the slopes at its start."""
         modes = max(state.waves.size, len(evaluations[0].by_waves))
-        poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[:, :POSE_SIZE]
-        moved = [e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)]
-        return [mean + step[: len(e.by_waves)] @ e.by_waves for mean, e in zip(moved, evaluations, strict=True)]
+        poses = step[modes : modes + PER_FRAME * len(self.frames)].reshape(-1, PER_FRAME)[
+            :, :POSE_SIZE
+        ]
+        moved = [
+            e.mean + by_v @ e.by_pose for e, by_v in zip(evaluations, poses, strict=True)
+        ]
+        return [
+            mean + step[: len(e.by_waves)] @ e.by_waves
+            for mean, e in zip(moved, evaluations, strict=True)
+        ]
 
     def chi2_per_pixel(self, state: State, relative: Sequence[Floats]) -> float:
         """Return the mean of squared residuals over the variance at the state."""
-        total = [chi2(u, f, d) for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)]
+        total = [
+            chi2(u, f, d)
+            for u, f, d in zip(relative, self.frames, state.detectors(), strict=True)
+        ]
         return sum(total) / sum(u.size for u in relative)
 
     def scores(
@@ -279,19 +314,28 @@ class Problem:
         by_waves, exact : see `ForwardModel.evaluate`
         """
         used, drawing = [f.used for f in self.frames], drawing or self.draw(state)
-        evaluations = self.model.evaluate(state.waves, drawing, used, by_waves=by_waves, exact=exact, means=relative)
+        evaluations = self.model.evaluate(
+            state.waves, drawing, used, by_waves=by_waves, exact=exact, means=relative
+        )
         return *self.assembled(state, evaluations), evaluations
 
-    def assembled(self, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats, list[Score]]:
+    def assembled(
+        self, state: State, evaluations: Sequence[Evaluation]
+    ) -> tuple[Floats, Floats, list[Score]]:
         """Assemble gradient and information from evaluations, which may include derivatives by camera parameters."""
         given = len(evaluations[0].by_waves)
         modes, common = max(given, state.waves.size), state.unevenness.size + NOISE
         size = modes + PER_FRAME * len(self.frames) + common
         gradient, information = np.zeros(size), np.zeros((size, size))
-        scores = [score(e, f, d) for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)]
+        scores = [
+            score(e, f, d)
+            for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)
+        ]
         for k, of_frame in enumerate(scores):
             at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
-            index = np.concatenate([np.arange(given), at_frame, np.arange(size - common, size)])
+            index = np.concatenate(
+                [np.arange(given), at_frame, np.arange(size - common, size)]
+            )
             gradient[index] += of_frame.gradient
             information[np.ix_(index, index)] += of_frame.information
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)
@@ -387,7 +431,11 @@ class _Drawn(Position):
     @cached_property
     def objective(self) -> float:
         """Log-likelihood, see `Problem.objective`."""
-        return self.problem.objective(self.at.state, self.at.relative) if self.at.relative else -np.inf
+        return (
+            self.problem.objective(self.at.state, self.at.relative)
+            if self.at.relative
+            else -np.inf
+        )
 
     @cached_property
     def slopes(self) -> tuple[Floats, Floats, list[Evaluation]]:
@@ -421,6 +469,9 @@ def sane(state: State, start: State) -> bool:
     """
     for pose, first in zip(state.poses, start.poses, strict=True):
         reach = 0.5 * np.ptp(first.corners_px(), axis=0).max()
-        if not (np.abs(pose.v[6:]).sum() < 1 and np.abs(pose.corners_px() - first.corners_px()).max() < reach):
+        if not (
+            np.abs(pose.v[6:]).sum() < 1
+            and np.abs(pose.corners_px() - first.corners_px()).max() < reach
+        ):
             return False
     return bool(np.all(state.scales > 0))

@@ -44,12 +44,19 @@ class NormalCounts:
     @cached_property
     def bend(self) -> Floats:
         """Derivative of the variance with respect to the mean, counts."""
-        return np.asarray(self.gain * (self.mean > 0) + 2 * self.relative_std**2 * self.mean)
+        return np.asarray(
+            self.gain * (self.mean > 0) + 2 * self.relative_std**2 * self.mean
+        )
 
     @cached_property
     def of_variance(self) -> Floats:
         """(2, ...) derivatives of the variance with respect to the logarithms of gain and read variance, counts^2."""
-        return np.stack([self.gain * np.maximum(self.mean, 0.0), np.full_like(self.mean, self.read_variance)])
+        return np.stack(
+            [
+                self.gain * np.maximum(self.mean, 0.0),
+                np.full_like(self.mean, self.read_variance),
+            ]
+        )
 
     def chi2(self, counts: Floats) -> float:
         """Return the sum of squared residuals over their variance."""
@@ -57,7 +64,9 @@ class NormalCounts:
 
     def log_likelihood(self, counts: Floats) -> float:
         """Return the log-likelihood, thesis (3.5), without its constant."""
-        return float(-0.5 * np.sum((counts - self.mean) ** 2 / self.variance + np.log(self.variance)))
+        return float(
+            -0.5 * np.sum((counts - self.mean) ** 2 / self.variance + np.log(self.variance))
+        )
 
     def pulls(self, counts: Floats) -> tuple[Floats, Floats]:
         """Return derivatives of each pixel's log-likelihood by its mean and by its variance, thesis (3.9).

@@ -28,7 +28,10 @@ def error_with_bias(std: Floats, bias: Floats) -> Floats:
     """
     std, bias = np.asarray(std, float), np.abs(bias)
     ratio = np.minimum(bias / np.maximum(std, np.finfo(float).tiny), 100.0)
-    return np.asarray(std * (np.sqrt(chndtrix(WITHIN, 1, ratio**2)) - ratio) + np.maximum(bias, ratio * std))
+    return np.asarray(
+        std * (np.sqrt(chndtrix(WITHIN, 1, ratio**2)) - ratio)
+        + np.maximum(bias, ratio * std)
+    )
 
 
 def covariance_with_bias(covariance: Floats, bias: Floats) -> Floats:

@@ -110,8 +110,14 @@ def is_ranged(observation: Observation, noll: tuple[int, ...]) -> bool:
 def reading_of(observation: Observation) -> Reading:
     """Return the rail's position for an observation of known range."""
     assert observation.measured_range_mm is not None
-    station = observation.measured_range_mm if observation.range_mm is None else observation.range_mm
-    return Reading(observation.key, observation.measured_range_mm, station, observation.homings)
+    station = (
+        observation.measured_range_mm
+        if observation.range_mm is None
+        else observation.range_mm
+    )
+    return Reading(
+        observation.key, observation.measured_range_mm, station, observation.homings
+    )
 
 
 def observed(observation: Observation, found: Found | None) -> Observed:

@@ -86,7 +86,9 @@ class Expansion:
         modes = self.state.waves.size
         return slice(modes, modes + self.optics.camera_parameters.size)
 
-    def newton(self, precision: Floats, pull: Floats | float = 0.0) -> tuple[Floats, Floats]:
+    def newton(
+        self, precision: Floats, pull: Floats | float = 0.0
+    ) -> tuple[Floats, Floats]:
         """Return Newton's step to the optimum, (p,), and the covariance there, (p, p).
 
         Parameters
@@ -138,7 +140,9 @@ class Expansion:
 
     def optics_after(self, step: Floats) -> Optics:
         """Return the optics after a step (p,)."""
-        return self.optics.with_camera_parameters(self.optics.camera_parameters + step[self.camera])
+        return self.optics.with_camera_parameters(
+            self.optics.camera_parameters + step[self.camera]
+        )
 
     def sane_after(self, step: Floats, start: State) -> bool:
         """Whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have."""
@@ -152,8 +156,12 @@ class Expansion:
         Parameters beyond a bound stop there; all others move to their likeliest values, by the covariance (p, p) at the
         optimum.
         """
-        beyond = self.optics_after(step).camera_parameters - (self.optics.camera_parameters + step[self.camera])
-        at = self.camera.start + np.flatnonzero(np.abs(beyond) > SETTINGS.exact * self.optics.camera_stds)
+        beyond = self.optics_after(step).camera_parameters - (
+            self.optics.camera_parameters + step[self.camera]
+        )
+        at = self.camera.start + np.flatnonzero(
+            np.abs(beyond) > SETTINGS.exact * self.optics.camera_stds
+        )
         held = np.linalg.solve(covariance[np.ix_(at, at)], beyond[at - self.camera.start])
         return step + covariance[:, at] @ held
 
@@ -163,12 +171,19 @@ class Expansion:
 
     def with_parts(self, optics: Optics) -> Expansion:
         """Add camera parts behind the present ones. Their numbers are 0, so images and other derivatives stay valid."""
-        problem, state = replace(self.problem, model=self.problem.model.with_optics(optics)), self.state
+        problem, state = (
+            replace(self.problem, model=self.problem.model.with_optics(optics)),
+            self.state,
+        )
         used, have = [frame.used for frame in problem.frames], self.optics.parts
-        more = problem.model.by_parts(state.waves, problem.draw(state), used, first=len(have))
+        more = problem.model.by_parts(
+            state.waves, problem.draw(state), used, first=len(have)
+        )
         behind = state.waves.size + sum(len(part.labels) for part in have)
         evaluations = [
-            replace(each, by_waves=np.insert(each.by_waves, [behind] * len(rows), rows, axis=0))
+            replace(
+                each, by_waves=np.insert(each.by_waves, [behind] * len(rows), rows, axis=0)
+            )
             for each, rows in zip(self.evaluations, more, strict=True)
         ]
         return _expansion(problem, state, evaluations)
@@ -221,33 +236,50 @@ def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
     best, taken, halvings = None, np.empty(0), 0
     for rounds in range(1, SETTINGS.newton_rounds + 1):
         expansion = expand(problem, start, exact=rounds > 1)
-        fallen = best is not None and expansion.objective < best.objective - SETTINGS.same_optimum
+        fallen = (
+            best is not None
+            and expansion.objective < best.objective - SETTINGS.same_optimum
+        )
         if fallen and best is not None and halvings < 2 and rounds < SETTINGS.newton_rounds:
             taken, halvings = 0.5 * taken, halvings + 1
             problem, start = _stepped(problem, best, taken)
             continue
-        step, covariance = expansion.newton(precision, (given - expansion.optics.camera_parameters) * precision)
+        step, covariance = expansion.newton(
+            precision, (given - expansion.optics.camera_parameters) * precision
+        )
         step = expansion.within(step, covariance)
         length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
         near, cone = length < SETTINGS.slopes_stds, expansion.camera.stop - 1
         close = abs(step[cone]) < SETTINGS.settled_stds * np.sqrt(covariance[cone, cone])
         settled = rounds > 1 and near and close and not fallen
-        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not expansion.sane_after(step, start.state)
+        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not expansion.sane_after(
+            step, start.state
+        )
         if settled or fallen or diverged or rounds == SETTINGS.newton_rounds:
             break
         best, taken, halvings = expansion, step, 0
         problem, start = _stepped(problem, expansion, step)
-    return _ended(expansion, step if near else np.zeros_like(step), covariance, rounds, settled)
+    return _ended(
+        expansion, step if near else np.zeros_like(step), covariance, rounds, settled
+    )
 
 
-def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool) -> Freed:
+def _ended(
+    expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool
+) -> Freed:
     """Return the end of a climb after a last step (p,), whose image is predicted from the slopes."""
     problem, modes = expansion.problem, expansion.state.waves.size
-    state, relative, measured = expansion.moved(step), expansion.foreseen(step), expansion.measured()
+    state, relative, measured = (
+        expansion.moved(step),
+        expansion.foreseen(step),
+        expansion.measured(),
+    )
     solution = Solution(
         state,
         problem.objective(state, relative),
-        np.delete(np.delete(expansion.information, expansion.camera, 0), expansion.camera, 1),
+        np.delete(
+            np.delete(expansion.information, expansion.camera, 0), expansion.camera, 1
+        ),
         relative,
         problem.chi2_per_pixel(state, relative),
         rounds,
@@ -266,7 +298,10 @@ def _ended(expansion: Expansion, step: Floats, covariance: Floats, rounds: int, 
 def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
     """Return the problem, and where to begin, after a step (p,) from an expansion."""
     before, start = expansion.state, Start(expansion.moved(step))
-    return replace(problem, model=with_optics_about(problem.model, expansion.optics_after(step), before)), start
+    return replace(
+        problem,
+        model=with_optics_about(problem.model, expansion.optics_after(step), before),
+    ), start
 
 
 def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
@@ -281,7 +316,9 @@ def with_optics_about(model: ForwardModel, optics: Optics, state: State) -> Forw
     try:
         return model.with_optics(optics)
     except ValueError:
-        return model.rebuilt(optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin)
+        return model.rebuilt(
+            optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin
+        )
 
 
 def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
@@ -289,7 +326,9 @@ def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
     model, state = problem.model, start.state
     if model.window_airy >= SETTINGS.narrow_window * model.optics.window_airy(state.waves):
         return problem, start
-    wider = model.rebuilt(model.optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin)
+    wider = model.rebuilt(
+        model.optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin
+    )
     return replace(problem, model=wider), Start(state)
 
 
@@ -307,20 +346,32 @@ def expand(problem: Problem, start: Start, *, exact: bool = True) -> Expansion:
     return _expansion(
         problem,
         state,
-        problem.model.evaluate(state.waves, drawing, used, by_camera=True, exact=exact, means=start.relative),
+        problem.model.evaluate(
+            state.waves, drawing, used, by_camera=True, exact=exact, means=start.relative
+        ),
     )
 
 
-def _expansion(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> Expansion:
+def _expansion(
+    problem: Problem, state: State, evaluations: Sequence[Evaluation]
+) -> Expansion:
     """Expand from derivatives by modes, camera parameters and pose."""
     gradient, information = _assembled(problem, state, evaluations)
     values, projection = _projection(problem, state, len(gradient))
-    return Expansion(problem, state, gradient, information, values, projection, tuple(evaluations))
+    return Expansion(
+        problem, state, gradient, information, values, projection, tuple(evaluations)
+    )
 
 
-def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
+def _assembled(
+    problem: Problem, state: State, evaluations: Sequence[Evaluation]
+) -> tuple[Floats, Floats]:
     """Return gradient (p,) and information (p, p), the unknown part of the target's own light at its likeliest value."""
-    shining = [replace(e, by_waves=np.concatenate([e.by_waves, e.by_shine])) for e in evaluations if len(e.by_shine)]
+    shining = [
+        replace(e, by_waves=np.concatenate([e.by_waves, e.by_shine]))
+        for e in evaluations
+        if len(e.by_shine)
+    ]
     gradient, information, _ = problem.assembled(state, shining or evaluations)
     if not shining:
         return gradient, information
@@ -328,22 +379,37 @@ def _assembled(problem: Problem, state: State, evaluations: Sequence[Evaluation]
     out = np.arange(first, first + len(evaluations[0].by_shine))
     rest = np.delete(np.arange(len(gradient)), out)
     across = information[np.ix_(out, rest)]
-    known = np.linalg.solve(information[np.ix_(out, out)] + np.eye(len(out)), np.column_stack([gradient[out], across]))
-    return gradient[rest] - across.T @ known[:, 0], information[np.ix_(rest, rest)] - across.T @ known[:, 1:]
+    known = np.linalg.solve(
+        information[np.ix_(out, out)] + np.eye(len(out)),
+        np.column_stack([gradient[out], across]),
+    )
+    return gradient[rest] - across.T @ known[:, 0], information[
+        np.ix_(rest, rest)
+    ] - across.T @ known[:, 1:]
 
 
-def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]) -> tuple[Floats, Floats]:
+def _scattered(
+    problem: Problem, state: State, evaluations: Sequence[Evaluation]
+) -> tuple[Floats, Floats]:
     """Return two covariances (p, p) of the gradient: due to the flats' relative errors, and from the scatter of blocks.
 
     Residuals of neighbouring pixels may be correlated, those of blocks are not.
     """
-    modes, even, frames = len(evaluations[0].by_waves), state.unevenness.size, len(state.poses)
+    modes, even, frames = (
+        len(evaluations[0].by_waves),
+        state.unevenness.size,
+        len(state.poses),
+    )
     size = modes + PER_FRAME * frames + even + NOISE
     flats, blocks = np.zeros((size, size)), np.zeros((size, SETTINGS.blocks**2))
-    for k, (evaluation, frame, detector) in enumerate(zip(evaluations, problem.frames, state.detectors(), strict=True)):
+    for k, (evaluation, frame, detector) in enumerate(
+        zip(evaluations, problem.frames, state.detectors(), strict=True)
+    ):
         of = slopes(evaluation, frame, detector)
         at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
-        index = np.concatenate([np.arange(modes), at_frame, np.arange(size - NOISE - even, size)])
+        index = np.concatenate(
+            [np.arange(modes), at_frame, np.arange(size - NOISE - even, size)]
+        )
         weighted = of.of_mean * (frame.relative_std[frame.used] * of.mean / of.variance)
         flats[np.ix_(index[:-NOISE], index[:-NOISE])] += weighted @ weighted.T
         by_mean, by_variance = of.pulls(frame.counts[frame.used])
@@ -355,10 +421,14 @@ def _scattered(problem: Problem, state: State, evaluations: Sequence[Evaluation]
 
 def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
     """Return a matrix (pixels, blocks^2) with 1 for the block that contains a used pixel."""
-    rows, columns = (at * SETTINGS.blocks // n for at, n in zip(np.nonzero(used), used.shape, strict=True))
+    rows, columns = (
+        at * SETTINGS.blocks // n
+        for at, n in zip(np.nonzero(used), used.shape, strict=True)
+    )
     pixels = rows.size
     return scipy.sparse.csr_array(
-        (np.ones(pixels), (np.arange(pixels), rows * SETTINGS.blocks + columns)), (pixels, SETTINGS.blocks**2)
+        (np.ones(pixels), (np.arange(pixels), rows * SETTINGS.blocks + columns)),
+        (pixels, SETTINGS.blocks**2),
     )
 
 
@@ -386,4 +456,6 @@ def _projection(problem: Problem, state: State, size: int) -> tuple[Floats, Floa
         at = first + k * PER_FRAME
         projection[-1, at : at + POSE_SIZE] = slope / frames
     pitch_mm = problem.model.scene.torus.pitch_um * 1e-3
-    return np.concatenate([state.waves, camera, [np.mean(scales) + np.log(pitch_mm)]]), projection
+    return np.concatenate(
+        [state.waves, camera, [np.mean(scales) + np.log(pitch_mm)]]
+    ), projection

@@ -35,7 +35,10 @@ class Moves:
     psf_l1: float
 
     def __str__(self) -> str:
-        words = [f"wavefronts by up to {self.waves:.2g} waves RMS", f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)"]
+        words = [
+            f"wavefronts by up to {self.waves:.2g} waves RMS",
+            f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)",
+        ]
         focus = ", ".join(f"{name} {mm:+.2g} mm" for name, mm in self.best_focus_mm.items())
         return ", ".join([f"best focus by {focus}", *words] if focus else words)
 
@@ -51,11 +54,20 @@ class Moves:
 
 def undetermined(key: Key, combinations: Sequence[str]) -> Finding:
     """Report combinations of modes that the frames do not determine."""
-    return found("undetermined", key, {"list": ", ".join(combinations)}, combinations=list(combinations))
+    return found(
+        "undetermined",
+        key,
+        {"list": ", ".join(combinations)},
+        combinations=list(combinations),
+    )
 
 
 def residuals_not_noise(
-    key: Key, p_value: float, chi2_per_pixel: float, missing: Sequence[str], confirmed_by: str | None
+    key: Key,
+    p_value: float,
+    chi2_per_pixel: float,
+    missing: Sequence[str],
+    confirmed_by: str | None,
 ) -> Finding:
     """Report a wavefront whose frames the model does not explain.
 
@@ -83,7 +95,9 @@ def residuals_not_noise(
     )
 
 
-def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None) -> Finding:
+def camera_part_found(
+    part: str, values: Mapping[str, Uncertain], gain: float | None, moves: Moves | None
+) -> Finding:
     """Report a camera part that was added to the model although the plan does not state it.
 
     Parameters
@@ -93,8 +107,13 @@ def camera_part_found(part: str, values: Mapping[str, Uncertain], gain: float | 
     gain : log-likelihood that the part gains, by its score test
     moves : changes of all results without the added parts
     """
-    plain = {name.removesuffix("_px").removesuffix("_nm"): value for name, value in values.items()}
-    words = ", ".join(f"{name} {value}" for name, value in plain.items() if name != "spread")
+    plain = {
+        name.removesuffix("_px").removesuffix("_nm"): value
+        for name, value in values.items()
+    }
+    words = ", ".join(
+        f"{name} {value}" for name, value in plain.items() if name != "spread"
+    )
     return found(
         "camera-part-found",
         None,
@@ -127,7 +146,10 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
 
 def two_camps(members: Sequence[Key], outliers: Sequence[Key]) -> Finding:
     """Report fits that follow one lens, and outliers that follow another."""
-    words = {"members": ", ".join(key.label for key in members), "outliers": ", ".join(key.label for key in outliers)}
+    words = {
+        "members": ", ".join(key.label for key in members),
+        "outliers": ", ".join(key.label for key in outliers),
+    }
     return found(
         "two-camps",
         None,

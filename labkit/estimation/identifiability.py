@@ -50,7 +50,9 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
     ------
     ValueError : the matrix is not symmetric and finite, or has another size
     """
-    information = symmetric("information", information, len(names), "of the parameters' units, inverse squared")
+    information = symmetric(
+        "information", information, len(names), "of the parameters' units, inverse squared"
+    )
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
@@ -59,7 +61,9 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
     covariance = inverse * np.outer(scale, scale)
     lost = np.flatnonzero(np.abs(vectors[:, open_]).max(axis=1, initial=0.0) > 1e-6)
     covariance[lost, lost] = np.inf
-    words = tuple(_in_words(direction, scale, names) for direction in _plainest(vectors[:, open_]))
+    words = tuple(
+        _in_words(direction, scale, names) for direction in _plainest(vectors[:, open_])
+    )
     return Bound(tuple(names), covariance, words)
 
 
@@ -81,22 +85,31 @@ def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[
     covariance : (p, p) of the parameters, in the limit's unit squared
     names : (p,) of the parameters
     """
-    covariance = symmetric("covariance", covariance, len(names), "of the parameters' unit, squared")
+    covariance = symmetric(
+        "covariance", covariance, len(names), "of the parameters' unit, squared"
+    )
     values, vectors = np.linalg.eigh(covariance)
-    return tuple(_in_words(d, np.ones(len(names)), names) for d in _plainest(vectors[:, values > error**2]))
+    return tuple(
+        _in_words(d, np.ones(len(names)), names)
+        for d in _plainest(vectors[:, values > error**2])
+    )
 
 
 def _plainest(directions: Floats) -> Floats:
     """Rewrite the span of directions (p, k) as (k, p) combinations of few parameters, each with one parameter to itself."""
     if directions.shape[1] == 0:
         return directions.T
-    pivots = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
+    pivots = scipy.linalg.qr(directions.T, mode="r", pivoting=True)[1][
+        : directions.shape[1]
+    ]
     return np.asarray(np.linalg.solve(directions[pivots].T, directions.T))
 
 
 def _in_words(direction: Floats, scale: Floats, names: Sequence[str]) -> str:
     """Describe a direction (p,) in scaled parameters by the names, and in the units, of its largest components."""
-    named = [int(i) for i in np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())]
+    named = [
+        int(i) for i in np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
+    ]
     if len(named) == 1:
         return names[named[0]]
     parts = direction * scale

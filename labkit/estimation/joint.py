@@ -73,7 +73,11 @@ class Joint:
 
 
 def refit_jointly(
-    session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run, progress: Progress
+    session: Estimate,
+    targets: Mapping[str, Target],
+    stated: Stated,
+    run: Run,
+    progress: Progress,
 ) -> Joint:
     """Climb over all parameters at once by Gauss-Newton steps, from the two-level estimate.
 
@@ -94,7 +98,9 @@ def refit_jointly(
     ValueError : the session has no lens
     """
     if session.lens is None:
-        raise ValueError("the fits have no lens in common: there is nothing to climb together")
+        raise ValueError(
+            "the fits have no lens in common: there is nothing to climb together"
+        )
     first = lens = session.lens
     places = _optima(session)
     likelihoods = list[float]()
@@ -103,20 +109,26 @@ def refit_jointly(
         before = lens
         reached = _all_reached(session, targets, lens, places, run)
         places = reached
-        likelihoods.append(sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens))
+        likelihoods.append(
+            sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens)
+        )
         lens = _lens_of(session, reached, first, stated)
         if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
             break
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def refined(session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run) -> Estimate:
+def refined(
+    session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run
+) -> Estimate:
     """Replace the lens by the lens after the joint climb's first step, where camera parts were fitted.
 
     In squares of a filter's spread the likelihood is less parabolic than in other parameters, and the session's spread lies
     beyond the estimates of some single fits.
     """
-    if session.lens is None or not any(session.fits[k].optics.parts for k in session.members):
+    if session.lens is None or not any(
+        session.fits[k].optics.parts for k in session.members
+    ):
         return session
     try:
         reached = _all_reached(session, targets, session.lens, _optima(session), run)
@@ -128,11 +140,17 @@ def refined(session: Estimate, targets: Mapping[str, Target], stated: Stated, ru
 def _optima(session: Estimate) -> list[Reached]:
     """Return where the two levels left the members."""
     optima = [session.fits[k].optimum for k in session.members]
-    return [Reached(one.state, one.optics, one.measured, one.log_likelihood) for one in optima]
+    return [
+        Reached(one.state, one.optics, one.measured, one.log_likelihood) for one in optima
+    ]
 
 
 def _all_reached(
-    session: Estimate, targets: Mapping[str, Target], lens: LensFit, places: Sequence[Reached], run: Run
+    session: Estimate,
+    targets: Mapping[str, Target],
+    lens: LensFit,
+    places: Sequence[Reached],
+    run: Run,
 ) -> list[Reached]:
     """Step all members to the values that a lens predicts for them.
 
@@ -147,12 +165,16 @@ def _all_reached(
         values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
         views = share(run, Views(o.frames, o.poses, o.noise))
         explained = fit.optimum.verdict.accepted
-        legs.append(Leg(views, shown[o.channel], place.state, place.optics, values, explained))
+        legs.append(
+            Leg(views, shown[o.channel], place.state, place.optics, values, explained)
+        )
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 
 
-def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit, stated: Stated) -> LensFit:
+def _lens_of(
+    session: Estimate, reached: Sequence[Reached], like: LensFit, stated: Stated
+) -> LensFit:
     """Estimate the lens from the members' new measurements, under the laws of an earlier lens."""
     at = {session.rows[k]: one for k, one in zip(session.members, reached, strict=True)}
     rows = range(len(like.model.readings))
@@ -161,16 +183,25 @@ def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit, state
         for row, reading in zip(rows, like.model.readings, strict=True)
     ]
     members = np.array([row in at for row in rows])
-    return exact_lens(observed, np.where(members, 0, -1), members, stated, laws=like.model.laws)
+    return exact_lens(
+        observed, np.where(members, 0, -1), members, stated, laws=like.model.laws
+    )
 
 
 def reach(leg: Leg) -> Reached:
     """Step a member's own parameters to their likeliest values given the session's, and expand the likelihood there."""
-    state, optics = expand(problem_at(leg, leg.optics, leg.state), Start(leg.state)).at(leg.values)
+    state, optics = expand(problem_at(leg, leg.optics, leg.state), Start(leg.state)).at(
+        leg.values
+    )
     problem = problem_at(leg, optics, state)
     expansion = expand(problem, Start(state))
     measured = expansion.measured()
-    return Reached(state, optics, measured if leg.explained else expansion.sandwich(measured), expansion.objective)
+    return Reached(
+        state,
+        optics,
+        measured if leg.explained else expansion.sandwich(measured),
+        expansion.objective,
+    )
 
 
 def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
@@ -189,12 +220,17 @@ def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
 
 def _prior_chi2(lens: LensFit) -> float:
     columns = lens.model.columns
-    away = [(value - c.value) / c.prior_std for value, c in zip(lens.theta, columns, strict=True)]
+    away = [
+        (value - c.value) / c.prior_std
+        for value, c in zip(lens.theta, columns, strict=True)
+    ]
     return float(np.sum(np.square(away)))
 
 
 def _differences(one: LensFit, other: LensFit) -> dict[str, float]:
     """Return the absolute difference of every parameter, in standard errors."""
-    names = [" ".join(map(str, (column.kind, *column.name))) for column in one.model.columns]
+    names = [
+        " ".join(map(str, (column.kind, *column.name))) for column in one.model.columns
+    ]
     std = np.sqrt(np.diag(other.errors))
     return dict(zip(names, np.abs((one.theta - other.theta) / std).tolist(), strict=True))

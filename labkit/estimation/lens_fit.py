@@ -86,12 +86,20 @@ class LensFit:
     @property
     def p_value(self) -> float:
         """Probability of a chi2 at least as large."""
-        return float(chdtrc(self.degrees_of_freedom, self.chi2)) if self.degrees_of_freedom >= 1 else 1.0
+        return (
+            float(chdtrc(self.degrees_of_freedom, self.chi2))
+            if self.degrees_of_freedom >= 1
+            else 1.0
+        )
 
     @property
     def birge_ratio(self) -> float:
         """Birge ratio: factor by which errors grow if members disagree beyond chance, else 1."""
-        return float(np.sqrt(self.reduced_chi2)) if self.p_value < SETTINGS.contradiction_chance else 1.0
+        return (
+            float(np.sqrt(self.reduced_chi2))
+            if self.p_value < SETTINGS.contradiction_chance
+            else 1.0
+        )
 
     @cached_property
     def errors(self) -> Floats:
@@ -100,8 +108,17 @@ class LensFit:
 
     def errors_of(self, combinations: Floats) -> Floats:
         """Return the covariance (m, m) of m linear combinations (m, columns) of the parameters."""
-        noise = combinations @ self.solved.normal.covariance @ combinations.T * self.birge_ratio**2
-        return noise if self.bias is None else covariance_with_bias(noise, combinations @ self.bias.theta)
+        noise = (
+            combinations
+            @ self.solved.normal.covariance
+            @ combinations.T
+            * self.birge_ratio**2
+        )
+        return (
+            noise
+            if self.bias is None
+            else covariance_with_bias(noise, combinations @ self.bias.theta)
+        )
 
     def value(self, kind: str, *name: str | float) -> float:
         """Return the estimate of a column."""
@@ -123,7 +140,11 @@ class LensFit:
         own = self.solved.own_slopes
         followed = slopes - own @ self.solved.normal.eliminated[self.model.groups]
         common = followed @ self.solved.normal.covariance @ followed.transpose(0, 2, 1)
-        alone = own @ self.solved.normal.own_covariance[self.model.groups] @ own.transpose(0, 2, 1)
+        alone = (
+            own
+            @ self.solved.normal.own_covariance[self.model.groups]
+            @ own.transpose(0, 2, 1)
+        )
         return np.asarray(common + alone)
 
     @cached_property
@@ -142,7 +163,9 @@ class LensFit:
         grown = shares / np.maximum(1 - shares, LEAST_SHARE)
         turned = root @ vectors
         rest = np.einsum(
-            "nji,nj->ni", vectors, np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted)
+            "nji,nj->ni",
+            vectors,
+            np.einsum("nij,nj->ni", back, self.measured.values - self.solved.predicted),
         )
         away = np.einsum("nij,nj->ni", turned, grown * rest) * self.measured.used[:, None]
         others = (turned * grown[:, None]) @ turned.transpose(0, 2, 1)
@@ -179,31 +202,46 @@ class LensFit:
         normal, own = self.solved.normal, self.solved.own_slopes[k]
         group = self.model.groups[k]
         followed = slopes[0] - own @ normal.eliminated[group]
-        noise = followed @ normal.covariance @ followed.T + own @ normal.own_covariance[group] @ own.T
+        noise = (
+            followed @ normal.covariance @ followed.T
+            + own @ normal.own_covariance[group] @ own.T
+        )
         noise = noise * self.birge_ratio**2
         if self.bias is None:
             return np.asarray(noise)
-        return covariance_with_bias(noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group])
+        return covariance_with_bias(
+            noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group]
+        )
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
-        pull = ((self._eliminated_slopes @ (normal.covariance @ gradient))[:, None] @ self.solved.data.precision)[:, 0]
+        pull = (
+            (self._eliminated_slopes @ (normal.covariance @ gradient))[:, None]
+            @ self.solved.data.precision
+        )[:, 0]
         calibration = quadratic(pull, measured.calibration)
         surplus = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
         prior = ((gradient @ normal.covariance) / model.prior_std) ** 2
         kinds = [column.kind for column in model.columns]
         share = {
-            kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind)) for kind in dict.fromkeys(kinds)
+            kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind))
+            for kind in dict.fromkeys(kinds)
         }
         shares = {
             "photons": quadratic(pull, measured.covariance) - calibration - surplus,
             "calibration": calibration,
-            "geometry": float(scatter[-1]) + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
-            "model": surplus + float(scatter[:-1].sum()) + share.get(WAVELENGTH, 0.0) + share.get(CONE, 0.0),
+            "geometry": float(scatter[-1])
+            + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
+            "model": surplus
+            + float(scatter[:-1].sum())
+            + share.get(WAVELENGTH, 0.0)
+            + share.get(CONE, 0.0),
         }
-        shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(shares.values())
+        shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(
+            shares.values()
+        )
         return {name: float(np.sqrt(max(value, 0.0))) for name, value in shares.items()}
 
     @property
@@ -212,13 +250,19 @@ class LensFit:
 
         Laplace's approximation, exact for linear laws: S. F. Gull, in Maximum Entropy and Bayesian Methods (1988).
         """
-        noise = (self.measured.covariance + np.diag(self.model.scatter()))[self.measured.used]
+        noise = (self.measured.covariance + np.diag(self.model.scatter()))[
+            self.measured.used
+        ]
         prior = np.sum(np.log(self.model.prior_std))
         log_noise = float(np.linalg.slogdet(noise)[1].sum())
-        return -0.5 * (self.chi2 + log_noise + self.solved.normal.log_determinant()) - float(prior)
+        return -0.5 * (
+            self.chi2 + log_noise + self.solved.normal.log_determinant()
+        ) - float(prior)
 
 
-def fit_lens(model: LensModel, measured: Measurements, start: Point | None = None) -> LensFit:
+def fit_lens(
+    model: LensModel, measured: Measurements, start: Point | None = None
+) -> LensFit:
     """Estimate the session's parameters by least squares.
 
     Parameters
@@ -229,7 +273,9 @@ def fit_lens(model: LensModel, measured: Measurements, start: Point | None = Non
     """
     noise = measured.covariance + np.diag(model.scatter())
     data = Data.of(measured.values, noise, measured.used)
-    return LensFit(model, measured, solve(model, data, start or first_point(model, measured)))
+    return LensFit(
+        model, measured, solve(model, data, start or first_point(model, measured))
+    )
 
 
 def first_point(model: LensModel, measured: Measurements) -> Point:
@@ -243,7 +289,10 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
         for channel in model.channels
         if np.any(here := (channels == channel) & measured.used)
     }
-    first = found.get(model.reference, float(np.mean(list(found.values()))) if found else float(ranges.mean()))
+    first = found.get(
+        model.reference,
+        float(np.mean(list(found.values()))) if found else float(ranges.mean()),
+    )
     theta[model.index("best focus")] = first
     for channel in model.channels:
         if channel != model.reference:

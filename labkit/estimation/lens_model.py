@@ -132,7 +132,9 @@ class LensModel:
     def by_group(self, rows: Floats) -> Floats:
         """Sum rows (n, ...) over the observations of each group, (groups, ...)."""
         order, first = self._group_order
-        return np.asarray(np.add.reduceat(rows if order is None else rows[order], first, axis=0))
+        return np.asarray(
+            np.add.reduceat(rows if order is None else rows[order], first, axis=0)
+        )
 
     @cached_property
     def _group_order(self) -> tuple[Indices | None, Indices]:
@@ -215,7 +217,9 @@ class LensModel:
 
     def lens(self, theta: Floats) -> ThinLens:
         """Return the lens for parameters (columns,)."""
-        focal_mm, f_number, pupils = (float(theta[self.index(kind)]) for kind in GEOMETRY[:3])
+        focal_mm, f_number, pupils = (
+            float(theta[self.index(kind)]) for kind in GEOMETRY[:3]
+        )
         return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
 
     def true(self, theta: Floats, local: Floats) -> Floats:
@@ -242,7 +246,9 @@ class LensModel:
         whole = layout.linear.copy()
         whole[:, self._law_rows] += np.einsum("lan,anc->nlc", by_argument, layout.arguments)
         own = layout.local.copy()
-        own[:, self._law_rows] += np.einsum("lan,anc->nlc", by_argument, layout.local_arguments)
+        own[:, self._law_rows] += np.einsum(
+            "lan,anc->nlc", by_argument, layout.local_arguments
+        )
         shrunk = 1 - theta[self._wavelengths, None, None]
         modes = slice(0, len(self.noll))
         whole[:, modes] *= shrunk
@@ -269,7 +275,9 @@ class LensModel:
     @cached_property
     def _wavelengths(self) -> Indices:
         """(n,) place of each observation's wavelength column."""
-        return np.array([self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp)
+        return np.array(
+            [self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp
+        )
 
     def _by_wavelength(self, true: Floats) -> Floats:
         """Return derivatives (n, values) by the relative error of the light's wavelength."""
@@ -288,7 +296,9 @@ class LensModel:
         yield Column(RANGE_ZERO, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
         yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
         yield Column(CONE, (), 0.0, self.laws.cone_std, 1e-2)
-        homings = sorted({homing for reading in self.readings for homing in reading.homings})
+        homings = sorted(
+            {homing for reading in self.readings for homing in reading.homings}
+        )
         for homing in homings[1:]:
             yield Column(HOMING, (homing,), 0.0, stated.homing_std_mm, 1e-2)
         for station in sorted({reading.station for reading in self.readings}):
@@ -358,7 +368,9 @@ class LensModel:
         slopes[3:, self.index(RANGE_ZERO)] = 1.0
         slopes[3, self.index(STEPS, reading.station)] = 1.0
         for homing in dict.fromkeys(reading.homings):
-            if (column := self._places.get((HOMING, (homing,)))) is not None:  # all but the first
+            if (
+                column := self._places.get((HOMING, (homing,)))
+            ) is not None:  # all but the first
                 slopes[3, column] = reading.homings.count(homing) / len(reading.homings)
         slopes[4] += self.best_focus(reading.key.channel)
         slopes[5] += self.best_focus(self.reference)
@@ -373,13 +385,17 @@ class LensModel:
     def _laws(self, arguments: Floats) -> Floats:
         """Return defocus in waves RMS, ln of the working f-number and ln of the scale, (3, ...), for arguments (6, ...)."""
         f, n, pupils = arguments[:3]
-        lens = ThinLens(*cast(tuple[float, float, float], (f, n, np.exp(pupils))))  # arrays of lenses
+        lens = ThinLens(
+            *cast(tuple[float, float, float], (f, n, np.exp(pupils)))
+        )  # arrays of lenses
         ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
         colour = lens.in_colour(focus, reference)
         ranges = np.maximum(ranges, 1.01 * colour.focal_length_mm)
         return np.stack(
             [
-                defocus_waves(colour, ranges, focus, self.stated.reference_nm, self.stated.convention),
+                defocus_waves(
+                    colour, ranges, focus, self.stated.reference_nm, self.stated.convention
+                ),
                 np.log(colour.working_f_number(focus)),
                 np.log(lens.chief_ray_scale(ranges, reference)),
             ]

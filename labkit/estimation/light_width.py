@@ -26,13 +26,20 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
     Limits follow from the score tests of all fits that belong to the session, and are at most `WIDEST` of the wavelength.
     Channels whose spectrum is stated or fitted are left out.
     """
-    silent = {c.name: c.wavelength_nm for c in plan.channel if c.spectrum is None and c.width_nm is None}
+    silent = {
+        c.name: c.wavelength_nm
+        for c in plan.channel
+        if c.spectrum is None and c.width_nm is None
+    }
     said = dict[str, list[ScoreTest]]()
     for k in session.trusted:
         channel, scores = session.fits[k].channel, session.with_all_parts(k).scores
         if channel in silent and SpectrumWidth.name in scores:
             said.setdefault(channel, []).append(scores[SpectrumWidth.name])
-    return {name: silent[name] * _most(reduce(ScoreTest.__add__, tests)) for name, tests in said.items()}
+    return {
+        name: silent[name] * _most(reduce(ScoreTest.__add__, tests))
+        for name, tests in said.items()
+    }
 
 
 def _most(test: ScoreTest) -> float:

@@ -50,14 +50,27 @@ class FrameData:
 
     def __post_init__(self) -> None:
         if np.ndim(self.counts) != 2:
-            raise ValueError(f"counts has shape {np.shape(self.counts)}; (rows, columns) is needed (counts)")
+            raise ValueError(
+                f"counts has shape {np.shape(self.counts)}; (rows, columns) is needed (counts)"
+            )
         mask_array("used", self.used, self.counts.shape)
         if not self.used.any():
-            raise ValueError(f"used, shape {self.used.shape}: no pixel of the frame is used")
-        for name, unit in (("counts", "counts"), ("illumination", "relative"), ("relative_std", "relative")):
+            raise ValueError(
+                f"used, shape {self.used.shape}: no pixel of the frame is used"
+            )
+        for name, unit in (
+            ("counts", "counts"),
+            ("illumination", "relative"),
+            ("relative_std", "relative"),
+        ):
             value = np.asarray(getattr(self, name))
             same = value.shape == self.counts.shape  # what is not used may be anything
-            real_array(name, np.where(self.used, value, np.zeros_like(value)) if same else value, self.used.shape, unit)
+            real_array(
+                name,
+                np.where(self.used, value, np.zeros_like(value)) if same else value,
+                self.used.shape,
+                unit,
+            )
         if len(self.departures):
             real_array("departures", self.departures, (None, *self.used.shape), "relative")
         if len(self.rounding):
@@ -66,7 +79,11 @@ class FrameData:
     def light(self, unevenness: Floats) -> Floats:
         """Return the relative illumination (pixels,) of the used pixels. unevenness: (k,) coefficients of `departures`."""
         known = self.illumination[self.used]
-        return known * (1 + unevenness @ self.departures[:, self.used]) if len(self.departures) else known
+        return (
+            known * (1 + unevenness @ self.departures[:, self.used])
+            if len(self.departures)
+            else known
+        )
 
 
 def low_orders(rows: int, columns: int) -> Floats:
@@ -115,7 +132,9 @@ def expected(relative: Floats, data: FrameData, detector: Detector) -> NormalCou
     """
     light = data.light(detector.unevenness)
     if np.shape(relative) != light.shape:
-        raise ValueError(f"relative has shape {np.shape(relative)}; {light.shape} is needed (of the target's radiance)")
+        raise ValueError(
+            f"relative has shape {np.shape(relative)}; {light.shape} is needed (of the target's radiance)"
+        )
     return NormalCounts(
         light * (detector.scale * relative + detector.ambient),
         detector.gain,
@@ -154,7 +173,9 @@ def slopes(evaluation: Evaluation, data: FrameData, detector: Detector) -> Slope
     )
     of_mean *= data.light(detector.unevenness)
     if len(data.departures):
-        even = data.illumination[data.used] * (detector.scale * evaluation.mean + detector.ambient)
+        even = data.illumination[data.used] * (
+            detector.scale * evaluation.mean + detector.ambient
+        )
         of_mean = np.concatenate([of_mean, data.departures[:, data.used] * even])
     noise = (counts.gain, counts.read_variance, counts.relative_std, counts.rounding)
     return Slopes(counts.mean, *noise, of_mean=of_mean)

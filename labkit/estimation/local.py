@@ -72,13 +72,20 @@ class Optimum:
     def candidate(self) -> Candidate:
         """Candidate for the session's selection."""
         explained = self.verdict.accepted
-        return Candidate(self.measured if explained else self.sandwich, self.log_likelihood, explained)
+        return Candidate(
+            self.measured if explained else self.sandwich, self.log_likelihood, explained
+        )
 
     @property
     def unexplained(self) -> float:
         """Approximate deficit of the log-likelihood against residuals of noise alone."""
         pixels = sum(image.size for image in self.relative)
         return 0.5 * max(self.chi2_per_pixel - 1, 0.0) * pixels
+
+    def nearest_to(self, other: Optimum) -> Optimum:
+        """Return this optimum or its twin, whichever is nearer to another optimum."""
+        twin = self.twin()
+        return min(self, twin, key=lambda one: np.linalg.norm(one.waves - other.waves))
 
     def twin(self) -> Optimum:
         """Reverse the even modes: the twin makes the same pictures (thesis §3.6)."""
@@ -214,7 +221,11 @@ def find_optima(
     """
     began = perf_counter()
     search = _Search.of(optics, target, views, guesses, seed)
-    log = Log(guesses.most_starts if guesses.deep else 0, process_time() + guesses.patience_s, progress)
+    log = Log(
+        guesses.most_starts if guesses.deep else 0,
+        process_time() + guesses.patience_s,
+        progress,
+    )
     optima = list[Optimum]()
     for guess, state in search.states(log):
         progress("at full resolution")
@@ -224,7 +235,9 @@ def find_optima(
         optima = _with(optima, optimum)
         if optima[0] is optimum:
             expansion = freed.expansion
-        if optimum.verdict.accepted or (guess is not None and _as_predicted(optimum, guess)):
+        if optimum.verdict.accepted or (
+            guess is not None and _as_predicted(optimum, guess)
+        ):
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
     if guesses.score:
@@ -251,13 +264,31 @@ class _Search:
     first: State
 
     @classmethod
-    def of(cls, optics: Optics, target: Target, views: Views, guesses: Guesses, seed: int | Sequence[int]) -> _Search:
+    def of(
+        cls,
+        optics: Optics,
+        target: Target,
+        views: Views,
+        guesses: Guesses,
+        seed: int | Sequence[int],
+    ) -> _Search:
         frame, pose = views.frames[0], views.poses[0]
         cone_margin = SETTINGS.cone_margin if guesses.f_number_std else 0.0
-        model = ForwardModel.build(optics, target, frame.counts.shape, pose, cone_margin=cone_margin, shine=frame.shine)
-        sketched = Sketches(optics.in_one_wavelength(), target, frame, pose, views.noise, seed)
+        model = ForwardModel.build(
+            optics,
+            target,
+            frame.counts.shape,
+            pose,
+            cone_margin=cone_margin,
+            shine=frame.shine,
+        )
+        sketched = Sketches(
+            optics.in_one_wavelength(), target, frame, pose, views.noise, seed
+        )
         first = first_state(frame, pose, views.noise, len(optics.noll))
-        return cls(Problem(model, views.frames, views.noise), sketched, views, guesses, first)
+        return cls(
+            Problem(model, views.frames, views.noise), sketched, views, guesses, first
+        )
 
     def states(self, log: Log) -> Iterator[tuple[Floats | None, State]]:
         """Yield states to climb from, each with the predicted wavefront if there is one."""
@@ -267,33 +298,54 @@ class _Search:
         for waves in guesses.starts:
             log.starts += 1
             guess = replace(self.first, waves=np.asarray(waves, float))
-            yield waves, self._lit(waves) if guesses.poses else starts.settled(self.sketches, guess)
+            yield (
+                waves,
+                self._lit(waves) if guesses.poses else starts.settled(self.sketches, guess),
+            )
         for waves in guesses.modes:
             guess = replace(self.first, waves=np.asarray(waves, float))
             for state in starts.at_known_modes(self.sketches, guess, log):
                 yield waves, state
         if guesses.deep or not (guesses.state or guesses.starts or guesses.modes):
-            swept = starts.swept(self.sketches, self.first, log, doubt_near_focus=guesses.alone)
+            swept = starts.swept(
+                self.sketches, self.first, log, doubt_near_focus=guesses.alone
+            )
             for state in swept:
                 yield None, state
 
     def climbed(self, state: State) -> Freed:
         """Climb over all frames to the optimum near a state of the first one, or of all."""
-        begin = state if len(state.poses) == len(self.views.poses) > 1 else self._all_frames(state)
+        begin = (
+            state
+            if len(state.poses) == len(self.views.poses) > 1
+            else self._all_frames(state)
+        )
         freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
         if not freed.solution.converged:
             near = maximize(self.whole, begin, exact=False)
-            freed = free_cone(self.whole, near.begun or Start(near.state), self.guesses.f_number_std)
+            freed = free_cone(
+                self.whole, near.begun or Start(near.state), self.guesses.f_number_std
+            )
         return freed
 
     def _lit(self, waves: Floats) -> State:
         """Return the state of a wavefront at known poses, its light fitted frame by frame."""
         poses, frames = self.guesses.poses, self.views.frames
-        start = replace(self.first, waves=waves, poses=poses, scales=np.ones(len(poses)), ambients=np.zeros(len(poses)))
+        start = replace(
+            self.first,
+            waves=waves,
+            poses=poses,
+            scales=np.ones(len(poses)),
+            ambients=np.zeros(len(poses)),
+        )
         levels = []
         for frame, image in zip(frames, self.whole.relative(start), strict=True):
             light = frame.illumination[frame.used]
-            levels.append(np.linalg.lstsq(np.stack([light * image, light], axis=1), frame.counts[frame.used])[0])
+            levels.append(
+                np.linalg.lstsq(
+                    np.stack([light * image, light], axis=1), frame.counts[frame.used]
+                )[0]
+            )
         scales, ambients = np.array(levels).T
         return replace(start, scales=scales, ambients=ambients)
 
@@ -322,14 +374,20 @@ def _judged(freed: Freed) -> Optimum:
     return Optimum(
         state=solution.state,
         optics=freed.optics,
-        covariance=freed.covariance if explained else freed.covariance + freed.sandwich.model[:modes, :modes],
+        covariance=freed.covariance
+        if explained
+        else freed.covariance + freed.sandwich.model[:modes, :modes],
         measured=freed.measured,
         sandwich=freed.sandwich,
         log_likelihood=solution.objective,
         chi2_per_pixel=solution.chi2_per_pixel,
-        verdict=verdict.given_covariance(solution.covariance()[:modes, :modes], freed.measured.noll),
+        verdict=verdict.given_covariance(
+            solution.covariance()[:modes, :modes], freed.measured.noll
+        ),
         relative=tuple(solution.relative),
-        residual_power=residual_spectrum(problem.frames, solution.relative, solution.state.detectors()),
+        residual_power=residual_spectrum(
+            problem.frames, solution.relative, solution.state.detectors()
+        ),
     )
 
 
@@ -343,10 +401,14 @@ def _with(optima: Sequence[Optimum], new: Optimum) -> list[Optimum]:
 
 def _alike(one: Optimum, other: Optimum) -> bool:
     """Whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error."""
-    near = min(float(np.linalg.norm(one.waves - w)) for w in (other.waves, other.waves * twin_signs(other.noll)))
+    near = min(
+        float(np.linalg.norm(one.waves - w))
+        for w in (other.waves, other.waves * twin_signs(other.noll))
+    )
     error = float(np.sqrt(np.trace(one.covariance)))
     return (
-        abs(one.log_likelihood - other.log_likelihood) < SETTINGS.same_optimum or near < SETTINGS.settled_stds * error
+        abs(one.log_likelihood - other.log_likelihood) < SETTINGS.same_optimum
+        or near < SETTINGS.settled_stds * error
     )
 
 
@@ -362,15 +424,26 @@ def _below(others: Sequence[tuple[Floats, float]]) -> tuple[tuple[Floats, float]
 
 def first_state(frame: FrameData, pose: Pose, noise: NoisePrior, modes: int) -> State:
     """Return a state with zero wavefront and the light from the frame's own range of counts."""
-    low, high = np.percentile(frame.counts[frame.used] / frame.illumination[frame.used], [2, 98])
+    low, high = np.percentile(
+        frame.counts[frame.used] / frame.illumination[frame.used], [2, 98]
+    )
     even = np.zeros(len(frame.departures))
-    return State(np.zeros(modes), (pose,), np.array([high - low]), np.array([low]), noise.centre, even)
+    return State(
+        np.zeros(modes),
+        (pose,),
+        np.array([high - low]),
+        np.array([low]),
+        noise.centre,
+        even,
+    )
 
 
 def residuals(optimum: Optimum, frames: Sequence[FrameData]) -> list[tuple[Floats, Floats]]:
     """Return mean and standard deviation, in counts, of each frame's used pixels at an optimum."""
     predictions = [
         predict(image, frame, detector)
-        for image, frame, detector in zip(optimum.relative, frames, optimum.state.detectors(), strict=True)
+        for image, frame, detector in zip(
+            optimum.relative, frames, optimum.state.detectors(), strict=True
+        )
     ]
     return [(mean, np.sqrt(variance)) for mean, variance in predictions]

@@ -27,7 +27,9 @@ def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
     Of two twins the nearer counts.
     """
     near = _near(optimum, with_missing)
-    return near.waves - optimum.waves, float(np.log(near.optics.f_number / optimum.optics.f_number))
+    return near.waves - optimum.waves, float(
+        np.log(near.optics.f_number / optimum.optics.f_number)
+    )
 
 
 def confirmed(session: Estimate, index: int) -> bool:
@@ -51,14 +53,24 @@ def with_model_error(session: Estimate) -> Estimate:
         return session
     every = [Observed(reading) for reading in lens.model.readings]
     for k in session.members:
-        row, complete = session.rows[k], _near(session.fits[k].optimum, session.with_all_parts(k))
+        row, complete = (
+            session.rows[k],
+            _near(session.fits[k].optimum, session.with_all_parts(k)),
+        )
         assert row is not None
         every[row] = replace(every[row], candidates=(complete.candidate,))
     members = lens.measured.used
     choice = np.where(members, 0, OUT)
-    complete_lens = exact_lens(every, choice, members, lens.model.stated, laws=lens.model.laws)
-    values = {(c.kind, c.name): v for c, v in zip(complete_lens.model.columns, complete_lens.theta, strict=True)}
-    there = np.array([values.get((c.kind, c.name), 0.0) for c in lens.model.columns])  # a part that gave way is 0
+    complete_lens = exact_lens(
+        every, choice, members, lens.model.stated, laws=lens.model.laws
+    )
+    values = {
+        (c.kind, c.name): v
+        for c, v in zip(complete_lens.model.columns, complete_lens.theta, strict=True)
+    }
+    there = np.array(
+        [values.get((c.kind, c.name), 0.0) for c in lens.model.columns]
+    )  # a part that gave way is 0
     bias = Point(there - lens.theta, complete_lens.solved.point.own - lens.solved.point.own)
     bias_chi2 = complete_lens.solved.chi2 - lens.solved.chi2
     return replace(session, lens=replace(lens, bias=bias, bias_chi2=bias_chi2))

@@ -22,6 +22,8 @@ def parameter_names(state: State, noll: Sequence[int]) -> tuple[str, ...]:
     one name for each row of the information matrix
     """
     modes = [mode_name(j) for j in noll]
-    frames = [f"{name} of frame {k + 1}" for k in range(len(state.poses)) for name in OF_A_FRAME]
+    frames = [
+        f"{name} of frame {k + 1}" for k in range(len(state.poses)) for name in OF_A_FRAME
+    ]
     light = [f"unevenness {k + 1}" for k in range(state.unevenness.size)]
     return (*modes, *frames, *light, "log gain", "log read variance")

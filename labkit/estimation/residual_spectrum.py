@@ -15,7 +15,9 @@ def residual_frequencies(frames: Sequence[FrameData]) -> Floats:
     return (np.arange(BINS) + 0.5) * _highest(frames) / BINS
 
 
-def residual_spectrum(frames: Sequence[FrameData], relative: Sequence[Floats], detectors: Sequence[Detector]) -> Floats:
+def residual_spectrum(
+    frames: Sequence[FrameData], relative: Sequence[Floats], detectors: Sequence[Detector]
+) -> Floats:
     """Compute the power of normalised residuals by spatial frequency.
 
     Frequencies beyond the Nyquist frequency of a Bayer plane are aliases, and are left out.

@@ -17,7 +17,16 @@ from labkit.estimation.settings import SETTINGS
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats
 
-LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (2, 2), (2, -2))  # rows and columns, in pixels
+LAGS = (
+    (0, 1),
+    (1, 0),
+    (1, 1),
+    (1, -1),
+    (0, 2),
+    (2, 0),
+    (2, 2),
+    (2, -2),
+)  # rows and columns, in pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +57,10 @@ class Verdict:
 
 
 def judge(
-    problem: Problem, state: State, relative: Sequence[Floats], model_error: float = SETTINGS.model_error
+    problem: Problem,
+    state: State,
+    relative: Sequence[Floats],
+    model_error: float = SETTINGS.model_error,
 ) -> Verdict:
     """Judge an optimum by its residuals.
 
@@ -76,7 +88,11 @@ def judge(
     across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))
     calibrated = bool(np.all(problem.noise.precision > SETTINGS.unmeasured**-2))
     for frame, detector, u in zip(problem.frames, state.detectors(), relative, strict=True):
-        mean, variance = predict(u, frame, replace(detector, gain=float(gain), read_variance=float(read_variance)))
+        mean, variance = predict(
+            u,
+            frame,
+            replace(detector, gain=float(gain), read_variance=float(read_variance)),
+        )
         residual = frame.counts[frame.used] - mean
         total += float(np.sum(residual**2 / variance))
         pixels += mean.size
@@ -90,12 +106,18 @@ def judge(
     excess = 0.0
     if calibrated:
         shares = np.array([photons / pixels, 1 - photons / pixels])
-        allowed = 2 / pixels + float(np.sum(shares**2 / problem.noise.precision)) + model_error**2
+        allowed = (
+            2 / pixels + float(np.sum(shares**2 / problem.noise.precision)) + model_error**2
+        )
         excess = float((total / pixels - 1) / np.sqrt(allowed))
     # products of independent residuals scatter about zero by their own squares, whatever the pixels' variances
     lags = scatter > 0  # a Bayer plane has no neighbours at odd distances
-    correlation = float(np.sum(across[lags] ** 2 / scatter[lags])) / (1 + pixels * (model_error / 4) ** 2)
-    p_value = min(1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), correlation))))
+    correlation = float(np.sum(across[lags] ** 2 / scatter[lags])) / (
+        1 + pixels * (model_error / 4) ** 2
+    )
+    p_value = min(
+        1.0, 2 * float(min(ndtr(-excess), chdtrc(np.count_nonzero(lags), correlation)))
+    )
     return Verdict(p_value, p_value >= SETTINGS.contradiction_chance, excess, correlation)
 
 

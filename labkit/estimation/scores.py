@@ -50,7 +50,9 @@ class ScoreTest:
         return float(0.5 * step @ self.slope) if step.max() > 0 and step.sum() > 0 else 0.0
 
 
-def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float) -> dict[str, ScoreTest]:
+def score_tests(
+    expansion: Expansion, names: Sequence[str], f_number_std: float
+) -> dict[str, ScoreTest]:
     """Test for camera parts that a model lacks, by the likelihood about its optimum without them.
 
     Parameters
@@ -72,20 +74,27 @@ def score_tests(expansion: Expansion, names: Sequence[str], f_number_std: float)
     kept = np.setdiff1d(np.arange(len(wider.gradient)), np.concatenate([*added.values()]))
     information, gradient = wider.information.copy(), wider.gradient
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
-    others = kept[(kept >= first) & (kept < cone)]  # present parts keep the prior that they have in a climb
+    others = kept[
+        (kept >= first) & (kept < cone)
+    ]  # present parts keep the prior that they have in a climb
     information[others, others] += without.camera_stds[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
     result = {}
     for name, at in added.items():
         pulled = information[np.ix_(at, kept)] @ rest
         slope = gradient[at] - pulled @ gradient[kept]
-        result[name] = ScoreTest(slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)])
+        result[name] = ScoreTest(
+            slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)]
+        )
     return result
 
 
 def _added(without: Optics, names: Sequence[str]) -> dict[str, NDArray[np.intp]]:
     """Return the places of each added part's numbers among the camera parameters: behind the parts that are present."""
-    at, places = sum(len(part.labels) for part in without.parts), dict[str, NDArray[np.intp]]()
+    at, places = (
+        sum(len(part.labels) for part in without.parts),
+        dict[str, NDArray[np.intp]](),
+    )
     for name in names:
         many = len(KNOWN[name].labels)
         places[name] = np.arange(at, at + many)

@@ -61,10 +61,16 @@ class Searches:
     made: int = 0
 
     def __post_init__(self) -> None:
-        self._shown = {channel: share(self.run, target) for channel, target in self.targets.items()}
-        self._views = [share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations]
+        self._shown = {
+            channel: share(self.run, target) for channel, target in self.targets.items()
+        }
+        self._views = [
+            share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations
+        ]
 
-    def __call__(self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str) -> dict[int, Found]:
+    def __call__(
+        self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
+    ) -> dict[int, Found]:
         """Search for the optima of observations, by place.
 
         Results are in the order of the observations. Searches at the shortest wavelength start first, for their pictures are
@@ -92,9 +98,25 @@ class Searches:
         self.fitted |= results.keys()
         return dict(sorted(results.items()))
 
+    @property
+    def left_out(self) -> list[str]:
+        """Lines about the observations without a fit."""
+        fitted = {self.observations[k].key.label for k in self.fitted}
+        return [
+            f"{label} is left out: {why}; close other programs and fit again"
+            for label, why in self.lost.items()
+            if label not in fitted
+        ]
+
     def _task(self, k: int, optics: Optics, guesses: Guesses) -> Task:
         observation = self.observations[k]
-        return Task(observation.key.label, optics, self._shown[observation.channel], self._views[k], guesses)
+        return Task(
+            observation.key.label,
+            optics,
+            self._shown[observation.channel],
+            self._views[k],
+            guesses,
+        )
 
 
 def _named(doing: str, under_way: Mapping[int, str]) -> str:

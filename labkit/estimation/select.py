@@ -15,7 +15,13 @@ from scipy.special import chdtrc
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Candidate, Observed, mostly_unexplained
 from labkit.estimation.laws import Laws
-from labkit.estimation.lens_fit import LensFit, Measurements, crossing, fit_lens, focus_slope
+from labkit.estimation.lens_fit import (
+    LensFit,
+    Measurements,
+    crossing,
+    fit_lens,
+    focus_slope,
+)
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
@@ -69,7 +75,9 @@ class Options:
                 measured = candidate.measured.labelled(model.parts)
                 here = [2 * at, 2 * at + 1]
                 options.values[k, here] = measured.values, measured.values * measured.signs
-                options.covariance[k, here] = measured.covariance * (1.0 if candidate.explained else growth)
+                options.covariance[k, here] = measured.covariance * (
+                    1.0 if candidate.explained else growth
+                )
                 options.covariance[k, here[1]] *= np.outer(measured.signs, measured.signs)
                 options.gain[k, here] = candidate.log_likelihood - best
                 options.foreshortening[k, here] = measured.foreshortening
@@ -101,7 +109,9 @@ class Selection:
     def outliers(self) -> list[Key]:
         """Keys of fitted observations that do not belong to the session."""
         fitted = self.choice != OUT
-        return [self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)]
+        return [
+            self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)
+        ]
 
     def candidate(self, k: int) -> tuple[Candidate, int]:
         """Return the chosen candidate of observation k, and its sign: -1 for the twin."""
@@ -127,11 +137,15 @@ class _Choices:
         values[:, -1] += self.options.foreshortening[n, at, 0]
         return Measurements(values, self.options.covariance[n, at], none, none, members)
 
-    def fit(self, choice: Indices, members: Bools, start: Point | None = None) -> tuple[LensFit, float]:
+    def fit(
+        self, choice: Indices, members: Bools, start: Point | None = None
+    ) -> tuple[LensFit, float]:
         """Estimate the lens of a choice; return the lens and the penalised log-likelihood."""
         lens = fit_lens(self.model, self.measured(choice, members), start)
         n = np.flatnonzero(members)
-        gained = float(self.options.gain[n, choice[n]].sum()) + 0.5 * self.model.values * len(n)
+        gained = float(
+            self.options.gain[n, choice[n]].sum()
+        ) + 0.5 * self.model.values * len(n)
         left_out = self.options.fitted & ~members
         return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[left_out].sum())
 
@@ -177,7 +191,9 @@ class _Choices:
             yield best
         yield from (order[k : k + 1] for k in range(min(len(order), 8)))
 
-    def _proposals(self, lens: LensFit, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
+    def _proposals(
+        self, lens: LensFit, choice: Indices, members: Bools
+    ) -> tuple[Indices, Floats]:
         """Return the best option of each observation, (n,), by leave-one-out prediction, and its promised gain, (n,)."""
         predicted, covariance = lens.predictions
         rest = self.options.values - predicted[:, None]
@@ -185,7 +201,11 @@ class _Choices:
         chi2 = np.empty_like(self.options.gain)
         for at in range(chi2.shape[1]):
             noise = self.options.covariance[:, at] + covariance
-            chi2[:, at] = np.einsum("nv,nv->n", rest[:, at], np.linalg.solve(noise, rest[:, at, :, None])[..., 0])
+            chi2[:, at] = np.einsum(
+                "nv,nv->n",
+                rest[:, at],
+                np.linalg.solve(noise, rest[:, at, :, None])[..., 0],
+            )
         net_gain = self.options.gain - 0.5 * (chi2 - self.model.values)
         best = np.argmax(net_gain, axis=1)
         n = np.arange(len(best))
@@ -200,10 +220,14 @@ class _Choices:
 
 def poor_model(observed: Sequence[Observed]) -> bool:
     """Whether the model is incomplete for all: the residuals of most observations are not noise alone."""
-    return mostly_unexplained(any(c.explained for c in one.candidates) for one in observed if one.candidates)
+    return mostly_unexplained(
+        any(c.explained for c in one.candidates) for one in observed if one.candidates
+    )
 
 
-def select(observed: Sequence[Observed], stated: Stated, *, everyone: bool = False) -> Selection:
+def select(
+    observed: Sequence[Observed], stated: Stated, *, everyone: bool = False
+) -> Selection:
     """Choose candidate, sign and membership of every observation, and estimate the lens.
 
     Parameters
@@ -224,7 +248,9 @@ def select(observed: Sequence[Observed], stated: Stated, *, everyone: bool = Fal
     first = next((one.candidates[0].measured for one in observed if one.candidates), None)
     if first is None:
         raise ValueError("no observation has a candidate: there is nothing to select from")
-    model = LensModel(tuple(one.reading for one in observed), first.noll, _labels(observed), stated)
+    model = LensModel(
+        tuple(one.reading for one in observed), first.noll, _labels(observed), stated
+    )
     options = Options.of(observed, model)
     if everyone:
         options.cost[:] = np.inf
@@ -236,7 +262,9 @@ def select(observed: Sequence[Observed], stated: Stated, *, everyone: bool = Fal
         for laws in _looser(observed):
             one = replace(strict, model=replace(model, laws=laws.rough()))
             ends.append((one, *one.ascend(*start)))
-    choices, choice, members, _, value = max(ends, key=lambda end: end[4] - end[0].occam(end[1], end[2]))
+    choices, choice, members, _, value = max(
+        ends, key=lambda end: end[4] - end[0].occam(end[1], end[2])
+    )
     lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
     is_open = () if everyone else _open_channels(choices, choice, members, value)
     return Selection(observed, choice, members, lens, value, is_open)
@@ -246,11 +274,18 @@ def _looser(observed: Sequence[Observed]) -> list[Laws]:
     """Return laws to try in place of the strictest; defocus leaves its law only if the model is incomplete for all."""
     if poor_model(observed):
         return [*Laws.looser(), Laws.loosest()]
-    return [laws for laws in Laws.looser() if laws.defocus_scatter == Laws().defocus_scatter]
+    return [
+        laws for laws in Laws.looser() if laws.defocus_scatter == Laws().defocus_scatter
+    ]
 
 
 def exact_lens(
-    observed: Sequence[Observed], choice: Indices, members: Bools, stated: Stated, *, laws: Laws | None = None
+    observed: Sequence[Observed],
+    choice: Indices,
+    members: Bools,
+    stated: Stated,
+    *,
+    laws: Laws | None = None,
 ) -> LensFit:
     """Estimate the lens from chosen candidates, under given laws or the strictest laws that they do not contradict."""
     first = next(one.candidates[0].measured for one in observed if one.candidates)
@@ -261,10 +296,19 @@ def exact_lens(
     if own_tilt.size:
         measured.covariance[:, -1, -1] += own_tilt**2
     lens = fit_lens(model, measured)
-    stations = {one.reading.station for one, member in zip(observed, members, strict=True) if member}
-    if laws is not None or lens.p_value >= SETTINGS.contradiction_chance or len(stations) < 2:
+    stations = {
+        one.reading.station for one, member in zip(observed, members, strict=True) if member
+    }
+    if (
+        laws is not None
+        or lens.p_value >= SETTINGS.contradiction_chance
+        or len(stations) < 2
+    ):
         return lens
-    fits = [fit_lens(replace(model, laws=one), measured, lens.solved.point) for one in Laws.looser()]
+    fits = [
+        fit_lens(replace(model, laws=one), measured, lens.solved.point)
+        for one in Laws.looser()
+    ]
     return max([lens, *fits], key=lambda fit: fit.log_evidence)
 
 
@@ -280,7 +324,11 @@ def _measurements(
         place, twin = divmod(int(choice[k]), 2)
         measured = observed[k].candidates[place].measured.labelled(model.parts)
         measured = measured.twin() if twin else measured
-        values[k], covariance[k], calibration[k] = measured.values, measured.covariance, measured.calibration
+        values[k], covariance[k], calibration[k] = (
+            measured.values,
+            measured.covariance,
+            measured.calibration,
+        )
         tilts[k] = measured.foreshortening
         if measured.model.size:
             surplus[k] = measured.model
@@ -295,15 +343,29 @@ def _measurements(
 
 def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
     """Return the labels of all parts' numbers that any candidate has."""
-    every = (label for one in observed for candidate in one.candidates for label in candidate.measured.parts)
+    every = (
+        label
+        for one in observed
+        for candidate in one.candidates
+        for label in candidate.measured.parts
+    )
     return tuple(dict.fromkeys(every))
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
     """Return the most precise of m foreshortenings, (m, 2), if all agree, else None."""
     best, error = min(tilts.tolist(), key=lambda tilt: tilt[1])
-    misfit = float(np.sum((tilts[:, 0] - best) ** 2 / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)))
-    return (best, error) if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance else None
+    misfit = float(
+        np.sum(
+            (tilts[:, 0] - best) ** 2
+            / (tilts[:, 1] ** 2 + error**2 + SETTINGS.size_floor**2)
+        )
+    )
+    return (
+        (best, error)
+        if chdtrc(len(tilts), misfit) > SETTINGS.contradiction_chance
+        else None
+    )
 
 
 def _started(choices: _Choices) -> tuple[Indices, Bools]:
@@ -334,9 +396,15 @@ def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) ->
     model = choices.model
     ranges = np.array([choices.observed[k].reading.range_mm for k in places])
     order = np.argsort(ranges, kind="stable")
-    both = choices.options.values[places[:, None], choice[places][:, None] + [0, 1]]  # each candidate and its twin
+    both = choices.options.values[
+        places[:, None], choice[places][:, None] + [0, 1]
+    ]  # each candidate and its twin
     positive: Indices = (both[:, 0, model.defocus] < 0).astype(np.intp)
-    like = np.median(_modes(choices, choice, np.flatnonzero(known)), axis=0) if known.any() else None
+    like = (
+        np.median(_modes(choices, choice, np.flatnonzero(known)), axis=0)
+        if known.any()
+        else None
+    )
     best, least = positive, np.inf
     for negative in range(len(places) + 1):
         turned = positive.copy()
@@ -366,18 +434,27 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     cost = (values[:, model.defocus] - line) ** 2 / slack
     cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough**2
     if like is not None:
-        cost += np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1) / SETTINGS.colour_modes_std**2
+        cost += (
+            np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1)
+            / SETTINGS.colour_modes_std**2
+        )
     numbers = model.values
     return float(numbers * np.sum(np.log1p(cost / numbers)))
 
 
-def _open_channels(choices: _Choices, choice: Indices, members: Bools, value: float) -> tuple[str, ...]:
+def _open_channels(
+    choices: _Choices, choice: Indices, members: Bools, value: float
+) -> tuple[str, ...]:
     """Return channels whose next best signs are hardly less likely. Tiles are not tested: the field determines their signs."""
     if choices.model.tiled:
         return ()
     found = []
     for channel in choices.model.channels:
-        of = [k for k in np.flatnonzero(members) if choices.observed[k].reading.key.channel == channel]
+        of = [
+            k
+            for k in np.flatnonzero(members)
+            if choices.observed[k].reading.key.channel == channel
+        ]
         stations = {choices.observed[k].reading.station for k in of}
         if len(stations) < 2:
             continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from labkit.estimation.stated import Stated
 from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_parts
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
 from labkit.target import Target
@@ -113,7 +111,11 @@ class _Loop:
 
     def _next(self) -> dict[int, Guesses]:
         """Return the next fits by observation; none once no fit can gain."""
-        places = [k for k in range(len(self.observations)) if self.observations[k].key.label not in self.search.lost]
+        places = [
+            k
+            for k in range(len(self.observations))
+            if self.observations[k].key.label not in self.search.lost
+        ]
         left = [k for k in places if k not in self.found]
         if not self.found:
             self.anchors = self._anchors(left) if left else []
@@ -130,10 +132,16 @@ class _Loop:
         channels = [self.observations[k].channel for k in places]
         first = "G" if "G" in channels else channels[0]
         of = [k for k in places if self.observations[k].channel == first]
-        ranges = {k: r for k in of if (r := self.observations[k].measured_range_mm) is not None}
+        ranges = {
+            k: r for k in of if (r := self.observations[k].measured_range_mm) is not None
+        }
         if not ranges:
             return of[:1]
-        return list(dict.fromkeys([min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]))
+        return list(
+            dict.fromkeys(
+                [min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]
+            )
+        )
 
     def _undecided(self) -> list[int]:
         """Return the anchors if none is explained and they do not confirm each other.
@@ -152,7 +160,11 @@ class _Loop:
             inside = np.flatnonzero(selection.members)
             stations = {selection.observed[k].reading.station for k in inside}
             returned = all(found.returns for found in self.found.values())
-            if returned and len(stations) > 1 and selection.members[selection.choice != OUT].all():
+            if (
+                returned
+                and len(stations) > 1
+                and selection.members[selection.choice != OUT].all()
+            ):
                 return []
         return list(self.found)
 
@@ -166,7 +178,9 @@ class _Loop:
             patience_s=self.patience_s,
         )
 
-    def _predicted(self, left: Sequence[int], selection: Selection | None) -> dict[int, Guesses]:
+    def _predicted(
+        self, left: Sequence[int], selection: Selection | None
+    ) -> dict[int, Guesses]:
         """Return first fits: from the prediction if defocus is predicted well; else the clearest of each channel.
 
         Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction.
@@ -187,7 +201,9 @@ class _Loop:
                 sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
                 continue
             channel = self.observations[k].channel
-            leaders[channel] = max(leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k))
+            leaders[channel] = max(
+                leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k)
+            )
         for _, k in leaders.values():
             sure[k] = self._guess(modes=(predicted[rows[k], : len(self.noll)],))
         return sure
@@ -204,7 +220,9 @@ class _Loop:
         predicted, _ = lens.predictions
         doubted = dict[int, Guesses]()
         poor = poor_model(selection.observed)
-        anyone = not poor and any(found.best.verdict.accepted for found in self.found.values())
+        anyone = not poor and any(
+            found.best.verdict.accepted for found in self.found.values()
+        )
         for row, k in enumerate(self.ranged):
             if k not in self.found or selection.choice[row] == OUT:
                 continue
@@ -222,7 +240,9 @@ class _Loop:
     def _new(self, k: int, waves: Floats) -> bool:
         """Whether no climb of an observation began near a wavefront, and further climbs are allowed."""
         before = self.starts.get(k, [])
-        far = all(np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before)
+        far = all(
+            np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before
+        )
         return far and len(before) < SETTINGS.tried
 
     def _known_poses(self, k: int) -> tuple[Pose, ...]:
@@ -233,7 +253,9 @@ class _Loop:
             if j != k and there.names and there.names == here.names:
                 (top, left), (other_top, other_left) = here.origin_px, there.origin_px
                 poses = self.found[j].best.state.poses
-                return tuple(pose.shifted(top - other_top, left - other_left) for pose in poses)
+                return tuple(
+                    pose.shifted(top - other_top, left - other_left) for pose in poses
+                )
         return ()
 
     def _guess(
@@ -245,7 +267,9 @@ class _Loop:
         unknown = self._from_nothing(deep=False)
         known = self._clearest().verdict.accepted
         cone_std = SETTINGS.shared_cone_std if known else unknown.f_number_std
-        return replace(unknown, f_number_std=cone_std, starts=starts, poses=poses, modes=modes)
+        return replace(
+            unknown, f_number_std=cone_std, starts=starts, poses=poses, modes=modes
+        )
 
     # fits
 
@@ -263,16 +287,17 @@ class _Loop:
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
         observation = self.observations[k]
-        optics = _with(optics_of(self.plan, observation.channel), self.parts)
+        optics = optics_of(self.plan, observation.channel).with_parts(self.parts)
         if not self.found:
             return replace(optics, f_number=self.engraved_cone.value)
         if selection is not None and k in self.ranged:
             predicted, _ = selection.lens.predictions
-            return _with_numbers(
-                optics, selection.lens.model.parts, predicted[self.ranged.index(k), len(self.noll) : -1]
+            return optics.with_named(
+                selection.lens.model.parts,
+                predicted[self.ranged.index(k), len(self.noll) : -1],
             )
         clearest = self._clearest().optics
-        return _with_numbers(optics, clearest.camera_labels, clearest.camera_parameters)
+        return optics.with_named(clearest.camera_labels, clearest.camera_parameters)
 
     def _clearest(self) -> Optimum:
         """Return the optimum from which others begin if no lens predicts them: explained, and farthest from focus."""
@@ -297,7 +322,11 @@ class _Loop:
         """Return the optimum of observation k, with the session's sign if the session decides it."""
         selection = self.selection()
         found = self.found[k]
-        if selection is None or k not in self.ranged or selection.choice[self.ranged.index(k)] == OUT:
+        if (
+            selection is None
+            or k not in self.ranged
+            or selection.choice[self.ranged.index(k)] == OUT
+        ):
             return found.best.canonical()
         place, twin = divmod(int(selection.choice[self.ranged.index(k)]), 2)
         usable = [one for one in found.optima if not one.verdict.undetermined]
@@ -307,7 +336,10 @@ class _Loop:
 
     def _choose_parts(self) -> None:
         """Adopt the camera parts that the fits show: after the anchors, and after all fits."""
-        if len(self.found) not in (len(self.anchors), len(self.observations)) or not self.found:
+        if (
+            len(self.found) not in (len(self.anchors), len(self.observations))
+            or not self.found
+        ):
             return
         fits = {k: (self.observations[k].channel, self.chosen(k)) for k in self.found}
         if len(self.found) < len(self.observations):
@@ -323,21 +355,31 @@ class _Loop:
             self.parts = parts
             rest = [k for k in self.found if k not in refitted]
             refitted |= self._with_parts(rest, parts)
-            self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
+            self.found = {
+                k: replace(self.found[k], optima=(refitted[k],)) for k in refitted
+            }
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Refit from the present optima, with other camera parts."""
         return self._climbed(places, parts, score=True)
 
-    def _climbed(self, places: Sequence[int], parts: Parts, *, score: bool) -> dict[int, Optimum]:
+    def _climbed(
+        self, places: Sequence[int], parts: Parts, *, score: bool
+    ) -> dict[int, Optimum]:
         wanted = {}
         for k in places:
             end = self._end(k, parts)
-            optics = _with(optics_of(self.plan, self.observations[k].channel), parts)
-            optics = _with_numbers(optics, end.optics.camera_labels, end.optics.camera_parameters)
-            guess = Guesses(SETTINGS.shared_cone_std, state=end.state, deep=False, score=score)
+            optics = optics_of(self.plan, self.observations[k].channel).with_parts(parts)
+            optics = optics.with_named(
+                end.optics.camera_labels, end.optics.camera_parameters
+            )
+            guess = Guesses(
+                SETTINGS.shared_cone_std, state=end.state, deep=False, score=score
+            )
             wanted[k] = optics, guess
-        found = self.search(wanted, "fitting with other parts of the camera") if wanted else {}
+        if not wanted:
+            return {}
+        found = self.search(wanted, "fitting with other parts of the camera")
         made = {k: one.best for k, one in found.items()}
         self.refitted.setdefault(parts, {}).update(made)
         return made
@@ -355,7 +397,9 @@ class _Loop:
         self._refuse_none()
         whole = self._as_estimate()
         self.search.progress(
-            self.search.made, self.search.made, "what the fits make of the lens, and its images of points"
+            self.search.made,
+            self.search.made,
+            "what the fits make of the lens, and its images of points",
         )
         if not self.parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
@@ -363,23 +407,38 @@ class _Loop:
         if not plain:
             return replace(self._asked(whole, (), {}), stated_camera=bare)
         missing = (*self.camera.missing, *sorted(self.parts))
-        full = {k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)}
+        full = {
+            k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)
+        }
         return self._asked(bare, missing, full, adopted=False)
 
     def _asked(
-        self, session: Estimate, missing: tuple[str, ...], full: Mapping[int, Optimum], adopted: bool = True
+        self,
+        session: Estimate,
+        missing: tuple[str, ...],
+        full: Mapping[int, Optimum],
+        adopted: bool = True,
     ) -> Estimate:
         """Return the estimate with the parts that its model lacks."""
         with_missing = tuple(full.get(k) for k in sorted(self.found))
-        tried = tuple(self.camera.tried if adopted else [replace(one, adopted=False) for one in self.camera.tried])
-        return replace(session, tried=tried, missing=missing, with_missing=with_missing if missing else ())
+        tried = tuple(
+            self.camera.tried
+            if adopted
+            else [replace(one, adopted=False) for one in self.camera.tried]
+        )
+        return replace(
+            session,
+            tried=tried,
+            missing=missing,
+            with_missing=with_missing if missing else (),
+        )
 
     def _with_stated_camera(self, whole: Estimate) -> Estimate:
         """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
         places = sorted(self.found)
         bare = self._climbed(places, Parts(), score=False)
         fits = tuple(
-            replace(fit, optimum=_like(bare.get(k, fit.optimum), fit.optimum))
+            replace(fit, optimum=bare.get(k, fit.optimum).nearest_to(fit.optimum))
             for k, fit in zip(places, whole.fits, strict=True)
         )
         lens = None
@@ -404,48 +463,37 @@ class _Loop:
     def _as_estimate(self) -> Estimate:
         selection = self.selection()
         places = sorted(self.found)
-        fits = tuple(LocalFit(self.observations[k], self.chosen(k), self.found[k]) for k in places)
-        lost = tuple(self._left_out())
+        fits = tuple(
+            LocalFit(self.observations[k], self.chosen(k), self.found[k]) for k in places
+        )
+        lost = tuple(self.search.left_out)
         if selection is None:
             return Estimate(fits, lost=lost)
         rows = tuple(self.ranged.index(k) if k in self.ranged else None for k in places)
-        members = tuple(i for i, row in enumerate(rows) if row is not None and selection.members[row])
+        members = tuple(
+            i for i, row in enumerate(rows) if row is not None and selection.members[row]
+        )
         outliers = tuple(
-            i for i, row in enumerate(rows) if row is not None and selection.choice[row] != OUT and i not in members
+            i
+            for i, row in enumerate(rows)
+            if row is not None and selection.choice[row] != OUT and i not in members
         )
         refitted_members = tuple(i for i in members if places[i] in self.again)
         return Estimate(
-            fits, selection.lens, rows, members, outliers, refitted_members, selection.open_channels, lost=lost
+            fits,
+            selection.lens,
+            rows,
+            members,
+            outliers,
+            refitted_members,
+            selection.open_channels,
+            lost=lost,
         )
-
-    def _left_out(self) -> list[str]:
-        """Describe observations without a fit."""
-        fitted = {self.observations[k].key.label for k in self.found}
-        lost = [(label, why) for label, why in self.search.lost.items() if label not in fitted]
-        return [f"{label} is left out: {why}; close other programs and fit again" for label, why in lost]
 
     def _refuse_none(self) -> None:
         if not self.found:
-            raise FitError(f"no wavefront could be fitted: {'; '.join(self._left_out())}")
-
-
-def _with(optics: Optics, parts: Parts) -> Optics:
-    """Return the optics with more parts, in the order of `KNOWN`."""
-    return reduce(Optics.with_part, [name for name in KNOWN if name in parts], optics)
-
-
-def _with_numbers(optics: Optics, labels: Sequence[str], numbers: Floats) -> Optics:
-    """Return the optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""
-    known = dict(zip((*labels, "ln N"), numbers, strict=True))
-    own = zip((*optics.camera_labels, "ln N"), optics.camera_parameters, strict=True)
-    return optics.with_camera_parameters(np.array([known.get(label, value) for label, value in own]))
-
-
-def _like(optimum: Optimum, other: Optimum) -> Optimum:
-    """Return an optimum or its twin, whichever is nearer to another optimum."""
-    twin = optimum.twin()
-    nearer = np.linalg.norm(twin.waves - other.waves) < np.linalg.norm(optimum.waves - other.waves)
-    return twin if nearer else optimum
+            left_out = "; ".join(self.search.left_out)
+            raise FitError(f"no wavefront could be fitted: {left_out}")
 
 
 def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:

@@ -43,19 +43,27 @@ class Sketches:
     @property
     def band(self) -> float:
         """Share of the pass band for sketches, at least 1.5 times the Nyquist frequency of the pixels."""
-        return min(1.0, max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um))
+        return min(
+            1.0,
+            max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um),
+        )
 
     def near(self, state: State) -> bool:
         """Whether defocus is so small that other modes decide what a picture looks like."""
         defocus = state.waves[0] if self.optics.noll[0] == 4 else 0.0
-        return bool(abs(defocus) * self.optics.reference_um <= SETTINGS.near_waves * self.optics.wavelength_um)
+        return bool(
+            abs(defocus) * self.optics.reference_um
+            <= SETTINGS.near_waves * self.optics.wavelength_um
+        )
 
     def problem(self, state: State, band: float) -> Problem:
         """Return a problem for wavefronts similar to a state's, over a share `band` of the pass band."""
         key = band, SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
         if key not in self._made:
             shape = self.frame.counts.shape
-            model = ForwardModel.build(self.optics, self.target, shape, self.pose, band=band, window_airy=key[1])
+            model = ForwardModel.build(
+                self.optics, self.target, shape, self.pose, band=band, window_airy=key[1]
+            )
             self._made[key] = Problem(model, (self.frame,), self.noise)
         return self._made[key]
 
@@ -70,7 +78,10 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
     -------
     one state for each defocus, the least sum of squares first
     """
-    scale, frame = sketches.optics.wavelength_um / sketches.optics.reference_um, sketches.frame
+    scale, frame = (
+        sketches.optics.wavelength_um / sketches.optics.reference_um,
+        sketches.frame,
+    )
     light, counts = frame.illumination[frame.used], frame.counts[frame.used]
     signs = (1, -1) if start.waves[1:].any() else (1,)
     values = [sign * value for value in SETTINGS.swept_waves for sign in signs]
@@ -87,7 +98,14 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
         columns = np.stack([light * relative, light], axis=1)
         levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
         misfit = float(np.sum((columns @ levels - counts) ** 2))
-        swept.append((misfit, replace(state, scales=levels[:1], ambients=levels[1:]) if levels[0] > 0 else state))
+        swept.append(
+            (
+                misfit,
+                replace(state, scales=levels[:1], ambients=levels[1:])
+                if levels[0] > 0
+                else state,
+            )
+        )
         if misfit < best:
             best, outermost = misfit, value
         if not values and abs(outermost) == abs(value) < FARTHEST_WAVES:

@@ -67,26 +67,52 @@ class Retrieved:
     def ended(self) -> bool:
         """Whether enough starts returned to the best optimum, or enough starts were made."""
         return bool(self.optima) and (
-            self.starts >= 2 * SETTINGS.most_starts or self.optima[0].met >= SETTINGS.enough_returns
+            self.starts >= 2 * SETTINGS.most_starts
+            or self.optima[0].met >= SETTINGS.enough_returns
         )
 
     def joined(self, end: Optimum) -> "Retrieved":
         """Add the end of another start to the record."""
-        known = [abs(o.misfit - end.misfit) < SETTINGS.model_error * end.misfit for o in self.optima]
+        known = [
+            abs(o.misfit - end.misfit) < SETTINGS.model_error * end.misfit
+            for o in self.optima
+        ]
         if any(known):
             met = known.index(True)
-            optima = tuple(replace(o, met=o.met + 1) if k == met else o for k, o in enumerate(self.optima))
+            optima = tuple(
+                replace(o, met=o.met + 1) if k == met else o
+                for k, o in enumerate(self.optima)
+            )
         else:
             optima = tuple(sorted([*self.optima, end], key=lambda o: o.misfit))
-        return replace(self, optima=optima, starts=self.starts + 1, waited=self.waited + 1, candidate=None)
+        return replace(
+            self,
+            optima=optima,
+            starts=self.starts + 1,
+            waited=self.waited + 1,
+            candidate=None,
+        )
 
     def offering(self) -> "Retrieved":
         """Make the best optimum that was not offered yet the candidate, if a candidate is due."""
         best, least = self.optima[0], self.optima[0].misfit
-        fresh = next((o for o in self.optima if not o.offered and o.misfit < SETTINGS.worth_misfit * least), None)
+        fresh = next(
+            (
+                o
+                for o in self.optima
+                if not o.offered and o.misfit < SETTINGS.worth_misfit * least
+            ),
+            None,
+        )
         stands_out = len(self.optima) > 1 and self.optima[1].misfit > 2 * least
-        clear = fresh is best and stands_out and self.starts >= max(SETTINGS.enough_returns // 2, len(self.given))
-        if fresh is None or not (clear or self.ended or self.waited >= 2 * SETTINGS.enough_returns):
+        clear = (
+            fresh is best
+            and stands_out
+            and self.starts >= max(SETTINGS.enough_returns // 2, len(self.given))
+        )
+        if fresh is None or not (
+            clear or self.ended or self.waited >= 2 * SETTINGS.enough_returns
+        ):
             return self
         optima = tuple(replace(o, offered=True) if o is fresh else o for o in self.optima)
         return replace(self, optima=optima, waited=0, candidate=fresh.state)
@@ -113,24 +139,39 @@ class PhaseRetrieval:
 
     @classmethod
     def prepare(
-        cls, optics: Optics, target: Target, frame: FrameData, noise: NoisePrior, state: State
+        cls,
+        optics: Optics,
+        target: Target,
+        frame: FrameData,
+        noise: NoisePrior,
+        state: State,
     ) -> "PhaseRetrieval":
         """Prepare the small problem at a state with approximate pose and light."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, 2 * optics.airy_um / optics.pitch_um)
         pose, used = state.poses[0], [frame.used]
         model = ForwardModel.build(
-            tilted, target, frame.counts.shape, pose, band=band, window_airy=SETTINGS.small_window_airy
+            tilted,
+            target,
+            frame.counts.shape,
+            pose,
+            band=band,
+            window_airy=SETTINGS.small_window_airy,
         )
         drawing = model.draw([pose])
         waves = np.append(np.zeros(len(TILTS)), state.waves)
-        (perfect,), (relative,) = model.means(0 * waves, drawing, used), model.means(waves, drawing, used)
+        (perfect,), (relative,) = (
+            model.means(0 * waves, drawing, used),
+            model.means(waves, drawing, used),
+        )
         size = model.blur.pupil.size
         components = _components(model.blur.pupil)[0].reshape(-1, size, size)
         pictures = model.departures(components, drawing, frame.used)
         detector = replace(state, log_noise=noise.centre).detectors()[0]
         mean, variance = predict(relative, frame, detector)
-        known = np.array([perfect, np.ones_like(perfect)]) * (light := frame.light(detector.unevenness))
+        known = np.array([perfect, np.ones_like(perfect)]) * (
+            light := frame.light(detector.unevenness)
+        )
         free = len(frame.departures)
         if free:  # the rows that departures can match are left out, for their coefficients are unknown
             orders = frame.departures[:, frame.used]
@@ -141,7 +182,9 @@ class PhaseRetrieval:
 
         def columns(pixels: slice) -> Floats:
             unknown = light[pixels] * np.array([picture[pixels] for picture in pictures])
-            return np.concatenate([orders[:, pixels], unknown, known[:, pixels], counts[None, pixels]])
+            return np.concatenate(
+                [orders[:, pixels], unknown, known[:, pixels], counts[None, pixels]]
+            )
 
         # with the data as the last column, R holds the rotated data, so Q is never formed
         triangle = _triangle(columns, np.sqrt(variance))
@@ -149,7 +192,9 @@ class PhaseRetrieval:
         factor, data = np.hsplit(triangle[free:count, free:].astype(float), [-1])
         return cls(optics, model.blur.pupil, factor, data[:, 0], state)
 
-    def to_next_candidate(self, retrieved: Retrieved, rng: np.random.Generator) -> Retrieved:
+    def to_next_candidate(
+        self, retrieved: Retrieved, rng: np.random.Generator
+    ) -> Retrieved:
         """Make starts until a candidate for the likelihood is due, or until the search has ended.
 
         The search ends at once if the frame has fewer pixels than unknowns.
@@ -167,22 +212,36 @@ class PhaseRetrieval:
         """Return a random start, (modes,)."""
         direction = rng.normal(size=self.state.waves.size)
         scale = self.optics.wavelength_um / self.optics.reference_um
-        return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves) * scale)
+        return np.asarray(
+            direction
+            / np.linalg.norm(direction)
+            * rng.uniform(*SETTINGS.start_waves)
+            * scale
+        )
 
     def descend(self, waves: Floats) -> Optimum:
         """Descend from a wavefront (modes,) to an optimum."""
         # a point is tilts and modes, then scale and ambient
-        start = np.concatenate([np.zeros(len(TILTS)), waves, self.state.scales[:1], self.state.ambients[:1]])
+        start = np.concatenate(
+            [np.zeros(len(TILTS)), waves, self.state.scales[:1], self.state.ambients[:1]]
+        )
         components, perfect = _components(self.pupil)
         size = start.size - 2
 
         def residual(point: Floats) -> Floats:
-            departure = components @ (self.pupil.psf(point[:size]) - perfect).ravel().astype(np.float32)
-            return np.asarray(self.factor @ np.concatenate([point[size] * departure, point[size:]]) - self.data)
+            departure = components @ (
+                self.pupil.psf(point[:size]) - perfect
+            ).ravel().astype(np.float32)
+            return np.asarray(
+                self.factor @ np.concatenate([point[size] * departure, point[size:]])
+                - self.data
+            )
 
         def slopes(point: Floats) -> Floats:
             departure = (self.pupil.psf(point[:size]) - perfect).astype(np.float32)
-            stack = np.array([*self.pupil.psf_slopes(point[:size]), departure]).reshape(size + 1, -1)
+            stack = np.array([*self.pupil.psf_slopes(point[:size]), departure]).reshape(
+                size + 1, -1
+            )
             by_light = components @ stack.T
             columns = np.zeros((len(components) + 2, size + 2))
             columns[:-2, : size + 1] = by_light * np.append(np.full(size, point[size]), 1.0)
@@ -204,10 +263,20 @@ class PhaseRetrieval:
 
     def _state(self, point: Floats) -> State:
         """Turn tilts into a shift of the pose: a wave RMS of tilt moves the light by 4 lambda_ref N."""
-        by_column, by_row = 4 * point[:2] * self.optics.reference_um * self.optics.f_number / self.optics.pitch_um
+        by_column, by_row = (
+            4
+            * point[:2]
+            * self.optics.reference_um
+            * self.optics.f_number
+            / self.optics.pitch_um
+        )
         pose = self.state.poses[0].shifted(-by_row, -by_column)
         return replace(
-            self.state, waves=point[2:-2], poses=(pose,), scales=point[-2:-1].copy(), ambients=point[-1:].copy()
+            self.state,
+            waves=point[2:-2],
+            poses=(pose,),
+            scales=point[-2:-1].copy(),
+            ambients=point[-1:].copy(),
         )
 
 
@@ -221,7 +290,9 @@ def _triangle(columns: Callable[[slice], Floats], sigma: Floats) -> Floats:
     for first in range(0, sigma.size, SETTINGS.pixels_at_once):
         pixels = slice(first, first + SETTINGS.pixels_at_once)
         stacked = np.concatenate([triangle, (columns(pixels) / sigma[pixels]).T])
-        (triangle,) = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)
+        (triangle,) = scipy.linalg.qr(
+            stacked, mode="r", overwrite_a=True, check_finite=False
+        )
         triangle = triangle[: triangle.shape[1]]
     return triangle
 
@@ -238,7 +309,9 @@ def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
         waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
         tilts = rng.normal(scale=np.mean(SETTINGS.start_waves), size=len(TILTS))
         row[:] = (pupil.psf(scale * np.concatenate([tilts, waves])) - perfect).ravel()
-    weights, vectors = scipy.linalg.eigh(drawn @ drawn.T, subset_by_index=(draws - SETTINGS.psf_components, draws - 1))
+    weights, vectors = scipy.linalg.eigh(
+        drawn @ drawn.T, subset_by_index=(draws - SETTINGS.psf_components, draws - 1)
+    )
     kept = weights > SETTINGS.exact**2 * weights[-1]  # few modes span few dimensions
     turn = (vectors[:, kept] / np.sqrt(weights[kept])).T
     return turn.astype(np.float32) @ drawn.astype(np.float32), perfect

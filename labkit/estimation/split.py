@@ -35,7 +35,11 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
     -------
     None if the fits agree without a change, or if no single change makes them agree
     """
-    places = [k for k, fit in enumerate(session.fits) if fit.ranged and not fit.optimum.verdict.undetermined]
+    places = [
+        k
+        for k, fit in enumerate(session.fits)
+        if fit.ranged and not fit.optimum.verdict.undetermined
+    ]
     if session.lens is None or (session.lens.model.laws.paraxial and not session.outliers):
         return None
     order = sorted(places, key=lambda k: session.fits[k].observation.order)
@@ -45,9 +49,15 @@ def find_change(session: Estimate, stated: Stated) -> Change | None:
     if k is None:
         return None
     before, after = (
-        [place for place in places if observed[place].reading.station in part] for part in (stations[:k], stations[k:])
+        [place for place in places if observed[place].reading.station in part]
+        for part in (stations[:k], stations[k:])
     )
-    return Change(stations[k - 1], stations[k], _part(session, before, stated), _part(session, after, stated))
+    return Change(
+        stations[k - 1],
+        stations[k],
+        _part(session, before, stated),
+        _part(session, after, stated),
+    )
 
 
 def second_camp(session: Estimate, stated: Stated) -> bool:
@@ -58,14 +68,18 @@ def second_camp(session: Estimate, stated: Stated) -> bool:
     return _whole(observed, stated).lens.p_value >= SETTINGS.contradiction_chance
 
 
-def parting(observed: Sequence[Observed], stations: Sequence[float], stated: Stated) -> int | None:
+def parting(
+    observed: Sequence[Observed], stations: Sequence[float], stated: Stated
+) -> int | None:
     """Return the number of stations, in the order of their photographs, before a change; None if no change is detected."""
     if len(stations) < 3:
         return None
     whole = _whole(observed, stated).lens
     parted = [
         sum(
-            _whole([one for one in observed if one.reading.station in part], stated).lens.chi2
+            _whole(
+                [one for one in observed if one.reading.station in part], stated
+            ).lens.chi2
             for part in (stations[:k], stations[k:])
         )
         for k in range(1, len(stations))
@@ -82,15 +96,22 @@ def _whole(observed: Sequence[Observed], stated: Stated) -> Selection:
 
 def _observed(session: Estimate, k: int) -> Observed:
     """Return the chosen optimum of a fit, with missing parts in its model."""
-    return Observed(reading_of(session.fits[k].observation), (session.with_all_parts(k).candidate,))
+    return Observed(
+        reading_of(session.fits[k].observation), (session.with_all_parts(k).candidate,)
+    )
 
 
 def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
     """Estimate a part of a session from some of its fits, with errors as for the whole session."""
     fits = [session.fits[k] for k in places]
-    candidates = [Observed(reading_of(fit.observation), (fit.optimum.candidate,)) for fit in fits]
+    candidates = [
+        Observed(reading_of(fit.observation), (fit.optimum.candidate,)) for fit in fits
+    ]
     selection = _whole(candidates, stated)
-    turned = [_turned(fit, int(choice)) for fit, choice in zip(fits, selection.choice, strict=True)]
+    turned = [
+        _turned(fit, int(choice))
+        for fit, choice in zip(fits, selection.choice, strict=True)
+    ]
     every = tuple(range(len(turned)))
     return replace(
         session,

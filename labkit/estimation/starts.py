@@ -66,7 +66,9 @@ class Log:
 
     def met(self, end: Solution) -> None:
         """Record the end of a start, unless it is a known optimum."""
-        if all(abs(end.objective + misfit) > SETTINGS.same_optimum for _, misfit in self.others):
+        if all(
+            abs(end.objective + misfit) > SETTINGS.same_optimum for _, misfit in self.others
+        ):
             self.others.append((end.state.waves, -end.objective))
 
 
@@ -82,7 +84,9 @@ def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State
         yield searched_from(sketches.problem(swept_state, sketches.band), swept_state).state
 
 
-def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool) -> Iterator[State]:
+def swept(
+    sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool
+) -> Iterator[State]:
     """Search without any prediction.
 
     Climbs from the best values of a sweep over defocus, in part of the pass band, come first. Near focus, optima of the small
@@ -101,7 +105,9 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
     near = sketches.near(given[0])
     end = searched_from(sketches.problem(given[0], sketches.band), given[0])
     log.starts += 1
-    plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(sketches, given[0])
+    plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(
+        sketches, given[0]
+    )
     believed = plausible and not (doubt_near_focus and sketches.near(end.state))
     if believed:
         yield end.state
@@ -124,12 +130,16 @@ def swept(sketches: Sketches, first: State, log: Log, *, doubt_near_focus: bool)
         yield from retrieved(sketches, best, [], log)
 
 
-def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Log) -> Iterator[State]:
+def retrieved(
+    sketches: Sketches, state: State, given: Sequence[Floats], log: Log
+) -> Iterator[State]:
     """Yield optima of the small problem at a state's pose, the best first, until enough starts return to the best.
 
     A start returns if its optimum of the small problem leads to the best optimum of the whole likelihood.
     """
-    small = PhaseRetrieval.prepare(sketches.optics, sketches.target, sketches.frame, sketches.noise, state)
+    small = PhaseRetrieval.prepare(
+        sketches.optics, sketches.target, sketches.frame, sketches.noise, state
+    )
     before, made = log.starts, Retrieved(tuple(given))
     rng = np.random.default_rng(sketches.seed)
     while not (log.late or log.settled):
@@ -140,7 +150,11 @@ def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Lo
             log.progress(f"start {log.starts}")
             yield made.candidate
         best = log.best()
-        log.returns = sum(optimum.met for optimum in made.optima if any(optimum.state is one for one in best))
+        log.returns = sum(
+            optimum.met
+            for optimum in made.optima
+            if any(optimum.state is one for one in best)
+        )
         if made.candidate is None:
             break
 
@@ -148,7 +162,9 @@ def retrieved(sketches: Sketches, state: State, given: Sequence[Floats], log: Lo
 def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     """Yield ends of starts with reversed defocus and random modes, until enough starts return to the best end of one frame."""
     problem = sketches.problem(state, 1.0)
-    best = maximize(problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
+    best = maximize(
+        problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds
+    )
     log.met(best)
     origin, made, log.returns = best.state, 0, 0
     rng = np.random.default_rng(sketches.seed)
@@ -175,14 +191,24 @@ def searched_from(problem: Problem, start: State) -> Solution:
 
     With all parameters free at once, from a pose a pixel off, a climb ended in a wrong minimum of an easy frame.
     """
-    return maximize(problem, settle(problem, start), max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds)
+    return maximize(
+        problem,
+        settle(problem, start),
+        max_steps=SETTINGS.search_steps,
+        tolerance=SETTINGS.settled_stds,
+    )
 
 
-def further_start(origin: State, made: int, optics: Optics, rng: np.random.Generator) -> State:
+def further_start(
+    origin: State, made: int, optics: Optics, rng: np.random.Generator
+) -> State:
     """Return the start after `made` others: reversed defocus, which leads out of half of the wrong optima, then random ones."""
     defocus = optics.noll[0] == 4
     if defocus and made == 0:
-        return replace(origin, waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0))
+        return replace(
+            origin,
+            waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0),
+        )
     direction = rng.normal(size=origin.waves.size)
     waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
     waves *= optics.wavelength_um / optics.reference_um

@@ -47,7 +47,9 @@ class Stated:
             range_std_mm=plan.fit.range_std_mm,
             range_zero_std_mm=plan.fit.range_zero_std_mm,
             homing_std_mm=plan.rail.homing_std_mm if plan.rail else 0.0,
-            wavelength_std={c.name: c.stated_wavelength.std / c.wavelength_nm for c in plan.channel},
+            wavelength_std={
+                c.name: c.stated_wavelength.std / c.wavelength_nm for c in plan.channel
+            },
             reference_nm=plan.reference_wavelength_nm,
             convention=plan.fit.convention,
         )

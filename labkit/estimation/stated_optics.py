@@ -19,7 +19,9 @@ def optics_of(plan: Plan, channel: str) -> Optics:
     """Return light, sensor and lens of a plan's channel, with the engraved f-number."""
     light = next(c for c in plan.channel if c.name == channel)
     first, last = plan.fit.zernike_noll
-    stated = [found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None]
+    stated = [
+        found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
+    ]
     return Optics(
         wavelength_um=light.wavelength_nm * 1e-3,
         reference_um=plan.reference_wavelength_nm * 1e-3,
@@ -27,7 +29,9 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
         noll=tuple(range(first, last + 1)),
-        spectrum=None if light.spectrum is None else Spectrum.of_samples(*light.samples, light.wavelength_nm),
+        spectrum=None
+        if light.spectrum is None
+        else Spectrum.of_samples(*light.samples, light.wavelength_nm),
         parts=tuple(part for part, fitted in stated if fitted),
         given=tuple(part for part, fitted in stated if not fitted),
         panel=Aperture.wanted(plan),
@@ -36,7 +40,11 @@ def optics_of(plan: Plan, channel: str) -> Optics:
 
 def wanted_parts(plan: Plan) -> list[str]:
     """Return the names of the parts that a plan requests to fit, in any channel."""
-    return list(dict.fromkeys(part.name for c in plan.channel for part in optics_of(plan, c.name).parts))
+    return list(
+        dict.fromkeys(
+            part.name for c in plan.channel for part in optics_of(plan, c.name).parts
+        )
+    )
 
 
 def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
@@ -44,7 +52,14 @@ def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
 
     The standard error includes the unknown pupil magnification.
     """
-    lens, stated = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number), plan.lens.stated_f_number
-    cone = float(lens.working_f_number(float(np.mean(ranges_mm)))) if ranges_mm else lens.f_number
+    lens, stated = (
+        ThinLens(plan.lens.focal_length_mm, plan.lens.f_number),
+        plan.lens.stated_f_number,
+    )
+    cone = (
+        float(lens.working_f_number(float(np.mean(ranges_mm))))
+        if ranges_mm
+        else lens.f_number
+    )
     pupils = (cone / lens.f_number - 1) * USUAL_LOG_MAGNIFICATION
     return Uncertain(cone, cone * float(np.hypot(stated.std / lens.f_number, pupils)))

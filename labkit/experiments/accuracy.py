@@ -40,13 +40,18 @@ def work(task: Task) -> Answer:
     """Fit one picture from a start near the truth."""
     rng = np.random.default_rng([task.seed, round(task.snr)])
     trial = draw_trial(rng, snr=task.snr)
-    problem, start = trial.problem, trial.state(trial.waves + random_waves(rng, len(trial.noll), START_WAVES))
+    problem, start = (
+        trial.problem,
+        trial.state(trial.waves + random_waves(rng, len(trial.noll), START_WAVES)),
+    )
     began = perf_counter()
     solution = maximize(problem, start)
     seconds = perf_counter() - began
     modes = len(trial.noll)
     bound = np.sqrt(np.diag(solution.covariance())[:modes])
-    return Answer(solution.state.waves - trial.waves, bound, solution.chi2_per_pixel, seconds)
+    return Answer(
+        solution.state.waves - trial.waves, bound, solution.chi2_per_pixel, seconds
+    )
 
 
 def run(setting: Setting) -> Outcome:
@@ -54,13 +59,23 @@ def run(setting: Setting) -> Outcome:
     counts = {snr: (2 if setting.quick else 200 if snr == THE_SNR else 40) for snr in SNRS}
     tasks = [Task(seed, snr) for snr, count in counts.items() for seed in range(count)]
     answers = all_answers(setting, work, tasks, lambda task: f"SNR {task.snr:g}")
-    rows = [_row(snr, [a for a, task in zip(answers, tasks, strict=True) if task.snr == snr]) for snr in counts]
-    return Outcome(_claims(next(row for row in rows if row["snr"] == THE_SNR)), rows, lambda: draw(rows))
+    rows = [
+        _row(snr, [a for a, task in zip(answers, tasks, strict=True) if task.snr == snr])
+        for snr in counts
+    ]
+    return Outcome(
+        _claims(next(row for row in rows if row["snr"] == THE_SNR)),
+        rows,
+        lambda: draw(rows),
+    )
 
 
 def _row(snr: float, answers: Sequence[Answer]) -> dict[str, Any]:
     """Of the table: all trials at one SNR."""
-    errors, bounds = np.array([a.error for a in answers]), np.array([a.bound for a in answers])
+    errors, bounds = (
+        np.array([a.error for a in answers]),
+        np.array([a.bound for a in answers]),
+    )
     error, bound = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (errors, bounds))
     z = errors / bounds
     return {
@@ -84,8 +99,16 @@ def _claims(row: dict[str, Any]) -> list[Claim]:
         Claim("RMS error over the bound, SNR 75", 2.0, row["error_over_bound_db"], "dB", n),
         Claim("RMS wavefront error, SNR 75", 1e-3, row["rms_error_waves"], "waves RMS", n),
         Claim("norm of the mean error, SNR 75", None, row["bias_waves"], "waves RMS", n),
-        Claim("the same expected of chance", None, row["bias_of_chance_waves"], "waves RMS", n),
-        Claim("standard deviation of error over standard error", None, row["z_std"], "", n * 12),
+        Claim(
+            "the same expected of chance", None, row["bias_of_chance_waves"], "waves RMS", n
+        ),
+        Claim(
+            "standard deviation of error over standard error",
+            None,
+            row["z_std"],
+            "",
+            n * 12,
+        ),
         Claim("time of a local fit, median", 18 * 60.0, row["median_seconds"], "s", n),
     ]
 
@@ -96,11 +119,28 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     snr = [row["snr"] for row in rows]
     axes.loglog(snr, [row["rms_error_waves"] for row in rows], "o", label="RMS error")
-    axes.loglog(snr, [row["rms_bound_waves"] for row in rows], "-", label="Cramér-Rao bound")
-    axes.loglog(snr, [row["bias_waves"] for row in rows], "s", mfc="none", label="norm of the mean error")
-    axes.loglog(snr, [row["bias_of_chance_waves"] for row in rows], ":", label="the same expected of chance")
+    axes.loglog(
+        snr, [row["rms_bound_waves"] for row in rows], "-", label="Cramér-Rao bound"
+    )
+    axes.loglog(
+        snr,
+        [row["bias_waves"] for row in rows],
+        "s",
+        mfc="none",
+        label="norm of the mean error",
+    )
+    axes.loglog(
+        snr,
+        [row["bias_of_chance_waves"] for row in rows],
+        ":",
+        label="the same expected of chance",
+    )
     axes.axhline(MARECHAL_WAVES, color=SOFT, linewidth=0.8)
     axes.text(snr[0], MARECHAL_WAVES * 1.08, "Maréchal: 1/14 wave", color=SOFT)
-    axes.set(xlabel="SNR", ylabel="waves RMS", title="Wavefront error from a start 0.01 waves off")
+    axes.set(
+        xlabel="SNR",
+        ylabel="waves RMS",
+        title="Wavefront error from a start 0.01 waves off",
+    )
     axes.legend()
     return figure

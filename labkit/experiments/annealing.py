@@ -67,7 +67,9 @@ def work(task: Task) -> Answer:
     local: Any = {"method": "L-BFGS-B", "jac": slope, "bounds": [(-0.5, 0.5)] * modes}
     limits = [(-BOUND_WAVES, BOUND_WAVES)] * modes
     try:
-        dual_annealing(watched, limits, maxiter=10**6, maxfun=10**9, rng=rng, minimizer_kwargs=local)
+        dual_annealing(
+            watched, limits, maxiter=10**6, maxfun=10**9, rng=rng, minimizer_kwargs=local
+        )
     except _EnoughError as enough:
         capped = not enough.args[0]
     annealing = task.cap_s if capped else perf_counter() - began
@@ -77,7 +79,11 @@ def work(task: Task) -> Answer:
 def run(setting: Setting) -> Outcome:
     """Mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
     cap = 20.0 if setting.quick else 600.0
-    tasks = [Task(noll, seed, cap) for noll in (SEVEN, NOLL) for seed in range(1 if setting.quick else 20)]
+    tasks = [
+        Task(noll, seed, cap)
+        for noll in (SEVEN, NOLL)
+        for seed in range(1 if setting.quick else 20)
+    ]
     answers = all_answers(setting, work, tasks, lambda task: f"{len(task.noll)} modes")
     rows = [
         {
@@ -92,18 +98,46 @@ def run(setting: Setting) -> Outcome:
     ]
     claims = []
     for noll, thesis in ((SEVEN, 5.0), (NOLL, None)):
-        claims += _claims(len(noll), thesis, cap, [a for a, t in zip(answers, tasks, strict=True) if t.noll == noll])
+        claims += _claims(
+            len(noll),
+            thesis,
+            cap,
+            [a for a, t in zip(answers, tasks, strict=True) if t.noll == noll],
+        )
     return Outcome(claims, rows, lambda: draw(rows, cap))
 
 
-def _claims(modes: int, thesis: float | None, cap: float, answers: Sequence[Answer]) -> list[Claim]:
-    ours, theirs = (float(np.mean([getattr(a, key) for a in answers])) for key in ("search", "annealing"))
+def _claims(
+    modes: int, thesis: float | None, cap: float, answers: Sequence[Answer]
+) -> list[Claim]:
+    ours, theirs = (
+        float(np.mean([getattr(a, key) for a in answers]))
+        for key in ("search", "annealing")
+    )
     label, n = f"{modes} modes", len(answers)
     return [
-        Claim(f"mean time of the annealing over that of the search, {label}", thesis, theirs / ours, "", n),
+        Claim(
+            f"mean time of the annealing over that of the search, {label}",
+            thesis,
+            theirs / ours,
+            "",
+            n,
+        ),
         Claim(f"mean time of the search, {label}", None, ours, "s", n),
-        Claim(f"mean time of the annealing, {label}, capped at {cap:g} s", None, theirs, "s", n),
-        Claim(f"annealings that ran into the cap, {label}", None, float(sum(a.capped for a in answers)), "", n),
+        Claim(
+            f"mean time of the annealing, {label}, capped at {cap:g} s",
+            None,
+            theirs,
+            "s",
+            n,
+        ),
+        Claim(
+            f"annealings that ran into the cap, {label}",
+            None,
+            float(sum(a.capped for a in answers)),
+            "",
+            n,
+        ),
     ]
 
 
@@ -112,9 +146,17 @@ def draw(rows: list[dict[str, Any]], cap: float) -> Figure:
     figure = Figure(figsize=(5.2, 3.8), layout="constrained")
     axes = figure.subplots()
     for modes, marker in ((len(SEVEN), "o"), (len(NOLL), "s")):
-        of_both = [(row["search_seconds"], row["annealing_seconds"]) for row in rows if row["modes"] == modes]
+        of_both = [
+            (row["search_seconds"], row["annealing_seconds"])
+            for row in rows
+            if row["modes"] == modes
+        ]
         axes.loglog(*zip(*of_both, strict=True), marker, label=f"{modes} modes")
     axes.axhline(cap, linewidth=0.8, linestyle=":", color="0.5")
-    axes.set(xlabel="our search / s", ylabel="dual annealing / s", title="Time to the optimum, from nothing")
+    axes.set(
+        xlabel="our search / s",
+        ylabel="dual annealing / s",
+        title="Time to the optimum, from nothing",
+    )
     axes.legend()
     return figure

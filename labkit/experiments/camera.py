@@ -30,7 +30,14 @@ class Camera:
     frame: int
     oversampling: int
 
-    def mean(self, order: int, centre: Floats, sides: Floats, waves: Floats, noll: tuple[int, ...]) -> Floats:
+    def mean(
+        self,
+        order: int,
+        centre: Floats,
+        sides: Floats,
+        waves: Floats,
+        noll: tuple[int, ...],
+    ) -> Floats:
         """(frame, frame) each pixel's share of the target's white.
 
         order: of the carpet, white squares on black. centre: (2,) pixel (row, col) of its middle, in the frame.
@@ -45,19 +52,31 @@ class Camera:
         carpet = abs(np.linalg.det(affine)) * white_transform(order, along_y, along_x)
         carpet = carpet * np.exp(-2j * np.pi * (where[0] * rows + where[1] * columns))
         pixel = np.sinc(rows * self.oversampling) * np.sinc(columns * self.oversampling)
-        image = scipy.fft.irfft2(carpet * pixel * self.transfer(waves, noll), s=(fine, fine))
+        image = scipy.fft.irfft2(
+            carpet * pixel * self.transfer(waves, noll), s=(fine, fine)
+        )
         first = (self.pixels - self.frame) // 2 * self.oversampling
         last = first + self.frame * self.oversampling
-        return np.asarray(image[first : last : self.oversampling, first : last : self.oversampling])
+        return np.asarray(
+            image[first : last : self.oversampling, first : last : self.oversampling]
+        )
 
     def transfer(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
         """(fine, fine // 2 + 1) transfer function of the lens at the picture's frequencies."""
         fine = self.pixels * self.oversampling
-        radius = PUPIL_FINER * self.pixels * self.pitch_um / (2 * self.wavelength_um * self.f_number)
+        radius = (
+            PUPIL_FINER
+            * self.pixels
+            * self.pitch_um
+            / (2 * self.wavelength_um * self.f_number)
+        )
         half = int(radius)
         axis = np.arange(-half, half + 1) / radius
         rho, theta = np.hypot(axis[:, None], axis), np.arctan2(axis[:, None], axis)
-        path = sum((w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)), np.zeros_like(rho))
+        path = sum(
+            (w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)),
+            np.zeros_like(rho),
+        )
         pupil = (rho <= 1) * np.exp(2j * np.pi * path)
         size = scipy.fft.next_fast_len(2 * len(axis))
         # the field is the forward transform of the pupil, the transfer function that of its intensity
@@ -67,7 +86,9 @@ class Camera:
         row = np.where(row > fine // 2, row - fine, row) * PUPIL_FINER
         known = np.abs(row) <= 2 * half, column * PUPIL_FINER <= 2 * half
         transfer = np.zeros((fine, fine // 2 + 1), complex)
-        transfer[np.ix_(*known)] = lags[np.ix_(row[known[0]] % size, column[known[1]] * PUPIL_FINER)]
+        transfer[np.ix_(*known)] = lags[
+            np.ix_(row[known[0]] % size, column[known[1]] * PUPIL_FINER)
+        ]
         return transfer
 
 

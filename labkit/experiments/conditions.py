@@ -55,7 +55,13 @@ class Trial:
 
     def state(self, waves: Floats) -> State:
         """A start: the truth in all but the wavefront."""
-        return State(np.asarray(waves, float), (self.pose,), np.array([WHITE]), np.zeros(1), self.noise.centre)
+        return State(
+            np.asarray(waves, float),
+            (self.pose,),
+            np.array([WHITE]),
+            np.zeros(1),
+            self.noise.centre,
+        )
 
     def error(self, waves: Floats) -> Floats:
         """(modes,) of an estimate or its twin, whichever is nearer: a picture does not distinguish them."""
@@ -66,7 +72,9 @@ class Trial:
     def bound(self) -> float:
         """Cramér-Rao bound of the wavefront, all modes together, at the truth; waves RMS. Computed anew each time."""
         there = self.state(self.waves)
-        bound = bound_of(fisher_information(self.problem, there, 6), parameter_names(there, self.noll))
+        bound = bound_of(
+            fisher_information(self.problem, there, 6), parameter_names(there, self.noll)
+        )
         return float(np.linalg.norm(bound.std[: len(self.noll)]))
 
     def found(self, waves: Floats) -> bool:
@@ -80,11 +88,17 @@ class Trial:
         """
         pose = Pose.from_corners(find_target(self.frame.counts, carpet()), carpet().size_mm)
         views = Views((self.frame,), (pose,), self.noise)
-        return find_optima(optics(self.noll), carpet(), views, Guesses(), seed=int(rng.integers(2**32)))
+        return find_optima(
+            optics(self.noll), carpet(), views, Guesses(), seed=int(rng.integers(2**32))
+        )
 
 
 def draw_trial(
-    rng: np.random.Generator, *, snr: float = SNR, noll: tuple[int, ...] = NOLL, waves_rms: float = WAVES_RMS
+    rng: np.random.Generator,
+    *,
+    snr: float = SNR,
+    noll: tuple[int, ...] = NOLL,
+    waves_rms: float = WAVES_RMS,
 ) -> Trial:
     """A random wavefront of a strength, at a random pose nearly upright, with noise for an SNR.
 
@@ -92,7 +106,9 @@ def draw_trial(
     """
     waves = random_waves(rng, len(noll), waves_rms)
     angle, size = rng.uniform(-0.03, 0.03), SIDE_PX * rng.uniform(0.98, 1.02)
-    sides = size * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    sides = size * np.array(
+        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    )
     sides = sides + rng.normal(scale=0.3, size=(2, 2))
     centre = (FRAME - 1) / 2 + rng.uniform(-1, 1, 2)
     corners = centre + np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) @ sides.T / 2
@@ -101,9 +117,19 @@ def draw_trial(
     if read_variance <= 0:
         most = mean.std() / np.sqrt(GAIN * mean.mean())
         raise ValueError(f"snr {snr:g}: photons alone allow no more than {most:.0f}")
-    counts = GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(scale=np.sqrt(read_variance), size=mean.shape)
-    frame = FrameData(counts, np.ones_like(mean, dtype=bool), np.ones_like(mean), np.zeros_like(mean))
-    return Trial(frame, Pose.from_corners(corners, carpet().size_mm), waves, noll, float(np.sqrt(read_variance)))
+    counts = GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(
+        scale=np.sqrt(read_variance), size=mean.shape
+    )
+    frame = FrameData(
+        counts, np.ones_like(mean, dtype=bool), np.ones_like(mean), np.zeros_like(mean)
+    )
+    return Trial(
+        frame,
+        Pose.from_corners(corners, carpet().size_mm),
+        waves,
+        noll,
+        float(np.sqrt(read_variance)),
+    )
 
 
 def random_waves(rng: np.random.Generator, modes: int, waves_rms: float) -> Floats:

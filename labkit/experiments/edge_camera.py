@@ -40,7 +40,12 @@ class EdgeCamera:
         return (self.frame * self.step + 2 * self.reach_px) * self.finer
 
     def mean(
-        self, angle: float, distance_px: float, sides: tuple[float, float], waves: Floats, noll: tuple[int, ...]
+        self,
+        angle: float,
+        distance_px: float,
+        sides: tuple[float, float],
+        waves: Floats,
+        noll: tuple[int, ...],
     ) -> Floats:
         """(frame, frame) what the plane's pixels see, the plane beginning at the raw's first pixel.
 
@@ -51,13 +56,17 @@ class EdgeCamera:
         across = at[None, :] * np.cos(angle) + at[:, None] * np.sin(angle) - distance_px
         share = _covered(across * self.finer, abs(np.cos(angle)), abs(np.sin(angle)))
         spectrum = scipy.fft.rfft2(share - 0.5)
-        seen = scipy.fft.irfft2(spectrum * _transfer(self, tuple(map(float, waves)), noll), share.shape)
+        seen = scipy.fft.irfft2(
+            spectrum * _transfer(self, tuple(map(float, waves)), noll), share.shape
+        )
         # what comes around the borders reaches up to the frame; the PSF's middle lies `reach` samples into its window
         first, whole = 2 * self.reach_px * self.finer, self.frame * self.step
         place = (np.arange(whole * self.finer) + first) % self.samples
         cut = seen[np.ix_(place, place)]
         pixels = cut.reshape(whole, self.finer, whole, self.finer).mean(axis=(1, 3)) + 0.5
-        return np.asarray(sides[0] + (sides[1] - sides[0]) * pixels[:: self.step, :: self.step])
+        return np.asarray(
+            sides[0] + (sides[1] - sides[0]) * pixels[:: self.step, :: self.step]
+        )
 
     def psf(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
         """(2 reach + 1, same) samples: each one's share of all light. What lies beyond the window sees both sides alike,
@@ -67,13 +76,20 @@ class EdgeCamera:
         period = scipy.fft.next_fast_len(int(PERIODS * (2 * reach + 1)))
         radius = period * spacing / (2 * self.wavelength_um * self.f_number)
         half = int(radius) + 2
-        fine = (np.arange((2 * half + 1) * SHADES) - ((2 * half + 1) * SHADES - 1) / 2) / SHADES / radius
+        fine = (
+            (np.arange((2 * half + 1) * SHADES) - ((2 * half + 1) * SHADES - 1) / 2)
+            / SHADES
+            / radius
+        )
         fine = fine.astype(np.float32)
         inside = np.hypot(fine[:, None], fine[None, :]) < 1
         disc = inside.reshape(2 * half + 1, SHADES, 2 * half + 1, SHADES).mean(axis=(1, 3))
         axis = np.arange(-half, half + 1) / radius
         rho, theta = np.hypot(axis[:, None], axis), np.arctan2(axis[:, None], axis)
-        path = sum((w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)), np.zeros_like(rho))
+        path = sum(
+            (w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)),
+            np.zeros_like(rho),
+        )
         window = np.arange(-reach, reach + 1)
         rows = scipy.fft.fft(disc * np.exp(2j * np.pi * path), period, axis=0)[window]
         light = np.abs(scipy.fft.fft(rows, period, axis=1)[:, window]) ** 2
@@ -81,9 +97,13 @@ class EdgeCamera:
 
 
 @lru_cache(maxsize=4)
-def _transfer(camera: EdgeCamera, waves: tuple[float, ...], noll: tuple[int, ...]) -> Complexes:
+def _transfer(
+    camera: EdgeCamera, waves: tuple[float, ...], noll: tuple[int, ...]
+) -> Complexes:
     """Of the PSF on the scene's samples."""
-    return np.asarray(scipy.fft.rfft2(camera.psf(np.array(waves), noll), (camera.samples, camera.samples)))
+    return np.asarray(
+        scipy.fft.rfft2(camera.psf(np.array(waves), noll), (camera.samples, camera.samples))
+    )
 
 
 def _covered(across: Floats, wide: float, high: float) -> Floats:
@@ -97,5 +117,10 @@ def _covered(across: Floats, wide: float, high: float) -> Floats:
         return np.maximum(x, 0.0) ** 2 / 2
 
     outer, inner = (long + short) / 2, (long - short) / 2
-    whole = ramp(across + outer) - ramp(across + inner) - ramp(across - inner) + ramp(across - outer)
+    whole = (
+        ramp(across + outer)
+        - ramp(across + inner)
+        - ramp(across - inner)
+        + ramp(across - outer)
+    )
     return np.asarray(whole / (long * short))

@@ -28,11 +28,23 @@ NOLL = tuple(range(4, 16))
 WAVELENGTH_NM, FOCUS_MM, RANGES_MM = 450.0, 5012.0, (5000.0, 7700.0)
 THESIS_ERRORS_MM = (21.0, 71.0)  # 5.021 m and 7.771 m
 LENS = ThinLens(70.0, 2.8, 0.985)
-PITCH_UM, STEP, FRAME = 4.78, 2, 40  # one plane of four, 40 x 40 of its pixels around each edge
+PITCH_UM, STEP, FRAME = (
+    4.78,
+    2,
+    40,
+)  # one plane of four, 40 x 40 of its pixels around each edge
 CAMERA = EdgeCamera(
-    WAVELENGTH_NM * 1e-3, float(LENS.working_f_number(FOCUS_MM)), PITCH_UM, step=STEP, frame=FRAME, reach_px=80
+    WAVELENGTH_NM * 1e-3,
+    float(LENS.working_f_number(FOCUS_MM)),
+    PITCH_UM,
+    step=STEP,
+    frame=FRAME,
+    reach_px=80,
 )
-SIDES_E = (9_000.0, 23_000.0)  # electrons of envelope and paper: the thesis states none; those of its bench frames
+SIDES_E = (
+    9_000.0,
+    23_000.0,
+)  # electrons of envelope and paper: the thesis states none; those of its bench frames
 GAIN, READ_NOISE = 0.4, 1.5  # counts per electron, counts
 LENS_WAVES, KNOWN_WAVES = 0.1, 0.002
 DEFOCUS_WAVES = 0.01  # what the thesis's figures take for granted
@@ -69,7 +81,10 @@ class Ranged:
     @property
     def nearest(self) -> tuple[float, float]:
         """Error and standard error, mm, of the side that is nearer to the truth."""
-        sides = [(self.found_mm - self.range_mm, self.std_mm), (self.other_mm - self.range_mm, self.other_std_mm)]
+        sides = [
+            (self.found_mm - self.range_mm, self.std_mm),
+            (self.other_mm - self.range_mm, self.other_std_mm),
+        ]
         return min(sides, key=lambda side: abs(side[0]) if np.isfinite(side[0]) else np.inf)
 
     @property
@@ -103,27 +118,44 @@ def range_scenes(lens: Lens) -> list[Ranged]:
     modes *= LENS_WAVES / np.linalg.norm(modes)
     known = LensPrior(rng.normal(modes, KNOWN_WAVES), KNOWN_WAVES**2 * np.eye(len(modes)))
     true = [float(defocus_waves(LENS, r, FOCUS_MM, WAVELENGTH_NM)) for r in RANGES_MM]
-    poses = [(rng.uniform(-np.pi, np.pi), rng.uniform(-4, 4)) for _ in range(lens.scenes * len(true))]
+    poses = [
+        (rng.uniform(-np.pi, np.pi), rng.uniform(-4, 4))
+        for _ in range(lens.scenes * len(true))
+    ]
     means = [  # all of one range first: its PSF is made once
-        CAMERA.mean(*poses[k * lens.scenes + s], SIDES_E, np.concatenate([[waves], modes]), NOLL)
+        CAMERA.mean(
+            *poses[k * lens.scenes + s], SIDES_E, np.concatenate([[waves], modes]), NOLL
+        )
         for k, waves in enumerate(true)
         for s in range(lens.scenes)
     ]
     return [
         each
         for s in range(lens.scenes)
-        for each in _ranged([means[k * lens.scenes + s] for k in range(len(true))], true, known, rng)
+        for each in _ranged(
+            [means[k * lens.scenes + s] for k in range(len(true))], true, known, rng
+        )
     ]
 
 
-def _ranged(means: list[Floats], true: list[float], known: LensPrior, rng: np.random.Generator) -> list[Ranged]:
+def _ranged(
+    means: list[Floats], true: list[float], known: LensPrior, rng: np.random.Generator
+) -> list[Ranged]:
     """One scene."""
     noise = NoisePrior(GAIN, 2.0, READ_NOISE**2, 2.0)
     regions = tuple(_region(mean, depth, rng) for depth, mean in enumerate(means))
     problem = EdgeProblem((optics(),), regions, (noise,), known)
-    ends = [fit_depth(problem.alone(k), [rough_edge(region)]) for k, region in enumerate(regions)]
-    start = problem.start([of[0].defocus()[0] for of in ends], [of[0].state.edge(0) for of in ends])
-    joint = fit_edges(problem, EdgeState(start.modes, ends[0][0].state.log_noise, start.defoci, start.edges))
+    ends = [
+        fit_depth(problem.alone(k), [rough_edge(region)])
+        for k, region in enumerate(regions)
+    ]
+    start = problem.start(
+        [of[0].defocus()[0] for of in ends], [of[0].state.edge(0) for of in ends]
+    )
+    joint = fit_edges(
+        problem,
+        EdgeState(start.modes, ends[0][0].state.log_noise, start.defoci, start.edges),
+    )
     found = []
     for depth, (range_mm, of) in enumerate(zip(RANGES_MM, ends, strict=True)):
         sides = near_focus(joint, depth) or (
@@ -132,7 +164,11 @@ def _ranged(means: list[Floats], true: list[float], known: LensPrior, rng: np.ra
         )
         where = edge_range(law(), [("B", sides)])
         other = where.other or Uncertain(np.nan, np.nan)
-        found.append(Ranged(range_mm, where.range_mm.value, where.range_mm.std, other.value, other.std))
+        found.append(
+            Ranged(
+                range_mm, where.range_mm.value, where.range_mm.std, other.value, other.std
+            )
+        )
     return found
 
 
@@ -148,22 +184,32 @@ def uncertainty_mm(lens: ThinLens, range_mm: Floats | float) -> Floats:
     """Of a range about best focus there, where defocus is known to DEFOCUS_WAVES. Thesis Figure 5.5."""
     at = np.asarray(range_mm, float)
     step = 1e-4 * at
-    change = defocus_waves(lens, at + step, at, WAVELENGTH_NM) - defocus_waves(lens, at - step, at, WAVELENGTH_NM)
+    change = defocus_waves(lens, at + step, at, WAVELENGTH_NM) - defocus_waves(
+        lens, at - step, at, WAVELENGTH_NM
+    )
     return np.asarray(DEFOCUS_WAVES / (change / (2 * step)))
 
 
 def run(setting: Setting) -> Outcome:
     """Errors of ranges at 5 m and 7.7 m, over their standard errors, and what other cameras could do."""
-    lenses = [Lens(seed, 1 if setting.quick else 6) for seed in range(2 if setting.quick else 18)]
+    lenses = [
+        Lens(seed, 1 if setting.quick else 6) for seed in range(2 if setting.quick else 18)
+    ]
     answers = all_answers(setting, range_scenes, lenses, lambda lens: f"lens {lens.seed}")
     every = [ranged for answer in answers for ranged in answer]
     claims = []
     for range_mm, thesis in zip(RANGES_MM, THESIS_ERRORS_MM, strict=True):
-        claims += _claims([r for r in every if r.range_mm == range_mm], f"at {range_mm / 1000:g} m", thesis)
+        claims += _claims(
+            [r for r in every if r.range_mm == range_mm],
+            f"at {range_mm / 1000:g} m",
+            thesis,
+        )
     reference = float(uncertainty_mm(LENS, 5000.0))
     for name, lens in list(OTHER_CAMERAS.items())[1:]:
         ratio = float(uncertainty_mm(lens, 5000.0)) / reference
-        claims.append(Claim(f"range uncertainty over the D7000's, {name}", None, ratio, "", 1))
+        claims.append(
+            Claim(f"range uncertainty over the D7000's, {name}", None, ratio, "", 1)
+        )
     return Outcome(claims, [r.row for r in every], lambda: _drawn(every))
 
 
@@ -174,11 +220,31 @@ def _claims(of: list[Ranged], at: str, thesis: float) -> list[Claim]:
     pull = error / std
     return [
         Claim(f"both sides of best focus are reported {at}", None, both, "of all", len(of)),
-        Claim(f"range error {at}, 95 % are below", thesis, float(np.quantile(np.abs(error), 0.95)), "mm", len(of)),
+        Claim(
+            f"range error {at}, 95 % are below",
+            thesis,
+            float(np.quantile(np.abs(error), 0.95)),
+            "mm",
+            len(of),
+        ),
         Claim(f"standard error {at}, median", None, float(np.median(std)), "mm", len(of)),
-        Claim(f"error over standard error {at}, mean", None, float(pull.mean()), "", len(of)),
-        Claim(f"error over standard error {at}, standard deviation", None, float(pull.std()), "", len(of)),
-        Claim(f"Kolmogorov-Smirnov p of these {at}", None, float(kstest(pull, "norm").pvalue), "", len(of)),
+        Claim(
+            f"error over standard error {at}, mean", None, float(pull.mean()), "", len(of)
+        ),
+        Claim(
+            f"error over standard error {at}, standard deviation",
+            None,
+            float(pull.std()),
+            "",
+            len(of),
+        ),
+        Claim(
+            f"Kolmogorov-Smirnov p of these {at}",
+            None,
+            float(kstest(pull, "norm").pvalue),
+            "",
+            len(of),
+        ),
     ]
 
 
@@ -188,8 +254,12 @@ def _drawn(every: list[Ranged]) -> Figure:
     left, right = figure.subplots(1, 2)
     at = np.linspace(4000, 9000, 200)
     slope = np.gradient(defocus_waves(LENS, at, FOCUS_MM, WAVELENGTH_NM), at)
-    left.plot(at / 1000, DEFOCUS_WAVES / slope, color=SOFT, label="0.01 waves RMS of defocus")
-    for range_mm, thesis, colour in zip(RANGES_MM, THESIS_ERRORS_MM, ("#0072b2", "#d55e00"), strict=True):
+    left.plot(
+        at / 1000, DEFOCUS_WAVES / slope, color=SOFT, label="0.01 waves RMS of defocus"
+    )
+    for range_mm, thesis, colour in zip(
+        RANGES_MM, THESIS_ERRORS_MM, ("#0072b2", "#d55e00"), strict=True
+    ):
         errors = [abs(r.nearest[0]) for r in every if r.range_mm == range_mm]
         jitter = np.linspace(-90, 90, len(errors))
         left.plot(
@@ -200,7 +270,15 @@ def _drawn(every: list[Ranged]) -> Figure:
             markersize=4,
             label=f"{len(errors)} edges at {range_mm / 1000:g} m",
         )
-        left.plot([range_mm / 1000], [thesis], "*", color=colour, markersize=10, markeredgecolor="black", zorder=3)
+        left.plot(
+            [range_mm / 1000],
+            [thesis],
+            "*",
+            color=colour,
+            markersize=10,
+            markeredgecolor="black",
+            zorder=3,
+        )
     left.set(
         xlabel="range, m",
         ylabel="|error|, mm",
@@ -210,10 +288,14 @@ def _drawn(every: list[Ranged]) -> Figure:
     )
     left.legend()
     at = np.geomspace(500, 20_000, 60)
-    for (name, lens), line in zip(OTHER_CAMERAS.items(), ("-", "--", "-.", ":", "-", "--"), strict=True):
+    for (name, lens), line in zip(
+        OTHER_CAMERAS.items(), ("-", "--", "-.", ":", "-", "--"), strict=True
+    ):
         right.loglog(at / 1000, uncertainty_mm(lens, at), linestyle=line, label=name)
     right.set(
-        xlabel="range in focus, m", ylabel="range uncertainty, mm", title="0.01 waves of defocus in other cameras (5.5)"
+        xlabel="range in focus, m",
+        ylabel="range uncertainty, mm",
+        title="0.01 waves of defocus in other cameras (5.5)",
     )
     right.legend(fontsize=7)
     return figure

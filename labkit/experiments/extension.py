@@ -15,7 +15,14 @@ from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.report.style import panels
 from labkit.types import Bools, Floats
 
-PICTURES = ("camera", "moon", "coins", "brick", "grass", "page")  # scikit-image's, which lie on the disk with it
+PICTURES = (
+    "camera",
+    "moon",
+    "coins",
+    "brick",
+    "grass",
+    "page",
+)  # scikit-image's, which lie on the disk with it
 SIDE = 128  # samples of a picture, each the mean of several
 EXTERIOR = SIDE // 8  # wide, on every side, where it is unknown
 RADIUS = 3  # samples around a hole that OpenCV's two look at
@@ -84,7 +91,11 @@ def methods() -> dict[str, Callable[[Floats, Bools], Floats]]:
         def filled(image: Floats, known: Bools) -> Floats:
             # 8 bits, which both are made for: of a picture in floats one of them makes nonsense
             grey = np.rint(255 * image).astype(np.uint8)
-            return np.where(known, image, cv2.inpaint(grey, (~known).astype(np.uint8), RADIUS, how) / 255.0)
+            return np.where(
+                known,
+                image,
+                cv2.inpaint(grey, (~known).astype(np.uint8), RADIUS, how) / 255.0,
+            )
 
         return filled
 
@@ -116,7 +127,9 @@ def run(setting: Setting) -> Outcome:
     names = list(masks(np.random.default_rng(0)))
     pictures, which = (PICTURES[:1], names[:2]) if setting.quick else (PICTURES, names)
     tasks = [Task(p, m, known) for known in (False, True) for p in pictures for m in which]
-    in_order = all_answers(setting, work, tasks, lambda task: f"{task.picture}, {task.mask}")
+    in_order = all_answers(
+        setting, work, tasks, lambda task: f"{task.picture}, {task.mask}"
+    )
     answers = dict(zip(tasks, in_order, strict=True))
     rows = [
         {
@@ -136,7 +149,10 @@ def run(setting: Setting) -> Outcome:
         figure, axes = panels(12, 6, 2.0)
         for k, known in enumerate((False, True)):
             answer = answers[Task(PICTURES[0], names[0], known)]
-            shown = {"picture": answer.truth, "known": np.where(answer.known, answer.truth, 0)} | answer.filled
+            shown = {
+                "picture": answer.truth,
+                "known": np.where(answer.known, answer.truth, 0),
+            } | answer.filled
             for axis, (name, image) in zip(axes[6 * k :], shown.items(), strict=False):
                 axis.imshow(image, cmap="gray", vmin=0, vmax=1)
                 axis.set_axis_off()
@@ -153,14 +169,28 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
     """The thesis's figures are of its own picture and mask, beside other methods: its sparse and PDE in-painting."""
 
     def mean(figure: str, method: str, key: str = "psnr_db") -> float:
-        return float(np.mean([row[key] for row in rows if row["figure"] == figure and row["method"] == method]))
+        return float(
+            np.mean(
+                [
+                    row[key]
+                    for row in rows
+                    if row["figure"] == figure and row["method"] == method
+                ]
+            )
+        )
 
     others = [name for name in dict.fromkeys(row["method"] for row in rows) if name != OURS]
     claims = []
-    for figure, where, thesis in (("A.2", "exterior unknown", 28.8), ("A.3", "exterior known", 30.78)):
+    for figure, where, thesis in (
+        ("A.2", "exterior unknown", 28.8),
+        ("A.3", "exterior known", 30.78),
+    ):
         ours = mean(figure, OURS)
         claims.append(Claim(f"PSNR of {OURS}, {where}", thesis, ours, "dB", n))
-        claims += [Claim(f"{OURS} over {name}, {where}", None, ours - mean(figure, name), "dB", n) for name in others]
+        claims += [
+            Claim(f"{OURS} over {name}, {where}", None, ours - mean(figure, name), "dB", n)
+            for name in others
+        ]
     ours = mean("A.2", OURS, "psnr_whole_db")
     claims.append(Claim(f"PSNR of {OURS}, exterior and all", 17.6, ours, "dB", n))
     for name in others:
@@ -173,5 +203,7 @@ def _skimage(part: str) -> Any:
     try:
         import skimage
     except ImportError as error:
-        raise InputError("the study of extensions needs scikit-image: pip install 'labkit[study]'") from error
+        raise InputError(
+            "the study of extensions needs scikit-image: pip install 'labkit[study]'"
+        ) from error
     return getattr(skimage, part)

@@ -50,7 +50,9 @@ def quasi_newton(trial: Trial, start: Floats) -> Floats:
         gradient, _, scores, _ = problem.scores(state, drawing, by_waves=True)
         return -scores[0].log_likelihood, -gradient[:modes]
 
-    return np.asarray(minimize(lowered, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x)
+    return np.asarray(
+        minimize(lowered, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
+    )
 
 
 def run(setting: Setting) -> Outcome:
@@ -66,7 +68,10 @@ def run(setting: Setting) -> Outcome:
         }
         for seed, answer in enumerate(answers)
     ]
-    wrong = [float(np.mean([float(row[key]) > RIGHT_WAVES for row in rows])) for key in list(rows[0])[1:]]
+    wrong = [
+        float(np.mean([float(row[key]) > RIGHT_WAVES for row in rows]))
+        for key in list(rows[0])[1:]
+    ]
     whats = (
         "quasi-Newton from near zero",
         "Fisher scoring from near zero",
@@ -84,10 +89,20 @@ def draw(rows: list[dict[str, Any]], wrong: Sequence[float]) -> Figure:
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = figure.subplots()
     edges = [float(edge) for edge in np.geomspace(3e-4, 1.0, 40)]
-    names = ("quasi-Newton from zero", "Fisher scoring from zero", "Fisher scoring from 0.2 waves")
+    names = (
+        "quasi-Newton from zero",
+        "Fisher scoring from zero",
+        "Fisher scoring from 0.2 waves",
+    )
     for key, name, share in zip(list(rows[0])[1:], names, wrong, strict=True):
         errors = [float(row[key]) for row in rows]
-        axes.hist(errors, edges, histtype="step", linewidth=1.4, label=f"{name}: {share:.0%} wrong")
+        axes.hist(
+            errors,
+            edges,
+            histtype="step",
+            linewidth=1.4,
+            label=f"{name}: {share:.0%} wrong",
+        )
     title = "Where maximisations end, 0.25 waves, 12 modes"
     axes.set(xscale="log", xlabel="error / waves RMS", ylabel="wavefronts", title=title)
     axes.legend()

@@ -30,24 +30,30 @@ class PictureCamera:
     def __post_init__(self) -> None:
         side = self.squares * self.camera.pixels
         if self.scene.shape != (side, side):
-            raise ValueError(f"a scene of {self.scene.shape} squares; {(side, side)} fill the camera's torus")
+            raise ValueError(
+                f"a scene of {self.scene.shape} squares; {(side, side)} fill the camera's torus"
+            )
 
     def mean(self, shift_px: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """(frame, frame) what every pixel sees, the scene moved down and right."""
         camera = self.camera
         rows, columns = self._frequencies
         moved = np.exp(-2j * np.pi * (rows * shift_px[0] + columns * shift_px[1]))
-        image = scipy.fft.irfft2(self._blurred * moved, s=2 * (camera.pixels * camera.oversampling,))
+        image = scipy.fft.irfft2(
+            self._blurred * moved, s=2 * (camera.pixels * camera.oversampling,)
+        )
         first = (camera.pixels - camera.frame) // 2 * camera.oversampling
         last = first + camera.frame * camera.oversampling
-        return np.asarray(image[first : last : camera.oversampling, first : last : camera.oversampling])
+        return np.asarray(
+            image[first : last : camera.oversampling, first : last : camera.oversampling]
+        )
 
     def truth(self, samples: int) -> Floats:
         """(samples frame, samples frame) mean radiance over squares about samples, the first in the first pixel's centre."""
         count = self.camera.pixels * samples
         edges = (
-            np.arange(count + 1) - 0.5
-        ) / samples * self.squares + 0.5  # in squares of the scene, from the first one's edge
+            (np.arange(count + 1) - 0.5) / samples * self.squares + 0.5
+        )  # in squares of the scene, from the first one's edge
         low, high = edges[:-1, None], edges[1:, None]
         share = np.zeros((count, len(self.scene)))
         for turn in (-len(self.scene), 0, len(self.scene)):  # it repeats itself
@@ -61,14 +67,22 @@ class PictureCamera:
     @cached_property
     def _frequencies(self) -> tuple[Floats, Floats]:
         """Cycles a pixel."""
-        fine, step = self.camera.pixels * self.camera.oversampling, 1 / self.camera.oversampling
-        return scipy.fft.fftfreq(fine, step)[:, None], scipy.fft.rfftfreq(fine, step)[None, :]
+        fine, step = (
+            self.camera.pixels * self.camera.oversampling,
+            1 / self.camera.oversampling,
+        )
+        return scipy.fft.fftfreq(fine, step)[:, None], scipy.fft.rfftfreq(fine, step)[
+            None, :
+        ]
 
     @cached_property
     def _blurred(self) -> Complexes:
         """Transform of the scene behind lens and pixel."""
         rows, columns = self._frequencies
-        at = [np.rint(axis * self.camera.pixels).astype(int) % len(self.scene) for axis in (rows, columns)]
+        at = [
+            np.rint(axis * self.camera.pixels).astype(int) % len(self.scene)
+            for axis in (rows, columns)
+        ]
         square = np.sinc(rows / self.squares) * np.sinc(columns / self.squares)
         finer = self.camera.pixels * self.camera.oversampling / len(self.scene)
         scene = scipy.fft.fft2(self.scene)[at[0], at[1]] * square * finer**2

@@ -11,7 +11,11 @@ from labkit.optics.psf import Pupil
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 11))  # the thesis's seven modes
-EDGES = {"smooth": None, "shaded": 2e-4, "binary": None}  # of the pupil; the error that the thesis has at 225 samples
+EDGES = {
+    "smooth": None,
+    "shaded": 2e-4,
+    "binary": None,
+}  # of the pupil; the error that the thesis has at 225 samples
 AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
 
 
@@ -30,20 +34,30 @@ def perfect_psf_of(diameter: int, edge: str) -> Floats:
     pupil = pupil_of(diameter)
     half = len(pupil.amplitude) // 2
     area = disc_area(np.arange(-half, half + 1.0), pupil.radius)
-    amplitude = {"smooth": pupil.amplitude, "shaded": area, "binary": (area > 0.5).astype(float)}[edge]
+    amplitude = {
+        "smooth": pupil.amplitude,
+        "shaded": area,
+        "binary": (area > 0.5).astype(float),
+    }[edge]
     field = scipy.fft.fftshift(scipy.fft.fft2(amplitude, (pupil.size, pupil.size)))
     return _middle(np.abs(field) ** 2 / (np.pi * pupil.radius**2 * pupil.size**2))
 
 
 def _middle(psf: Floats) -> Floats:
     half = psf.shape[0] // 2
-    return np.asarray(psf[half - 2 * WIDTH : half + 2 * WIDTH + 1, half - 2 * WIDTH : half + 2 * WIDTH + 1])
+    return np.asarray(
+        psf[
+            half - 2 * WIDTH : half + 2 * WIDTH + 1, half - 2 * WIDTH : half + 2 * WIDTH + 1
+        ]
+    )
 
 
 def run(setting: Setting) -> Outcome:
     """Summed absolute error of the PSF for a change of 1e-3 waves, and for three kinds of a pupil's edge."""
     rng = np.random.default_rng(6)
-    diameters = (31, 65, 129) if setting.quick else (31, 45, 65, 91, 129, 181, 225, 257, 361)
+    diameters = (
+        (31, 65, 129) if setting.quick else (31, 45, 65, 91, 129, 181, 225, 257, 361)
+    )
     directions = 40 if setting.quick else 1000
     finest = 401 if setting.quick else 1025
     zero = np.zeros(len(NOLL))
@@ -54,14 +68,29 @@ def run(setting: Setting) -> Outcome:
     truth = psf_of(finest, zero)
     rows = []
     for diameter in diameters:
-        errors = {f"{edge}_error": float(np.abs(perfect_psf_of(diameter, edge) - truth).sum()) for edge in EDGES}
+        errors = {
+            f"{edge}_error": float(np.abs(perfect_psf_of(diameter, edge) - truth).sum())
+            for edge in EDGES
+        }
         rows.append({"diameter": diameter} | errors)
     setting.progress(2, 2, "pupils")
     at = rows[-1] if setting.quick else next(row for row in rows if row["diameter"] == 225)
     claims = [
-        Claim("summed absolute PSF change for 1e-3 waves, median", 3e-3, float(np.median(varied)), "", directions),
+        Claim(
+            "summed absolute PSF change for 1e-3 waves, median",
+            3e-3,
+            float(np.median(varied)),
+            "",
+            directions,
+        ),
         *(
-            Claim(f"PSF error, {edge} pupil {at['diameter']} samples across", wanted, at[f"{edge}_error"], "", 1)
+            Claim(
+                f"PSF error, {edge} pupil {at['diameter']} samples across",
+                wanted,
+                at[f"{edge}_error"],
+                "",
+                1,
+            )
             for edge, wanted in EDGES.items()
         ),
     ]
@@ -80,7 +109,16 @@ def _drawn(varied: Floats, rows: list[dict[str, float]]) -> Figure:
         title="What a wavefront does to the PSF",
     )
     for edge, marker in zip(EDGES, "^os", strict=True):
-        right.loglog([r["diameter"] for r in rows], [r[f"{edge}_error"] for r in rows], f"{marker}-", label=edge)
-    right.set(xlabel="samples across the pupil", ylabel="summed absolute error", title="What its sampling does")
+        right.loglog(
+            [r["diameter"] for r in rows],
+            [r[f"{edge}_error"] for r in rows],
+            f"{marker}-",
+            label=edge,
+        )
+    right.set(
+        xlabel="samples across the pupil",
+        ylabel="summed absolute error",
+        title="What its sampling does",
+    )
     right.legend()
     return figure

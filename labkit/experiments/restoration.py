@@ -25,17 +25,36 @@ from labkit.restoration.registration import refined, registered
 from labkit.restoration.tiles import restore_job
 from labkit.types import Floats
 
-PICTURES = ("camera", "coins", "brick", "grass", "moon", "page", "astronaut", "coffee", "chelsea")
+PICTURES = (
+    "camera",
+    "coins",
+    "brick",
+    "grass",
+    "moon",
+    "page",
+    "astronaut",
+    "coffee",
+    "chelsea",
+)
 """scikit-image's, which lie on the disk with it: six grey ones and three in colour."""
-REFERENCE_UM, F_NUMBER, PITCH_UM = 0.45, 2.868, 4.78  # the cone at the sensor, focused at 3 m
+REFERENCE_UM, F_NUMBER, PITCH_UM = (
+    0.45,
+    2.868,
+    4.78,
+)  # the cone at the sensor, focused at 3 m
 NOLL = tuple(range(4, 16))
-WAVES = np.array([0.0, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020])
+WAVES = np.array(
+    [0.0, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020]
+)
 GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
 FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
 QUICK_SAMPLES = 3
 INSIDE_PX = 8  # from the border, where the frame's end no longer counts
 FRAMES = 4
-GRANTED = {"richardson-lucy": (25, 50, 100, 200, 400), "richardson-lucy-blind": (2, 4, 8)} | {
+GRANTED = {
+    "richardson-lucy": (25, 50, 100, 200, 400),
+    "richardson-lucy-blind": (2, 4, 8),
+} | {
     "wiener": (1e-5, 1e-4, 1e-3, 1e-2, 1e-1),
     "total-variation": (5e-4,),
 }
@@ -89,7 +108,11 @@ class Answer:
         """Relative to white, over the frame or what is inside it."""
         apart = self.restored[method] - self.truth
         border = INSIDE_PX * self.samples
-        return float(np.sqrt(np.mean((apart[border:-border, border:-border] if inside else apart) ** 2)))
+        return float(
+            np.sqrt(
+                np.mean((apart[border:-border, border:-border] if inside else apart) ** 2)
+            )
+        )
 
     def ssim(self, method: str) -> float:
         """Structural similarity, of white's range."""
@@ -106,12 +129,19 @@ def scene(name: str) -> Floats:
     whole = whole.transpose(2, 0, 1) if whole.ndim == 3 else np.stack(3 * [whole])
     side = SQUARES * TORUS
     missing = [max(side - n, 0) for n in whole.shape[1:]]
-    whole = np.pad(whole, [(0, 0), *((m // 2, m - m // 2) for m in missing)], mode="reflect")
+    whole = np.pad(
+        whole, [(0, 0), *((m // 2, m - m // 2) for m in missing)], mode="reflect"
+    )
     top, left = ((n - side) // 2 for n in whole.shape[1:])
     return np.asarray(whole[:, top : top + side, left : left + side])
 
 
-def job_of(frames: list[Floats], samples: int = SAMPLES, names: str = "R", defocus_only: bool = False) -> Job:
+def job_of(
+    frames: list[Floats],
+    samples: int = SAMPLES,
+    names: str = "R",
+    defocus_only: bool = False,
+) -> Job:
     """Some colours of frames, as the estimator knows the camera; where they stand is registered."""
     lenses = [_lens(name, defocus_only) for name in names]
     used = np.zeros(frames[0].shape, bool)
@@ -120,7 +150,13 @@ def job_of(frames: list[Floats], samples: int = SAMPLES, names: str = "R", defoc
             used[row::2, column::2] = True
     places = [place for lens in lenses for place in lens.places]
     shots = [Photograph(counts, used, np.ones(counts.shape)) for counts in frames]
-    shots = [shots[0], *(replace(shot, motion=registered(shots[0], shot, 2, places)) for shot in shots[1:])]
+    shots = [
+        shots[0],
+        *(
+            replace(shot, motion=registered(shots[0], shot, 2, places))
+            for shot in shots[1:]
+        ),
+    ]
     job = Job(tuple(shots), tuple(lenses), 2, samples, GUARD, np.eye(len(lenses)))
     return refined(replace(job, coupling=colour_coupling(job)) if len(lenses) > 1 else job)
 
@@ -135,7 +171,11 @@ def _lens(name: str, defocus_only: bool) -> Colour:
         active_um=PITCH_UM,
         noll=NOLL,
     )
-    waves = np.where(np.array(NOLL) == 4, light.defocus_waves, 0.0) if defocus_only else light.waves()
+    waves = (
+        np.where(np.array(NOLL) == 4, light.defocus_waves, 0.0)
+        if defocus_only
+        else light.waves()
+    )
     return Colour(name, light.places, optics, waves, GAIN, READ_NOISE**2)
 
 
@@ -152,7 +192,10 @@ def work(task: Task) -> Answer:
         began = perf_counter()
         restored[name] = _best(name, one, truth)
         seconds[name] = perf_counter() - began
-    ways: dict[str, Callable[[], Job]] = {DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True), OURS: lambda: one}
+    ways: dict[str, Callable[[], Job]] = {
+        DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True),
+        OURS: lambda: one,
+    }
     ways |= {SEVERAL: lambda: made(frames), COLOURS: lambda: made(frames[:1], names="RGB")}
     for name, job in ways.items():
         began = perf_counter()
@@ -161,7 +204,9 @@ def work(task: Task) -> Answer:
         if name == OURS:
             apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)
             covered = (float(np.mean(apart < 1)), float(np.mean(apart < 2)))
-    return Answer(task.samples, truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered)
+    return Answer(
+        task.samples, truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered
+    )
 
 
 def _worlds(picture: str) -> dict[str, PictureCamera]:
@@ -186,7 +231,9 @@ def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> 
 
 def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
     """Counts above black, rounded."""
-    return np.rint(GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape))
+    return np.rint(
+        GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape)
+    )
 
 
 def _best(name: str, job: Job, truth: Floats) -> Floats:
@@ -206,7 +253,11 @@ def _best(name: str, job: Job, truth: Floats) -> Floats:
 
 def run(setting: Setting) -> Outcome:
     """RMSE, PSNR and SSIM of every method on every scene."""
-    tasks = [Task(PICTURES[0], QUICK_SAMPLES)] if setting.quick else [Task(name) for name in PICTURES]
+    tasks = (
+        [Task(PICTURES[0], QUICK_SAMPLES)]
+        if setting.quick
+        else [Task(name) for name in PICTURES]
+    )
     answers = all_answers(setting, work, tasks, lambda task: task.picture)
     rows = [
         {
@@ -237,15 +288,41 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
 
     claims = []
     for name in dict.fromkeys(row["method"] for row in rows):
-        claims.append(Claim(f"RMSE, {name}", None, 100 * mean(name, "rmse"), "% of white", n))
+        claims.append(
+            Claim(f"RMSE, {name}", None, 100 * mean(name, "rmse"), "% of white", n)
+        )
         claims.append(Claim(f"PSNR, {name}", None, mean(name, "psnr_db"), "dB", n))
         claims.append(Claim(f"SSIM, {name}", None, mean(name, "ssim"), "", n))
-    comparisons = [(OURS, "richardson-lucy"), (COLOURS, "richardson-lucy"), (SEVERAL, OURS), (OURS, DEFOCUS_ONLY)]
-    for key, where in (("rmse", "whole frame"), ("rmse_inside", f"{INSIDE_PX} pixels off its border")):
+    comparisons = [
+        (OURS, "richardson-lucy"),
+        (COLOURS, "richardson-lucy"),
+        (SEVERAL, OURS),
+        (OURS, DEFOCUS_ONLY),
+    ]
+    for key, where in (
+        ("rmse", "whole frame"),
+        ("rmse_inside", f"{INSIDE_PX} pixels off its border"),
+    ):
         for method, other in comparisons:
-            claims.append(Claim(f"{method} below {other}, {where}", None, below(method, other, key), "%", n))
+            claims.append(
+                Claim(
+                    f"{method} below {other}, {where}",
+                    None,
+                    below(method, other, key),
+                    "%",
+                    n,
+                )
+            )
     for k, key in ((1, "within_1_std"), (2, "within_2_std")):
-        claims.append(Claim(f"truth within {k} standard errors, {OURS}", None, 100 * mean(OURS, key), "%", n))
+        claims.append(
+            Claim(
+                f"truth within {k} standard errors, {OURS}",
+                None,
+                100 * mean(OURS, key),
+                "%",
+                n,
+            )
+        )
     return claims
 
 
@@ -276,5 +353,7 @@ def _skimage(part: str) -> Any:
     try:
         import skimage
     except ImportError as error:
-        raise InputError("the study of restorations needs scikit-image: pip install 'labkit[study]'") from error
+        raise InputError(
+            "the study of restorations needs scikit-image: pip install 'labkit[study]'"
+        ) from error
     return getattr(skimage, part)

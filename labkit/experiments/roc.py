@@ -41,7 +41,10 @@ def run(setting: Setting) -> Outcome:
     alarms = np.linspace(0, 1, 101)
     curves = {name: detection(right, wrong, alarms) for name, (right, wrong) in of.items()}
     rows = [
-        {"false_alarm": float(a), **{name: float(curve[i]) for name, curve in curves.items()}}
+        {
+            "false_alarm": float(a),
+            **{name: float(curve[i]) for name, curve in curves.items()},
+        }
         for i, a in enumerate(alarms)
     ]
     claims = [
@@ -49,7 +52,15 @@ def run(setting: Setting) -> Outcome:
         for name, (right, wrong) in of.items()
     ]
     least = float(np.min(curves["one-sided"] - curves["Biernacki, two-sided"]))
-    claims.append(Claim("least lead of one-sided over two-sided at any false-alarm rate", 0.0, least, "", len(kept)))
+    claims.append(
+        Claim(
+            "least lead of one-sided over two-sided at any false-alarm rate",
+            0.0,
+            least,
+            "",
+            len(kept),
+        )
+    )
     return Outcome(claims, rows, lambda: draw(alarms, curves))
 
 
@@ -60,12 +71,18 @@ def draw(alarms: Floats, curves: dict[str, Floats]) -> Figure:
     for name, curve in curves.items():
         axes.plot(alarms, curve, label=name)
     axes.plot([0, 1], [0, 1], color=SOFT, linewidth=0.8, linestyle=":")
-    axes.set(xlabel="false alarms", ylabel="wrong optima detected", title="A sinusoid's frequency in unit noise")
+    axes.set(
+        xlabel="false alarms",
+        ylabel="wrong optima detected",
+        title="A sinusoid's frequency in unit noise",
+    )
     axes.legend(loc="lower right")
     return figure
 
 
-def draws(rng: np.random.Generator, count: int, progress: Progress = no_progress) -> list[tuple[Floats, Optima]]:
+def draws(
+    rng: np.random.Generator, count: int, progress: Progress = no_progress
+) -> list[tuple[Floats, Optima]]:
     """Of so many draws of data (100,) those whose global optimum is the true one and which have another."""
     kept = []
     for k in range(count):
@@ -79,7 +96,10 @@ def draws(rng: np.random.Generator, count: int, progress: Progress = no_progress
 
 def statistics(test: Test, kept: Sequence[tuple[Floats, Optima]]) -> tuple[Floats, Floats]:
     """A test's statistics of right and of wrong optima, (draws,) each."""
-    right, wrong = ([test(data, getattr(optima, which)) for data, optima in kept] for which in ("best", "other"))
+    right, wrong = (
+        [test(data, getattr(optima, which)) for data, optima in kept]
+        for which in ("best", "other")
+    )
     return np.array(right), np.array(wrong)
 
 

@@ -55,7 +55,10 @@ class Outcome:
 
 
 def all_answers(
-    setting: Setting, work: Callable[[Task], Answer], tasks: Sequence[Task], label: Callable[[Task], str]
+    setting: Setting,
+    work: Callable[[Task], Answer],
+    tasks: Sequence[Task],
+    label: Callable[[Task], str],
 ) -> list[Answer]:
     """The answer to every task, in the tasks' order; progress names the one that ended last."""
     answers: dict[int, Answer] = {}
@@ -73,13 +76,18 @@ def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[s
     if name not in STUDIES:
         raise InputError(f"no study {name!r}: there are {', '.join(STUDIES)}")
     began = perf_counter()
-    outcome: Outcome = importlib.import_module(f"labkit.experiments.{STUDIES[name]}").run(setting)
+    outcome: Outcome = importlib.import_module(f"labkit.experiments.{STUDIES[name]}").run(
+        setting
+    )
     summary = {
         "schema": 1,
         "study": name,
         "quick": setting.quick,
         "seconds": round(perf_counter() - began, 1),
-        "claims": [asdict(claim) | {"measured": _or_none(claim.measured)} for claim in outcome.claims],
+        "claims": [
+            asdict(claim) | {"measured": _or_none(claim.measured)}
+            for claim in outcome.claims
+        ],
     }
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -92,7 +100,9 @@ def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[s
             _label_logs_plainly(figure)
         write_atomically(folder / f"{name}.csv", table.getvalue().encode())
         write_atomically(folder / f"{name}.png", png(figure))
-        write_atomically(folder / f"{name}.json", json.dumps(summary, indent=1).encode() + b"\n")
+        write_atomically(
+            folder / f"{name}.json", json.dumps(summary, indent=1).encode() + b"\n"
+        )
     return summary
 
 
@@ -103,7 +113,9 @@ def _label_logs_plainly(figure: Figure) -> None:
             if axis.get_scale() == "log":
                 low, high = axis.get_view_interval()
                 axis.set_major_formatter("{x:g}")
-                axis.set_minor_formatter(_twos_and_fives if high < 1000 * low else NullFormatter())
+                axis.set_minor_formatter(
+                    _twos_and_fives if high < 1000 * low else NullFormatter()
+                )
 
 
 def _twos_and_fives(value: float, _: object) -> str:

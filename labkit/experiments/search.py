@@ -64,8 +64,12 @@ class Answer:
 def work(task: tuple[Condition, int]) -> Answer:
     """One picture, from nothing."""
     condition, seed = task
-    rng = np.random.default_rng([seed, round(condition.snr), len(condition.noll), round(100 * condition.waves_rms)])
-    trial = draw_trial(rng, snr=condition.snr, noll=condition.noll, waves_rms=condition.waves_rms)
+    rng = np.random.default_rng(
+        [seed, round(condition.snr), len(condition.noll), round(100 * condition.waves_rms)]
+    )
+    trial = draw_trial(
+        rng, snr=condition.snr, noll=condition.noll, waves_rms=condition.waves_rms
+    )
     try:
         fit = trial.fit(rng)
     except LabkitError:
@@ -84,28 +88,44 @@ def work(task: tuple[Condition, int]) -> Answer:
 def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float]:
     """Share of random starts of the small problem that end right, and the error of that end."""
     here = trial.state(np.zeros(len(trial.noll)))
-    small = PhaseRetrieval.prepare(optics(trial.noll), carpet(), trial.frame, trial.noise, here)
+    small = PhaseRetrieval.prepare(
+        optics(trial.noll), carpet(), trial.frame, trial.noise, here
+    )
     right = trial.error(small.descend(trial.waves).state.waves)
-    ends = [trial.error(small.descend(small.random_waves(rng)).state.waves) for _ in range(STARTS)]
-    return float(np.mean([np.linalg.norm(end - right) < SAME_END for end in ends])), float(np.linalg.norm(right))
+    ends = [
+        trial.error(small.descend(small.random_waves(rng)).state.waves)
+        for _ in range(STARTS)
+    ]
+    return float(np.mean([np.linalg.norm(end - right) < SAME_END for end in ends])), float(
+        np.linalg.norm(right)
+    )
 
 
 def run(setting: Setting) -> Outcome:
     """How often the search reaches the true optimum, whether it knows, and how long it takes."""
     conditions = QUICK if setting.quick else CONDITIONS
-    tasks = [(condition, seed) for condition in conditions for seed in range(condition.trials)]
+    tasks = [
+        (condition, seed) for condition in conditions for seed in range(condition.trials)
+    ]
     answers = all_answers(setting, work, tasks, lambda task: task[0].label)
     rows, claims = list[dict[str, Any]](), list[Claim]()
     for condition in conditions:
-        row = _row(condition, [a for a, task in zip(answers, tasks, strict=True) if task[0] is condition])
+        row = _row(
+            condition,
+            [a for a, task in zip(answers, tasks, strict=True) if task[0] is condition],
+        )
         rows.append(row)
         claims += _claims(condition.label, row)
     at = next(row for row in rows if row["snr"] == 50.0)
     n = at["trials"]
     claims += [
-        Claim("time of a global fit, 95th percentile, SNR 50", None, at["seconds_95"], "s", n),
+        Claim(
+            "time of a global fit, 95th percentile, SNR 50", None, at["seconds_95"], "s", n
+        ),
         Claim("true optima rejected, SNR 50", None, at["found_but_rejected"] / n, "", n),
-        Claim("wrong optima accepted, SNR 50", None, float(at["wrong_but_accepted"]), "", n),
+        Claim(
+            "wrong optima accepted, SNR 50", None, float(at["wrong_but_accepted"]), "", n
+        ),
     ]
     return Outcome(claims, rows, lambda: draw(rows))
 
@@ -122,13 +142,17 @@ def _row(condition: Condition, answers: Sequence[Answer]) -> dict[str, Any]:
         "trials": len(answers),
         "found": len(found) / len(answers),
         "target_not_found": sum(a.lost for a in answers),
-        "missed_seeds": " ".join(str(seed) for seed, a in enumerate(answers) if not a.found),
+        "missed_seeds": " ".join(
+            str(seed) for seed, a in enumerate(answers) if not a.found
+        ),
         "rms_error_when_found": _rms([a.error for a in found]),
         "rms_bound_when_found": _rms([a.bound for a in found]),
         "found_but_rejected": sum(not a.accepted for a in found),
         "wrong_but_accepted": sum(a.accepted for a in wrong),
         "right_starts": float(np.nanmean([a.right_starts for a in answers])),
-        "median_error_of_small_problem": float(np.nanmedian([a.small_error for a in answers])),
+        "median_error_of_small_problem": float(
+            np.nanmedian([a.small_error for a in answers])
+        ),
         "median_starts": float(np.median([a.starts for a in answers])),
         "median_seconds": float(np.median(seconds)) if seconds else np.nan,
         "seconds_95": float(np.quantile(seconds, 0.95)) if seconds else np.nan,
@@ -139,8 +163,16 @@ def _claims(label: str, row: dict[str, Any]) -> list[Claim]:
     n = row["trials"]
     return [
         Claim(f"global optimum found from nothing, {label}", None, row["found"], "", n),
-        Claim(f"time of a global fit, median, {label}", None, row["median_seconds"], "s", n),
-        Claim(f"random starts that end right, {label}", None, row["right_starts"], "", STARTS * n),
+        Claim(
+            f"time of a global fit, median, {label}", None, row["median_seconds"], "s", n
+        ),
+        Claim(
+            f"random starts that end right, {label}",
+            None,
+            row["right_starts"],
+            "",
+            STARTS * n,
+        ),
     ]
 
 
@@ -148,20 +180,37 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     """Errors beside their bounds; how often stronger wavefronts are found."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    twelve = [row for row in rows if row["modes"] == len(NOLL) and row["waves_rms"] == WAVES_RMS]
+    twelve = [
+        row for row in rows if row["modes"] == len(NOLL) and row["waves_rms"] == WAVES_RMS
+    ]
     snr = [row["snr"] for row in twelve]
-    left.loglog(snr, [row["rms_error_when_found"] for row in twelve], "o", label="RMS error, optimum found")
-    left.loglog(snr, [row["rms_bound_when_found"] for row in twelve], "-", label="Cramér-Rao bound")
+    left.loglog(
+        snr,
+        [row["rms_error_when_found"] for row in twelve],
+        "o",
+        label="RMS error, optimum found",
+    )
+    left.loglog(
+        snr, [row["rms_bound_when_found"] for row in twelve], "-", label="Cramér-Rao bound"
+    )
     left.set(xlabel="SNR", ylabel="waves RMS", title="From nothing, 0.25 waves, 12 modes")
     for row in twelve:
         left.annotate(
-            f"{100 * row['found']:.3g} %", (row["snr"], row["rms_error_when_found"]), (4, 6), textcoords="offset points"
+            f"{100 * row['found']:.3g} %",
+            (row["snr"], row["rms_error_when_found"]),
+            (4, 6),
+            textcoords="offset points",
         )
     left.legend()
     for count, marker in ((12, "o-"), (22, "s-")):
         of_count = [row for row in rows if row["modes"] == count and row["snr"] == 75.0]
         waves = [r["waves_rms"] for r in of_count]
-        (line,) = right.plot(waves, [100 * r["found"] for r in of_count], marker, label=f"{count} modes, found")
+        (line,) = right.plot(
+            waves,
+            [100 * r["found"] for r in of_count],
+            marker,
+            label=f"{count} modes, found",
+        )
         right.plot(
             waves,
             [100 * r["right_starts"] for r in of_count],
@@ -169,7 +218,12 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
             color=line.get_color(),
             label=f"{count} modes, of single starts",
         )
-    right.set(xlabel="waves RMS", ylabel="in the right optimum / %", ylim=(0, 103), title="Stronger wavefronts, SNR 75")
+    right.set(
+        xlabel="waves RMS",
+        ylabel="in the right optimum / %",
+        ylim=(0, 103),
+        title="Stronger wavefronts, SNR 75",
+    )
     right.legend()
     return figure
 

@@ -67,7 +67,9 @@ def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:
             phase = theta @ powers
             slopes = powers * np.cos(phase)
             normal = slopes @ slopes.T
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slopes @ (data - np.sin(phase)))
+            step = np.linalg.solve(
+                normal + damping * np.diag(np.diag(normal)), slopes @ (data - np.sin(phase))
+            )
             trial = float(-0.5 * np.sum((data - np.sin((theta + step) @ powers)) ** 2))
             if trial > value:
                 theta, value, damping = theta + step, trial, damping / 5
@@ -88,10 +90,18 @@ def relaxation(count: int = 1) -> Floats:
     for frequency in np.linspace(0, HIGHEST, 100):
         data = np.sin(frequency * X)
         misfit = np.sum((data - SIGNALS) ** 2, axis=1)
-        inside = np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] < misfit[2:])) + 1
-        wrong = [w for w in (_refined(data, GRID[k]) for k in inside) if 0 < w < HIGHEST and abs(w - frequency) > 0.05]
+        inside = (
+            np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] < misfit[2:])) + 1
+        )
+        wrong = [
+            w
+            for w in (_refined(data, GRID[k]) for k in inside)
+            if 0 < w < HIGHEST and abs(w - frequency) > 0.05
+        ]
         scores += [data - np.sin(w * X) for w in wrong]
-    return np.asarray(np.linalg.svd(np.array(scores).T, full_matrices=False)[0][:, :count].T)
+    return np.asarray(
+        np.linalg.svd(np.array(scores).T, full_matrices=False)[0][:, :count].T
+    )
 
 
 def linear_gap(directions: Floats) -> Callable[[Floats, float], float]:

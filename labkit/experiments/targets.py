@@ -10,7 +10,15 @@ from matplotlib.figure import Figure
 from labkit.estimation.climb import NoisePrior, Problem
 from labkit.estimation.identifiability import Bound, bound_of
 from labkit.estimation.parameter_names import parameter_names
-from labkit.experiments.conditions import FRAME, GAIN, NOISE_STD, Trial, carpet, draw_trial, optics
+from labkit.experiments.conditions import (
+    FRAME,
+    GAIN,
+    NOISE_STD,
+    Trial,
+    carpet,
+    draw_trial,
+    optics,
+)
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
 from labkit.plan import TargetSpec
@@ -43,7 +51,9 @@ def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[B
     for read_noise in read_noises:
         noise = NoisePrior(GAIN, NOISE_STD, read_noise**2, NOISE_STD)
         problem = Problem(model, (trial.frame,), noise)
-        state = Trial(trial.frame, trial.pose, trial.waves, trial.noll, read_noise).state(trial.waves)
+        state = Trial(trial.frame, trial.pose, trial.waves, trial.noll, read_noise).state(
+            trial.waves
+        )
         information = problem.scores(state, by_waves=True)[1]
         bounds_.append(bound_of(information, parameter_names(state, trial.noll)))
     return bounds_
@@ -53,7 +63,9 @@ def work(task: Task) -> tuple[Floats, str]:
     """RMS bound of the wavefront (read noises,), infinite where it is not determined, and what is not, in words."""
     trial = draw_trial(np.random.default_rng(task.seed))
     by_noise = bounds(open_target(SPECS[task.target]), trial, READ_NOISES)
-    open_ = "; ".join(dict.fromkeys(words for bound in by_noise for words in bound.undetermined))
+    open_ = "; ".join(
+        dict.fromkeys(words for bound in by_noise for words in bound.undetermined)
+    )
     return np.array([bound.rms(0, len(trial.noll)) for bound in by_noise]), open_
 
 
@@ -64,23 +76,46 @@ def run(setting: Setting) -> Outcome:
     answers = all_answers(setting, work, tasks, lambda task: task.target)
     rows, rms = [], {}
     for name in SPECS:
-        of_target = [answer for answer, task in zip(answers, tasks, strict=True) if task.target == name]
+        of_target = [
+            answer
+            for answer, task in zip(answers, tasks, strict=True)
+            if task.target == name
+        ]
         rms[name] = np.sqrt(np.mean([bound**2 for bound, _ in of_target], axis=0))
         rows += _rows(name, rms[name], of_target)
     at = READ_NOISES.index(THE_READ_NOISE)
     carpets = float(rms["carpet"][at])
-    claims = [Claim("bound with the carpet, read noise 0.68 counts", None, carpets, "waves RMS", trials)]
+    claims = [
+        Claim(
+            "bound with the carpet, read noise 0.68 counts",
+            None,
+            carpets,
+            "waves RMS",
+            trials,
+        )
+    ]
     claims += [
-        Claim(f"bound with {name} over that with the carpet", None, float(rms[name][at]) / carpets, "", trials)
+        Claim(
+            f"bound with {name} over that with the carpet",
+            None,
+            float(rms[name][at]) / carpets,
+            "",
+            trials,
+        )
         for name in SPECS
         if name != "carpet"
     ]
     return Outcome(claims, rows, lambda: draw(rms))
 
 
-def _rows(name: str, rms: Floats, answers: Sequence[tuple[Floats, str]]) -> list[dict[str, Any]]:
+def _rows(
+    name: str, rms: Floats, answers: Sequence[tuple[Floats, str]]
+) -> list[dict[str, Any]]:
     """Of the table: one target, a row for each read noise."""
-    bounds_, open_ = np.array([bound for bound, _ in answers]), sorted({words for _, words in answers} - {""})
+    bounds_, open_ = (
+        np.array([bound for bound, _ in answers]),
+        sorted({words for _, words in answers} - {""}),
+    )
     return [
         {
             "target": name,
@@ -102,7 +137,17 @@ def draw(rms: dict[str, Floats]) -> Figure:
     for name, mark in zip(SPECS, "so^Dv", strict=True):
         known = np.isfinite(rms[name])
         label = name if known.all() else f"{name} (not all modes determined)"
-        axes.loglog(np.array(READ_NOISES)[known], rms[name][known], marker=mark, markersize=4, label=label)
-    axes.set(xlabel="read noise (counts)", ylabel="waves RMS", title="Least error of a wavefront, by target")
+        axes.loglog(
+            np.array(READ_NOISES)[known],
+            rms[name][known],
+            marker=mark,
+            markersize=4,
+            label=label,
+        )
+    axes.set(
+        xlabel="read noise (counts)",
+        ylabel="waves RMS",
+        title="Least error of a wavefront, by target",
+    )
     axes.legend()
     return figure

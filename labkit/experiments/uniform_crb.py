@@ -10,7 +10,11 @@ from labkit.estimation.climb import Problem
 from labkit.estimation.identifiability import bound_of
 from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import AIRY_UM, FRAME, carpet, draw_trial, optics
-from labkit.experiments.methods.bounds import bias_sensitivity, fisher_information, uniform_bound
+from labkit.experiments.methods.bounds import (
+    bias_sensitivity,
+    fisher_information,
+    uniform_bound,
+)
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
 from labkit.types import Floats
@@ -30,11 +34,15 @@ def work(task: tuple[float, int]) -> Answer:
     """The bound for one wavefront, the pixels so many times as far apart as Nyquist's."""
     times, seed = task
     trial = draw_trial(np.random.default_rng([36, seed]))
-    sampled = replace(optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2)
+    sampled = replace(
+        optics(trial.noll), pitch_um=times * AIRY_UM / 2, active_um=times * AIRY_UM / 2
+    )
     model = ForwardModel.build(sampled, carpet(), (FRAME, FRAME), trial.pose)
     state = trial.state(trial.waves)
     problem = Problem(model, (trial.frame,), trial.noise)
-    bound = bound_of(fisher_information(problem, state, 6), parameter_names(state, trial.noll))
+    bound = bound_of(
+        fisher_information(problem, state, 6), parameter_names(state, trial.noll)
+    )
     modes = len(trial.noll)
     return Answer(bound.covariance[:modes, :modes])
 
@@ -43,11 +51,17 @@ def run(setting: Setting) -> Outcome:
     """Bound on defocus against the norm of the bias gradient, and its slope at none, over random wavefronts of 0.25 waves."""
     trials = 2 if setting.quick else 40
     tasks = [(times, seed) for times in UNDERSAMPLED for seed in range(trials)]
-    answers = all_answers(setting, work, tasks, lambda task: f"{task[0]:g} times undersampled")
+    answers = all_answers(
+        setting, work, tasks, lambda task: f"{task[0]:g} times undersampled"
+    )
     rows, claims, curves = list[dict[str, Any]](), list[Claim](), {}
     for times in UNDERSAMPLED:
-        covariances = [a.covariance for a, task in zip(answers, tasks, strict=True) if task[0] == times]
-        of_times = [_row(times, seed, covariance) for seed, covariance in enumerate(covariances)]
+        covariances = [
+            a.covariance for a, task in zip(answers, tasks, strict=True) if task[0] == times
+        ]
+        of_times = [
+            _row(times, seed, covariance) for seed, covariance in enumerate(covariances)
+        ]
         curves[times] = uniform_bound(covariances[0], 0, MULTIPLIERS * covariances[0][0, 0])
         rows += of_times
         claims += _claims(f"{times:g} times undersampled", of_times)
@@ -66,13 +80,26 @@ def _row(times: float, seed: int, covariance: Floats) -> dict[str, Any]:
 
 
 def _claims(label: str, rows: list[dict[str, Any]]) -> list[Claim]:
-    sensitivity, saved = (float(np.median([row[key] for row in rows])) for key in ("bias_sensitivity", "saved_waves"))
+    sensitivity, saved = (
+        float(np.median([row[key] for row in rows]))
+        for key in ("bias_sensitivity", "saved_waves")
+    )
     unbiased = float(np.sqrt(np.median([row["std_defocus"] ** 2 for row in rows])))
     n = len(rows)
     return [
-        Claim(f"bias sensitivity of defocus, {label}, median", 1e-4, sensitivity, "waves^2", n),
-        Claim(f"unbiased bound of defocus, {label}, median", None, unbiased, "waves RMS", n),
-        Claim(f"error saved by a bias gradient of 0.01, {label}, median", None, saved, "waves RMS", n),
+        Claim(
+            f"bias sensitivity of defocus, {label}, median", 1e-4, sensitivity, "waves^2", n
+        ),
+        Claim(
+            f"unbiased bound of defocus, {label}, median", None, unbiased, "waves RMS", n
+        ),
+        Claim(
+            f"error saved by a bias gradient of 0.01, {label}, median",
+            None,
+            saved,
+            "waves RMS",
+            n,
+        ),
     ]
 
 
@@ -95,5 +122,7 @@ def draw(curves: dict[float, tuple[Floats, Floats]]) -> Figure:
 
 def _gain(covariance: Floats, bias: float) -> float:
     """By how much the bound on the standard error falls where the bias gradient may have a norm."""
-    delta, bound = uniform_bound(covariance, 0, np.geomspace(1e6, 1e-3, 400) * covariance[0, 0])
+    delta, bound = uniform_bound(
+        covariance, 0, np.geomspace(1e6, 1e-3, 400) * covariance[0, 0]
+    )
     return float(np.sqrt(covariance[0, 0]) - np.sqrt(np.interp(bias, delta, bound)))

@@ -11,13 +11,23 @@ from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
 from labkit.edges.profile import sides_of
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
-from labkit.edges.search import coherent_rms, fit_depth, halves, refuse_no_edge, refuse_uneven, rough_edge
+from labkit.edges.search import (
+    coherent_rms,
+    fit_depth,
+    halves,
+    refuse_no_edge,
+    refuse_uneven,
+    rough_edge,
+)
 from labkit.errors import DataError, FitError
 from labkit.fiducials.camera import Camera
 from labkit.fiducials.photographs import Photograph, Place, region_of, samples_by_plane
 
 DIFFERENT = 6.0  # standard errors of a difference of defocus between an edge's halves
-DIFFERENT_WAVES, DIFFERENT_SHARE = 0.08, 0.1  # of it, at least: waves RMS, and share of the defocus
+DIFFERENT_WAVES, DIFFERENT_SHARE = (
+    0.08,
+    0.1,
+)  # of it, at least: waves RMS, and share of the defocus
 MOST_LEFT = 0.06  # of the step: what residuals have in common with their neighbours, RMS
 
 
@@ -37,7 +47,12 @@ class BoxTask:
         """All frames of the box, one depth."""
         noise = self.camera.noise
         noise = replace(noise, read_variance=noise.read_variance + self.rounding_variance)
-        return EdgeProblem((self.camera.optics,), self.regions, (noise,) * len(self.regions), self.camera.lens)
+        return EdgeProblem(
+            (self.camera.optics,),
+            self.regions,
+            (noise,) * len(self.regions),
+            self.camera.lens,
+        )
 
 
 @dataclass(frozen=True)
@@ -55,12 +70,21 @@ class BoxFit:
 
 def box_task(photographs: list[Photograph], camera: Camera, place: Place) -> BoxTask:
     """Of one box in all frames. Raises DataError where there is too little to fit."""
-    regions = tuple(region_of(of, camera.channel, place, j) for j, of in enumerate(photographs))
+    regions = tuple(
+        region_of(of, camera.channel, place, j) for j, of in enumerate(photographs)
+    )
     try:
         planes, problem = tuple(samples_by_plane(photographs[0], camera.channel, place)), ""
     except DataError as error:
         planes, problem = (), str(error)
-    return BoxTask(place, camera, regions, photographs[0].rounding_variance(camera.channel, place), planes, problem)
+    return BoxTask(
+        place,
+        camera,
+        regions,
+        photographs[0].rounding_variance(camera.channel, place),
+        planes,
+        problem,
+    )
 
 
 def fit_box(task: BoxTask) -> BoxFit:
@@ -103,7 +127,9 @@ def _refuse_contradiction(fit: EdgeFit) -> None:
     if parts is not None:
         (one, one_std), (other, other_std) = (part.defocus() for part in parts)
         apart, std = abs(one - other), float(np.hypot(one_std, other_std))
-        if apart > max(DIFFERENT * std, DIFFERENT_WAVES, DIFFERENT_SHARE * max(abs(one), abs(other))):
+        if apart > max(
+            DIFFERENT * std, DIFFERENT_WAVES, DIFFERENT_SHARE * max(abs(one), abs(other))
+        ):
             raise DataError(
                 f"it holds edges at different depths: its halves are out of focus by {one:.3f} ± {one_std:.3f} and "
                 f"{other:.3f} ± {other_std:.3f} waves; take a box for each"

@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.calibration.photon_transfer import UNKNOWN_NOISE_STD, usual_gain, usual_read_variance
+from labkit.calibration.photon_transfer import (
+    UNKNOWN_NOISE_STD,
+    usual_gain,
+    usual_read_variance,
+)
 from labkit.edges.joint import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
 from labkit.estimation.climb import NoisePrior
@@ -35,18 +39,28 @@ class Camera:
     given: bool
 
 
-def camera_of(plan: Plan, channel: str, results: Results | None, white: float, focus_mm: float | None) -> Camera:
+def camera_of(
+    plan: Plan, channel: str, results: Results | None, white: float, focus_mm: float | None
+) -> Camera:
     """A channel's light and lens; of a lens that no session measured, the usual modes' prior.
 
     white: counts above black at saturation. focus_mm: what the lens is focused at, for its cone.
     """
-    noise = NoisePrior(usual_gain(white), UNKNOWN_NOISE_STD, usual_read_variance(white), UNKNOWN_NOISE_STD)
+    noise = NoisePrior(
+        usual_gain(white), UNKNOWN_NOISE_STD, usual_read_variance(white), UNKNOWN_NOISE_STD
+    )
     if results is None:
         optics = optics_of(plan, channel)
-        cone = optics.f_number if focus_mm is None else float(_thin(plan).working_f_number(focus_mm))
+        cone = (
+            optics.f_number
+            if focus_mm is None
+            else float(_thin(plan).working_f_number(focus_mm))
+        )
         noll = (DEFOCUS, *(j for j in optics.noll if j != DEFOCUS))
         given = (*optics.given, *_cameras(optics))
-        optics = replace(optics, noll=noll, f_number=cone, given=given, parts=(), panel=None)
+        optics = replace(
+            optics, noll=noll, f_number=cone, given=given, parts=(), panel=None
+        )
         return Camera(channel, optics, LensPrior.unknown(len(noll) - 1), noise, given=False)
     wavefront = results.best_known(channel)
     modes = wavefront.at_focus()
@@ -84,16 +98,22 @@ def focus_law(
     covariance = np.zeros((size, size))
     covariance[:ZERO, :ZERO] = np.diag(spread**2)
     covariance[ZERO, ZERO] = zero.std**2
-    foci = np.array([known[name].value for name in names]) if known else np.zeros(len(names))
+    foci = (
+        np.array([known[name].value for name in names]) if known else np.zeros(len(names))
+    )
     if known:
         covariance[FOCI:, FOCI:] = np.diag([known[name].std ** 2 for name in names])
     if focus is not None:
         reference = names.index(leading_channel(names))
         foci = foci - foci[reference] + focus.value
         covariance[FOCI:, FOCI:] += (0.0 if np.isnan(focus.std) else focus.std) ** 2
-    reference_nm = plan.reference_wavelength_nm if results is None else results.reference_wavelength_nm
+    reference_nm = (
+        plan.reference_wavelength_nm if results is None else results.reference_wavelength_nm
+    )
     foci_mm = tuple(float(mm) for mm in foci)
-    return FocusLaw(lens, names, foci_mm, covariance, reference_nm, plan.fit.convention, zero.value)
+    return FocusLaw(
+        lens, names, foci_mm, covariance, reference_nm, plan.fit.convention, zero.value
+    )
 
 
 def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, Floats, Uncertain]:
@@ -101,7 +121,11 @@ def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, Floats, Uncert
     if results is None or results.lens is None:
         f, n = plan.lens.stated_focal_length, plan.lens.stated_f_number
         spread = np.array([f.std / f.value, n.std / n.value, USUAL_LOG_MAGNIFICATION])
-        return _thin(plan), spread, Uncertain(0.0, plan.fit.range_zero_std_mm if results else 0.0, "mm")
+        return (
+            _thin(plan),
+            spread,
+            Uncertain(0.0, plan.fit.range_zero_std_mm if results else 0.0, "mm"),
+        )
     of = results.lens
     numbers = (of.focal_length, of.f_number, of.pupil_magnification)
     spread = np.array([min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers])

@@ -19,7 +19,13 @@ from labkit.fiducials.box_fit import BoxFit, BoxTask, box_task, fit_box
 from labkit.fiducials.camera import Camera, camera_of, focus_law
 from labkit.fiducials.one_range import contradicting
 from labkit.fiducials.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
-from labkit.fiducials.photographs import Photograph, Place, checked_box, find_places, read_all
+from labkit.fiducials.photographs import (
+    Photograph,
+    Place,
+    checked_box,
+    find_places,
+    read_all,
+)
 from labkit.fiducials.standing import Standing, correlation, standings
 from labkit.measured_camera import check_same_camera
 from labkit.plan import Plan, leading_channel
@@ -51,7 +57,9 @@ class Scene:
     force: bool = False
 
 
-def measure_edges(scene: Scene, workers: int | None = None, progress: Progress = no_progress) -> EdgesOutcome:
+def measure_edges(
+    scene: Scene, workers: int | None = None, progress: Progress = no_progress
+) -> EdgesOutcome:
     """Edges of a scene: their ranges, and the camera's response across them by the fit and by ISO 12233.
 
     Raises RawError, DataError for frames that cannot be used; a box that gives no edge is in `EdgesOutcome.rejected`.
@@ -62,25 +70,37 @@ def measure_edges(scene: Scene, workers: int | None = None, progress: Progress =
     places, rejected = _places(photographs[0], names, scene.boxes, scene.most)
     focused = None if law is None else float(np.mean(law.focus_mm))
     white = photographs[0].white
-    cameras = {name: camera_of(scene.plan, name, scene.results, white, focused) for name in names}
+    cameras = {
+        name: camera_of(scene.plan, name, scene.results, white, focused) for name in names
+    }
     fits, refused = _fitted(photographs, cameras, places, workers, progress)
     rejected += refused
     if scene.one_range:
         rejected += _drop_contradicting(fits)
     standing = standings(fits, scene.one_range)
-    edges = [_measured(place, fits[place], standing, law) for place in places if place in fits]
-    return EdgesOutcome(tuple(edges), tuple(rejected), warnings, _wavefront(standing, scene.results))
+    edges = [
+        _measured(place, fits[place], standing, law) for place in places if place in fits
+    ]
+    return EdgesOutcome(
+        tuple(edges), tuple(rejected), warnings, _wavefront(standing, scene.results)
+    )
 
 
-def _law(photograph: Photograph, scene: Scene, names: tuple[str, ...]) -> tuple[FocusLaw | None, tuple[str, ...]]:
+def _law(
+    photograph: Photograph, scene: Scene, names: tuple[str, ...]
+) -> tuple[FocusLaw | None, tuple[str, ...]]:
     """The lens's law, where something says what it is focused at; and warnings. Raises DataError for another camera's PSF."""
     warnings = [note.text for note in photograph.mosaic.notes]
     if scene.results is not None:
         camera = photograph.mosaic.camera
-        warnings += check_same_camera(scene.results, scene.plan, names, camera, force=scene.force)
+        warnings += check_same_camera(
+            scene.results, scene.plan, names, camera, force=scene.force
+        )
     law = focus_law(scene.plan, scene.results, names, scene.focus_mm)
     if law is None:
-        warnings.append("ranges are not determined: give --psf SESSION with a best focus, or --focus MM")
+        warnings.append(
+            "ranges are not determined: give --psf SESSION with a best focus, or --focus MM"
+        )
     return law, tuple(dict.fromkeys(warnings))
 
 
@@ -106,7 +126,9 @@ def _places(
                 f"{photograph.path}: no straight edge between two even sides was found; give one with --box"
             )
         return places, []
-    problems = [(box, checked_box(box, photograph.mosaic.shape)) for box in dict.fromkeys(boxes)]
+    problems = [
+        (box, checked_box(box, photograph.mosaic.shape)) for box in dict.fromkeys(boxes)
+    ]
     rejected = [RejectedEdge(box, why) for box, why in problems if why is not None]
     return [Place(box) for box, why in problems if why is None], rejected
 
@@ -142,18 +164,26 @@ def _fitted(
             progress(done + 1, len(tasks), "fitting edges")
     kept = {place: of for place, of in fits.items() if of and len(of) >= len(why[place])}
     rejected = [place for place in places if place not in kept]
-    return kept, [RejectedEdge(at.box, why[at][0].partition(": ")[2], responses[at]) for at in rejected]
+    return kept, [
+        RejectedEdge(at.box, why[at][0].partition(": ")[2], responses[at])
+        for at in rejected
+    ]
 
 
 def _drop_contradicting(fits: dict[Place, dict[str, BoxFit]]) -> list[RejectedEdge]:
     """Take out boxes that contradict the one range that all are declared to have."""
     rejected: dict[Place, str] = {}
     for name in dict.fromkeys(name for of in fits.values() for name in of):
-        having = [place for place, of in fits.items() if name in of and place not in rejected]
+        having = [
+            place for place, of in fits.items() if name in of and place not in rejected
+        ]
         found = contradicting([fits[place][name] for place in having])
         rejected |= {having[k]: words for k, words in found.items()}
     gone = {place: fits.pop(place) for place in rejected}
-    iso = {place: {name: of.iso for name, of in gone[place].items() if of.iso is not None} for place in gone}
+    iso = {
+        place: {name: of.iso for name, of in gone[place].items() if of.iso is not None}
+        for place in gone
+    }
     return [RejectedEdge(place.box, words, iso[place]) for place, words in rejected.items()]
 
 
@@ -164,7 +194,9 @@ def _measured(
     law: FocusLaw | None,
 ) -> MeasuredEdge:
     """An edge in all colours that gave a fit."""
-    channels = tuple(_channel_edge(name, of, standing[place, name]) for name, of in fits.items())
+    channels = tuple(
+        _channel_edge(name, of, standing[place, name]) for name, of in fits.items()
+    )
     where = EdgeRange(Uncertain(np.nan, np.nan, "mm"), None)
     names = [name for name in fits if law is not None and name in law.channels]
     if law is not None and names:
@@ -172,7 +204,9 @@ def _measured(
         sides = [(name, of.sides) for name, of in zip(names, of_box, strict=True)]
         where = edge_range(law, sides, correlation(of_box))
     first = standing[place, channels[0].channel]
-    return MeasuredEdge(place.box, _line(first.fit, first.first), where.range_mm, where.other, channels)
+    return MeasuredEdge(
+        place.box, _line(first.fit, first.first), where.range_mm, where.other, channels
+    )
 
 
 def _channel_edge(name: str, of: BoxFit, standing: Standing) -> ChannelEdge:
@@ -213,11 +247,16 @@ def _line(fit: EdgeFit, k: int) -> Floats:
     return np.array([foot + at * tangent for at in ends])
 
 
-def _wavefront(standing: dict[tuple[Place, str], Standing], results: Results | None) -> dict[int, Uncertain]:
+def _wavefront(
+    standing: dict[tuple[Place, str], Standing], results: Results | None
+) -> dict[int, Uncertain]:
     """Modes but defocus, where they were fitted along."""
     if results is not None or not standing:
         return {}
     fit = next(iter(standing.values())).fit
     modes = fit.problem.noll[1:]
     std = np.sqrt(np.diag(fit.covariance))[: len(modes)]
-    return {j: Uncertain(float(v), float(s), "waves") for j, v, s in zip(modes, fit.state.modes, std, strict=True)}
+    return {
+        j: Uncertain(float(v), float(s), "waves")
+        for j, v, s in zip(modes, fit.state.modes, std, strict=True)
+    }

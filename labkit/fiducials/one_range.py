@@ -25,8 +25,16 @@ def contradicting(fits: Sequence[BoxFit]) -> dict[int, str]:
         for k in left:
             others = [j for j in left if j != k]
             weight = 1 / std[others] ** 2
-            mean, error = float(weight @ value[others] / weight.sum()), float(weight.sum() ** -0.5)
-            pulls[k] = (abs(value[k] - mean) / float(np.hypot(std[k], error)), float(std[k]), mean, error)
+            mean, error = (
+                float(weight @ value[others] / weight.sum()),
+                float(weight.sum() ** -0.5),
+            )
+            pulls[k] = (
+                abs(value[k] - mean) / float(np.hypot(std[k], error)),
+                float(std[k]),
+                mean,
+                error,
+            )
         worst = max(left, key=lambda k: (round(pulls[k][0], 6), pulls[k][1]))
         pull, own, mean, error = pulls[worst]
         if pull < CONTRADICTS:
@@ -49,7 +57,10 @@ def _one_side(fits: Sequence[BoxFit]) -> list[EdgeFit]:
         mean = np.average(value, weights=1 / std**2)
         # a contradiction counts for no more than it takes to be found
         cost = float(np.sum(np.minimum(((value - mean) / std) ** 2, CONTRADICTS**2)))
-        cost -= 2 * sum(end.objective - fit.ends[0].objective for end, fit in zip(ends, fits, strict=True))
+        cost -= 2 * sum(
+            end.objective - fit.ends[0].objective
+            for end, fit in zip(ends, fits, strict=True)
+        )
         if cost < least:
             best, least = ends, cost
     return best

@@ -42,16 +42,24 @@ class ChannelEdge:
         frequency = np.linspace(0, self.fitted.frequency_per_mm[-1], CURVE_POINTS)
         curve = {
             "per_mm": _rounded(frequency),
-            "fit": _rounded(np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.value)),
-            "fit_std": _rounded(np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.std)),
+            "fit": _rounded(
+                np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.value)
+            ),
+            "fit_std": _rounded(
+                np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.std)
+            ),
         }
         if self.iso is not None:
             for name, values in (("esfr", self.iso.value), ("esfr_std", self.iso.std)):
-                curve[name] = _rounded(np.interp(frequency, self.iso.frequency_per_mm, values))
+                curve[name] = _rounded(
+                    np.interp(frequency, self.iso.frequency_per_mm, values)
+                )
         return {
             "channel": self.channel,
             "defocus_waves": self.defocus.as_json(),
-            "other_defocus_waves": None if self.other_defocus is None else self.other_defocus.as_json(),
+            "other_defocus_waves": None
+            if self.other_defocus is None
+            else self.other_defocus.as_json(),
             "near_counts": self.near.as_json(),
             "far_counts": self.far.as_json(),
             "mtf50_per_mm": self.fitted.mtf50.as_json(),
@@ -85,7 +93,9 @@ class MeasuredEdge:
     @property
     def chi2_per_pixel(self) -> float:
         """Over all colours."""
-        return sum(c.chi2_per_pixel * c.pixels for c in self.channels) / sum(c.pixels for c in self.channels)
+        return sum(c.chi2_per_pixel * c.pixels for c in self.channels) / sum(
+            c.pixels for c in self.channels
+        )
 
     def as_json(self) -> dict[str, Any]:
         """One entry of "edges", by the contract; what it does not name stands behind."""
@@ -96,7 +106,9 @@ class MeasuredEdge:
             "range_mm": self.range_mm.as_json(),
             "other_sign_mm": None if self.other is None else self.other.as_json(),
             "mtf50_per_mm": main.fitted.mtf50.as_json(),
-            "esfr_mtf50_per_mm": None if main.iso is None else _finite(main.iso.mtf50.value),
+            "esfr_mtf50_per_mm": None
+            if main.iso is None
+            else _finite(main.iso.mtf50.value),
             "chi2_per_pixel": _finite(self.chi2_per_pixel),
             "angle_std_deg": _finite(main.angle_deg.std),
             "line_px": _nested(self.line),
@@ -156,7 +168,8 @@ class EdgesOutcome:
             "schema": 1,
             "edges": [edge.as_json() for edge in self.edges],
             "rejected": [of.as_json() for of in self.rejected],
-            "wavefront": {str(j): value.as_json() for j, value in self.wavefront.items()} or None,
+            "wavefront": {str(j): value.as_json() for j, value in self.wavefront.items()}
+            or None,
             "warnings": list(self.warnings),
         }
 
@@ -164,7 +177,13 @@ class EdgesOutcome:
         """A heading, a row for each edge and colour, and one for each of what ISO 12233's method alone could measure."""
         heading = [
             *("box", "angle", "range", "or", "channel", "defocus, waves"),
-            *("MTF50 of the fit, /mm", "by ISO 12233", "MTF10, /mm", "by ISO 12233", "chi2/pixel"),
+            *(
+                "MTF50 of the fit, /mm",
+                "by ISO 12233",
+                "MTF10, /mm",
+                "by ISO 12233",
+                "chi2/pixel",
+            ),
         ]
         rows = [heading]
         for edge in self.edges:
@@ -177,7 +196,8 @@ class EdgesOutcome:
                         _shown(edge.range_mm) if first else "",
                         _shown(edge.other) if first and edge.other is not None else "",
                         c.channel,
-                        _shown(c.defocus) + (" or the reverse" if c.other_defocus is not None else ""),
+                        _shown(c.defocus)
+                        + (" or the reverse" if c.other_defocus is not None else ""),
                         _shown(c.fitted.mtf50, False),
                         "" if c.iso is None else _shown(c.iso.mtf50, False),
                         _shown(c.fitted.mtf10, False),

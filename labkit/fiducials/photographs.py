@@ -68,7 +68,9 @@ class Photograph:
 
     def has(self, channel: str) -> bool:
         """Whether the filter array has a colour."""
-        return self.mosaic.pattern in (MONO, IN_COLOURS) or any(channel in row for row in self.mosaic.pattern)
+        return self.mosaic.pattern in (MONO, IN_COLOURS) or any(
+            channel in row for row in self.mosaic.pattern
+        )
 
 
 def read_all(paths: Sequence[Path], plan: Plan) -> list[Photograph]:
@@ -91,7 +93,9 @@ def checked_box(box: Box, shape: tuple[int, int]) -> str | None:
         spans = f"{r1 - r0} rows and {c1 - c0} columns"
         return f"the box spans {spans}: R0,C0,R1,C1 with {LEAST_SIDE_PX} of each at least is needed"
     if r0 < 0 or c0 < 0 or r1 > rows or c1 > columns:
-        return f"the box lies outside the image, which has {rows} rows and {columns} columns"
+        return (
+            f"the box lies outside the image, which has {rows} rows and {columns} columns"
+        )
     return None
 
 
@@ -114,10 +118,14 @@ def region_of(photograph: Photograph, channel: str, place: Place, frame: int) ->
     r0, c0, r1, c1 = place.box
     centre = ((r0 + r1 - 1) / 2, (c0 + c1 - 1) / 2)
     if place.found is not None:
-        used = used & place.found.mask(y, x, DEPTH_PX * photograph.mosaic.pixels(channel).period)
+        used = used & place.found.mask(
+            y, x, DEPTH_PX * photograph.mosaic.pixels(channel).period
+        )
         centre = place.found.middle
     if used.sum() < LEAST_PIXELS:
-        raise DataError(f"{used.sum()} usable pixels of channel {channel} are in it, {LEAST_PIXELS} are needed")
+        raise DataError(
+            f"{used.sum()} usable pixels of channel {channel} are in it, {LEAST_PIXELS} are needed"
+        )
     return Region(y[used], x[used], counts[place.slices()][used], centre, frame)
 
 

@@ -17,9 +17,7 @@ from labkit.fiducials.one_range import fit_together
 from labkit.fiducials.photographs import Place
 from labkit.types import Floats
 
-MOST_JOINT = (
-    10  # boxes that a wavefront is fitted along with: what more of them tell of it is little, and they take long
-)
+MOST_JOINT = 10  # boxes that a wavefront is fitted along with: what more of them tell of it is little, and they take long
 
 Fits = Mapping[Place, Mapping[str, BoxFit]]
 """By box and channel."""
@@ -42,14 +40,20 @@ def standings(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Standing]:
     A given wavefront leaves edges nothing in common but a declared range: each is as fitted by itself. One that is fitted
     along is common to all edges and colours, and tells nothing of the side of best focus.
     """
-    every = [(place, name, of) for place, by_channel in fits.items() for name, of in by_channel.items()]
+    every = [
+        (place, name, of)
+        for place, by_channel in fits.items()
+        for name, of in by_channel.items()
+    ]
     if not every:
         return {}
     if not every[0][2].task.camera.given:
         return _with_wavefront(fits, one_range)
     if one_range:
         return _of_one_range(every)
-    return {(place, name): Standing(of.ends[0], 0, 0, of.sides) for place, name, of in every}
+    return {
+        (place, name): Standing(of.ends[0], 0, 0, of.sides) for place, name, of in every
+    }
 
 
 def correlation(standing: Sequence[Standing]) -> Floats | None:
@@ -63,7 +67,10 @@ def correlation(standing: Sequence[Standing]) -> Floats | None:
 
 def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Standing]:
     """The clearest boxes in all colours with one wavefront; the others with what these tell of it."""
-    clear = sorted(fits, key=lambda place: min(of.ends[0].edge_std(0)[1] for of in fits[place].values()))
+    clear = sorted(
+        fits,
+        key=lambda place: min(of.ends[0].edge_std(0)[1] for of in fits[place].values()),
+    )
     few = clear if one_range else clear[:MOST_JOINT]
     joint, placed = _climbed({place: fits[place] for place in few}, one_range)
     other = twin(joint)
@@ -72,20 +79,34 @@ def _with_wavefront(fits: Fits, one_range: bool) -> dict[tuple[Place, str], Stan
         for key, (first, depth) in placed.items()
     }
     modes = joint.state.modes.size
-    lens = LensPrior(joint.state.modes, joint.covariance[:modes, :modes] + 1e-12 * np.eye(modes))
+    lens = LensPrior(
+        joint.state.modes, joint.covariance[:modes, :modes] + 1e-12 * np.eye(modes)
+    )
     for place in clear[len(few) :]:
         for name, of in fits[place].items():
-            known = fit_box(replace(of.task, camera=replace(of.task.camera, lens=lens, given=True), planes=()))
+            known = fit_box(
+                replace(
+                    of.task,
+                    camera=replace(of.task.camera, lens=lens, given=True),
+                    planes=(),
+                )
+            )
             fit = (known.ends or of.ends)[0]
             side = known.sides[0] if known.sides else side_of(fit)
-            found[place, name] = Standing(fit, 0, 0, (side, replace(side, defocus=-side.defocus)))
+            found[place, name] = Standing(
+                fit, 0, 0, (side, replace(side, defocus=-side.defocus))
+            )
     return found
 
 
-def _climbed(fits: Fits, one_range: bool) -> tuple[EdgeFit, dict[tuple[Place, str], tuple[int, int]]]:
+def _climbed(
+    fits: Fits, one_range: bool
+) -> tuple[EdgeFit, dict[tuple[Place, str], tuple[int, int]]]:
     """The joint fit, and of each box and channel its first region and its defocus in it."""
     names = list(dict.fromkeys(name for of in fits.values() for name in of))
-    tasks = {name: next(of[name].task for of in fits.values() if name in of) for name in names}
+    tasks = {
+        name: next(of[name].task for of in fits.values() if name in of) for name in names
+    }
     noise = [each for name in names for each in tasks[name].problem.noise]
     frames = len(noise) // len(names)
     regions: list[Region] = []
@@ -98,31 +119,45 @@ def _climbed(fits: Fits, one_range: bool) -> tuple[EdgeFit, dict[tuple[Place, st
             depth = light if one_range else len(apart)
             placed[place, name] = len(regions), depth
             regions += [
-                replace(region, frame=region.frame + frames * light, depth=depth, light=light)
+                replace(
+                    region, frame=region.frame + frames * light, depth=depth, light=light
+                )
                 for region in of.task.regions
             ]
             apart.append(of.ends[0])
             groups.append(group)
     optics = tuple(tasks[name].camera.optics for name in names)
-    problem = EdgeProblem(optics, tuple(regions), tuple(noise), next(iter(tasks.values())).camera.lens)
+    problem = EdgeProblem(
+        optics, tuple(regions), tuple(noise), next(iter(tasks.values())).camera.lens
+    )
     if one_range:
         groups = [0] * len(names)
         apart = [
-            next(a for a, r in zip(apart, _depths(placed), strict=True) if r == light) for light in range(len(names))
+            next(a for a, r in zip(apart, _depths(placed), strict=True) if r == light)
+            for light in range(len(names))
         ]
-    edges = [end for of in fits.values() for b in of.values() for end in b.ends[0].state.edges]
+    edges = [
+        end for of in fits.values() for b in of.values() for end in b.ends[0].state.edges
+    ]
     found = [
-        np.median([of[name].ends[0].state.log_noise for of in fits.values() if name in of], axis=0) for name in names
+        np.median(
+            [of[name].ends[0].state.log_noise for of in fits.values() if name in of], axis=0
+        )
+        for name in names
     ]
     defoci = [end.defocus()[0] for end in apart]
-    return fit_jointly(problem, defoci, np.array(edges), groups, np.concatenate(found)), placed
+    return fit_jointly(
+        problem, defoci, np.array(edges), groups, np.concatenate(found)
+    ), placed
 
 
 def _depths(placed: Mapping[tuple[Place, str], tuple[int, int]]) -> list[int]:
     return [depth for _, depth in placed.values()]
 
 
-def _of_one_range(every: Sequence[tuple[Place, str, BoxFit]]) -> dict[tuple[Place, str], Standing]:
+def _of_one_range(
+    every: Sequence[tuple[Place, str, BoxFit]],
+) -> dict[tuple[Place, str], Standing]:
     """Each colour's boxes with one defocus, the wavefront given."""
     found = {}
     for name in dict.fromkeys(name for _, name, _ in every):
@@ -142,7 +177,10 @@ def _both(fit: EdgeFit, fits: Sequence[BoxFit]) -> tuple[Side, ...]:
     if not all(others):
         return (side_of(fit),)
     same = [[end for end in of.ends if np.sign(end.defocus()[0]) == sign] for of in fits]
-    lost = sum(o[0].objective - (s[0].objective if s else o[0].objective) for o, s in zip(others, same, strict=True))
+    lost = sum(
+        o[0].objective - (s[0].objective if s else o[0].objective)
+        for o, s in zip(others, same, strict=True)
+    )
     values = np.array([o[0].defocus() for o in others])
     weight = 1 / values[:, 1] ** 2
     mean = float(weight @ values[:, 0] / weight.sum())

@@ -18,14 +18,18 @@ from labkit.report.style import png, styled
 from labkit.types import Floats
 
 
-def write_outcome(folder: Path, outcome: EdgesOutcome, image: Path, plan: Plan) -> list[Path]:
+def write_outcome(
+    folder: Path, outcome: EdgesOutcome, image: Path, plan: Plan
+) -> list[Path]:
     """Write edges.json and edges.png; returns their paths. Raises InputError where they cannot be written."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with styled():
         figure = draw_depth_map(_grey(image, plan), outcome)
     table, picture = folder / "edges.json", folder / "edges.png"
-    write_atomically(table, json.dumps(outcome.as_json(), indent=1, allow_nan=False).encode() + b"\n")
+    write_atomically(
+        table, json.dumps(outcome.as_json(), indent=1, allow_nan=False).encode() + b"\n"
+    )
     write_atomically(picture, png(figure))
     return [table, picture]
 

@@ -42,7 +42,11 @@ def central_square(target: Target) -> float | None:
         return None
     box = ndimage.find_objects(labels)[middle - 1]
     side = box[0].stop - box[0].start
-    return float(side / cells.shape[0]) if areas[middle] == side**2 and side < cells.shape[0] else None
+    return (
+        float(side / cells.shape[0])
+        if areas[middle] == side**2 and side < cells.shape[0]
+        else None
+    )
 
 
 def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
@@ -56,17 +60,22 @@ def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
     for binary in _thresholded(image):
         contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         quads += [
-            quad for contour in contours if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
+            quad
+            for contour in contours
+            if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
         ]
     quads.sort(key=_area, reverse=True)
     distinct: list[Floats] = []
     for quad in quads:
-        if all(np.max(np.abs(quad - other)) > 0.08 * np.sqrt(_area(quad)) for other in distinct):
+        if all(
+            np.max(np.abs(quad - other)) > 0.08 * np.sqrt(_area(quad)) for other in distinct
+        ):
             distinct.append(quad)
     for quad in distinct:
         unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
         widened = cv2.perspectiveTransform(
-            (unit / side_fraction)[None], cv2.getPerspectiveTransform(unit, quad.astype(np.float32))
+            (unit / side_fraction)[None],
+            cv2.getPerspectiveTransform(unit, quad.astype(np.float32)),
         )[0]
         yield (widened[:, ::-1].astype(np.float64) + 0.5) * factor - 0.5
 
@@ -104,7 +113,9 @@ def _fitted_sides(points: Floats, corners: Floats) -> Floats:
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (points - start) @ (end - start) / np.sum((end - start) ** 2)
         across = np.abs(_cross(end - start, points - start)) / np.linalg.norm(end - start)
-        side = points[(along > 0.2) & (along < 0.8) & (across < 0.15 * np.linalg.norm(end - start))]
+        side = points[
+            (along > 0.2) & (along < 0.8) & (across < 0.15 * np.linalg.norm(end - start))
+        ]
         if len(side) < 3:
             return corners
         centre = side.mean(axis=0)
@@ -113,7 +124,9 @@ def _fitted_sides(points: Floats, corners: Floats) -> Floats:
     met = []
     for before, after in zip([lines[-1], *lines[:-1]], lines, strict=True):
         normals = np.array([before[0], after[0]])
-        if abs(np.linalg.det(normals)) < 0.3:  # neighbouring sides of a square are never nearly parallel
+        if (
+            abs(np.linalg.det(normals)) < 0.3
+        ):  # neighbouring sides of a square are never nearly parallel
             return corners
         met.append(np.linalg.solve(normals, np.array([before[1], after[1]])))
     return np.array(met)
@@ -124,7 +137,9 @@ def _least_rotation(corners: Floats) -> Floats:
     if _cross(corners[1] - corners[0], corners[2] - corners[1]) < 0:
         corners = corners[::-1]
     sides = np.roll(corners, -1, axis=0) - corners
-    return np.roll(corners, -int(np.argmax(sides[:, 0] / np.linalg.norm(sides, axis=1))), axis=0)
+    return np.roll(
+        corners, -int(np.argmax(sides[:, 0] / np.linalg.norm(sides, axis=1))), axis=0
+    )
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

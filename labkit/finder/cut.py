@@ -42,5 +42,9 @@ def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
     cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
     inset = int(np.ceil(max(INSET_PX, INSET * np.ptp(corners, axis=0).max())))
     framed = cv2.copyMakeBorder(polygon, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    eroded = cv2.erode(framed, np.ones((2 * inset + 1, 2 * inset + 1), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    eroded = cv2.erode(
+        framed,
+        np.ones((2 * inset + 1, 2 * inset + 1), np.uint8),
+        borderType=cv2.BORDER_REPLICATE,
+    )
     return np.asarray(eroded[1:-1, 1:-1] > 0)

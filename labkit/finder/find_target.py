@@ -17,7 +17,12 @@ from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.filter_array import IN_COLOURS
 from labkit.finder.carpet_squares import central_square, square_hypotheses
-from labkit.finder.registration import Agreement, parent_agreement, quick_agreement, register
+from labkit.finder.registration import (
+    Agreement,
+    parent_agreement,
+    quick_agreement,
+    register,
+)
 from labkit.finder.template_search import SCALE_STEP, swept_hypotheses
 from labkit.target import Target
 from labkit.types import Floats
@@ -55,7 +60,9 @@ def margin_px(corners: Floats, shape: tuple[int, ...]) -> float:
     return -max(float(np.max(-0.5 - corners)), float(np.max(corners - last)))
 
 
-def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None) -> Floats:
+def find_target(
+    image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None
+) -> Floats:
     """The target's four corners in a picture, to about half a pixel.
 
     image: (rows, cols) grey, linear or nearly so, any scale and offset; NaN where there is no value. A mosaic goes
@@ -85,7 +92,9 @@ def find_target(image: ArrayLike, target: Target, *, mm_per_pixel: float | None 
                 break
     if complaints:
         raise complaints[0]
-    best = max((min(a.whole, a.median_part, 2 * a.least_part) for a in agreements), default=0.0)
+    best = max(
+        (min(a.whole, a.median_part, 2 * a.least_part) for a in agreements), default=0.0
+    )
     raise TargetError(
         f"no target found in the frame: the likeliest place correlates {best:.2f} with it, "
         f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
@@ -124,27 +133,43 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
     if pattern == IN_COLOURS:
         return np.asarray(grey.reshape(grey.shape[0], -1, width).mean(axis=2))
     kernel = np.array([0.25, 0.5, 0.25])
-    return np.asarray(cv2.sepFilter2D(grey, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
+    return np.asarray(
+        cv2.sepFilter2D(grey, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101),
+        dtype=np.float64,
+    )
 
 
 def _picture(name: str, value: ArrayLike) -> Floats:
     """As float64 with its NaN, which stand where there is no value."""
-    real_array(name, np.nan_to_num(value) if np.asarray(value).dtype.kind == "f" else value, (None, None), "any scale")
+    real_array(
+        name,
+        np.nan_to_num(value) if np.asarray(value).dtype.kind == "f" else value,
+        (None, None),
+        "any scale",
+    )
     return np.asarray(value, dtype=np.float64)
 
 
 def _normalised(image: Floats) -> Singles:
     """Black about 0, white about 1, hot pixels cut off. Raises TargetError for a picture without contrast or pixels."""
     if image.ndim != 2 or min(image.shape) < 8 or not np.isfinite(image).any():
-        raise TargetError(f"no target found in the frame: it has no pixels to look at (shape {image.shape})")
+        raise TargetError(
+            f"no target found in the frame: it has no pixels to look at (shape {image.shape})"
+        )
     low, high = np.nanpercentile(image, (0.5, 99.5))
     if not high > low:
-        raise TargetError("no target found in the frame: it is of one grey all over; check exposure and lens cap")
+        raise TargetError(
+            "no target found in the frame: it is of one grey all over; check exposure and lens cap"
+        )
     scaled = np.clip((image - low) / (high - low), -0.2, 1.2)
-    return np.asarray(np.where(np.isfinite(scaled), scaled, np.nanmedian(scaled)), dtype=np.float32)
+    return np.asarray(
+        np.where(np.isfinite(scaled), scaled, np.nanmedian(scaled)), dtype=np.float32
+    )
 
 
-def _hypotheses(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iterator[Floats]:
+def _hypotheses(
+    picture: Singles, target: Target, mm_per_pixel: float | None
+) -> Iterator[Floats]:
     """Starts for the registration: squares first, for a target that has them, then the sweep."""
     starts: Iterator[Floats] = iter(())
     fraction = central_square(target)
@@ -159,7 +184,9 @@ def _hypotheses(picture: Singles, target: Target, mm_per_pixel: float | None) ->
     return chain(starts, _swept(picture, target, mm_per_pixel))
 
 
-def _swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iterator[Floats]:
+def _swept(
+    picture: Singles, target: Target, mm_per_pixel: float | None
+) -> Iterator[Floats]:
     if mm_per_pixel is not None:
         middle = target.size_mm[0] / mm_per_pixel
         low, high = middle * (1 - SCALE_TOLERANCE), middle * (1 + SCALE_TOLERANCE)
@@ -171,7 +198,10 @@ def _swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iter
 
 
 def _believable(agreement: Agreement) -> bool:
-    return min(agreement.whole, agreement.median_part, 2 * agreement.least_part) >= LEAST_AGREEMENT
+    return (
+        min(agreement.whole, agreement.median_part, 2 * agreement.least_part)
+        >= LEAST_AGREEMENT
+    )
 
 
 def _whole(corners: Floats) -> bool:
@@ -180,10 +210,14 @@ def _whole(corners: Floats) -> bool:
     return shortest >= LEAST_SIDE_PX and cv2.isContourConvex(corners.astype(np.float32))
 
 
-def _right_scale(corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3) -> bool:
+def _right_scale(
+    corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3
+) -> bool:
     if mm_per_pixel is None:
         return True
-    ratio = np.linalg.norm(corners[0] - corners[2]) * mm_per_pixel / np.hypot(*target.size_mm)
+    ratio = (
+        np.linalg.norm(corners[0] - corners[2]) * mm_per_pixel / np.hypot(*target.size_mm)
+    )
     tolerance = 1 + slack * SCALE_TOLERANCE
     return bool(1 / tolerance < ratio < tolerance)
 
@@ -192,7 +226,14 @@ def _checked(picture: Singles, target: Target, corners: Floats) -> Floats:
     """The corners, if they are the whole target's and inside the frame, or nearly."""
     beyond = -margin_px(corners, picture.shape)
     if beyond > MOST_OUTSIDE * np.ptp(corners, axis=0).max():
-        raise TargetError(f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in")
-    if central_square(target) is not None and parent_agreement(picture, target, corners) > LEAST_AGREEMENT:
-        raise TargetError("only a part of the target is in the frame: move it, or the camera, back in")
+        raise TargetError(
+            f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in"
+        )
+    if (
+        central_square(target) is not None
+        and parent_agreement(picture, target, corners) > LEAST_AGREEMENT
+    ):
+        raise TargetError(
+            "only a part of the target is in the frame: move it, or the camera, back in"
+        )
     return corners

@@ -43,7 +43,10 @@ def jpeg(mosaic: Mosaic, corners_px: Floats | None = None) -> bytes:
     colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     colour[cv2.resize(full, size, interpolation=cv2.INTER_AREA) > 0] = RED
     if corners_px is not None:
-        _outline(colour, (corners_px[:, ::-1] + 0.5) * (np.array(size) / mosaic.shape[::-1]) - 0.5)
+        _outline(
+            colour,
+            (corners_px[:, ::-1] + 0.5) * (np.array(size) / mosaic.shape[::-1]) - 0.5,
+        )
     done, written = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, 88])
     return written.tobytes() if done else b""
 
@@ -52,14 +55,18 @@ def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
     """Draw round corners (x, y)."""
     shift = 4  # OpenCV's fixed point
     points = np.rint(corners * 2**shift).astype(np.int32).reshape(1, -1, 2)
-    line = 2 if max(picture.shape) > PREVIEW_PX // 2 else 1  # a smaller picture is shown enlarged
+    line = (
+        2 if max(picture.shape) > PREVIEW_PX // 2 else 1
+    )  # a smaller picture is shown enlarged
     for colour, thickness in ((BLACK, line + 2), (CYAN, line)):
         cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)
 
 
 def _cells(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(rows/2, cols/2) light, 0 black to 1 white, and shares that are full, each 2×2 pixels in one."""
-    light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(mosaic.white - mosaic.black.mean())
+    light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(
+        mosaic.white - mosaic.black.mean()
+    )
     full = (mosaic.counts >= mosaic.white).astype(np.float32)
     return _halved(light.astype(np.float32), mosaic), _halved(full, mosaic)
 
@@ -68,5 +75,7 @@ def _halved(values: NDArray[np.float32], mosaic: Mosaic) -> NDArray[np.float32]:
     if mosaic.pattern == IN_COLOURS:
         values = values.reshape(values.shape[0], -1, len(IN_COLOURS[0])).mean(axis=2)
     rows, cols = (size // 2 * 2 for size in values.shape)
-    halved: NDArray[np.float32] = values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
+    halved: NDArray[np.float32] = (
+        values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
+    )
     return halved

@@ -23,7 +23,9 @@ WORKING_SIDE = 320
 BLURS = (0.6, 1.2, 2.4, 4.8)
 """Standard deviations of the blurs tried for the unknown lens, in pixels at the working size."""
 
-MOST_LARGER = 4.0  # than the picture: a corner so far away is where nearly parallel lines meet
+MOST_LARGER = (
+    4.0  # than the picture: a corner so far away is where nearly parallel lines meet
+)
 LIGHT_BLUR = 0.8
 """Blur of the picture itself before it is compared: it takes noise and aliasing down."""
 
@@ -81,7 +83,9 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
     return corners + (at - at_first) * factor, agreement
 
 
-def quick_agreement(image: Singles, target: Target, corners: Floats, side: int = 81) -> float:
+def quick_agreement(
+    image: Singles, target: Target, corners: Floats, side: int = 81
+) -> float:
     """Correlation over the target at a coarse scale, 0 where most of it lies outside the picture."""
     if np.ptp(corners, axis=0).max() > MOST_LARGER * max(image.shape):
         return 0.0
@@ -125,7 +129,9 @@ def binned(image: Singles, factor: int) -> Singles:
         return image
     rows, cols = image.shape[0] // factor, image.shape[1] // factor
     whole = image[: rows * factor, : cols * factor]
-    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.asarray(
+        cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32
+    )
 
 
 def _prepared(image: Singles, corners: Floats, factor: int) -> tuple[Singles, Floats]:
@@ -133,7 +139,9 @@ def _prepared(image: Singles, corners: Floats, factor: int) -> tuple[Singles, Fl
     reach = 0.3 * _side(corners)
     low = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
     high = np.maximum(np.ceil(corners.max(axis=0) + reach), low + 2 * factor).astype(int)
-    return binned(image[low[0] : high[0], low[1] : high[1]], factor), (corners - low + 0.5) / factor - 0.5
+    return binned(image[low[0] : high[0], low[1] : high[1]], factor), (
+        corners - low + 0.5
+    ) / factor - 0.5
 
 
 def _render(target: Target, side_px: float) -> _Template:
@@ -143,16 +151,23 @@ def _render(target: Target, side_px: float) -> _Template:
     rim = max(4, round(0.06 * side_px))
     y = (np.arange(-rim, rows + rim) + 0.5) / rows - 0.5
     x = (np.arange(-rim, cols + rim) + 0.5) / cols - 0.5
-    sharp = np.asarray(target.sample(y * height, x * width, 0.4 / spacing), dtype=np.float32)
+    sharp = np.asarray(
+        target.sample(y * height, x * width, 0.4 / spacing), dtype=np.float32
+    )
     cut = 2 * rim if target.surround is None else 0
     low, bottom, right = rim - cut - 0.5, rim - cut + rows - 0.5, rim - cut + cols - 0.5
     corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
-    return _Template(sharp, (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut)), corners)
+    return _Template(
+        sharp, (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut)), corners
+    )
 
 
 def _homography(source: Floats, destination: Floats) -> Floats:
     """The 3×3 map of (x, y) that takes four (row, col) points to four others."""
-    x_y = [np.ascontiguousarray(points[:, ::-1], dtype=np.float32) for points in (source, destination)]
+    x_y = [
+        np.ascontiguousarray(points[:, ::-1], dtype=np.float32)
+        for points in (source, destination)
+    ]
     return np.asarray(cv2.getPerspectiveTransform(x_y[0], x_y[1]), dtype=np.float64)
 
 
@@ -163,16 +178,27 @@ def _mapped(homography: Floats, points: Floats) -> Floats:
 
 
 def _blur(image: Singles, sigma: float) -> Singles:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+    return np.asarray(
+        cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE),
+        dtype=np.float32,
+    )
 
 
-def _ecc(picture: Singles, template: _Template, corners: Floats, sigma: float, light: int) -> Floats:
+def _ecc(
+    picture: Singles, template: _Template, corners: Floats, sigma: float, light: int
+) -> Floats:
     start = _homography(template.corners, corners).astype(np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-6)
     try:
         everywhere = np.ones(picture.shape, np.uint8)
         _, aligned = cv2.findTransformECC(
-            template.blurred(sigma), picture, start, cv2.MOTION_HOMOGRAPHY, criteria, everywhere, light
+            template.blurred(sigma),
+            picture,
+            start,
+            cv2.MOTION_HOMOGRAPHY,
+            criteria,
+            everywhere,
+            light,
         )
     except cv2.error:  # it did not converge: then the agreement decides
         return corners
@@ -181,13 +207,20 @@ def _ecc(picture: Singles, template: _Template, corners: Floats, sigma: float, l
     return moved if np.max(np.abs(moved - corners)) < 0.25 * _side(corners) else corners
 
 
-def _aligned(picture: Singles, template: _Template, corners: Floats) -> tuple[Singles, NDArray[np.bool_]]:
+def _aligned(
+    picture: Singles, template: _Template, corners: Floats
+) -> tuple[Singles, NDArray[np.bool_]]:
     """The picture on the template's grid, lightly blurred, and where it has any."""
     image_from_template = _homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    in_frame = cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how) > 0.99
-    warped = cv2.warpPerspective(picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
+    in_frame = (
+        cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how)
+        > 0.99
+    )
+    warped = cv2.warpPerspective(
+        picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE
+    )
     return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), in_frame
 
 
@@ -199,28 +232,48 @@ def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -
         np.linspace(-1, 1, n, dtype=np.float32)[span]
         for n, span in zip(template.sharp.shape, template.part, strict=True)
     )
-    columns = (expected, expected * y[:, None], expected * x[None, :], np.ones_like(expected))
+    columns = (
+        expected,
+        expected * y[:, None],
+        expected * x[None, :],
+        np.ones_like(expected),
+    )
     design = np.stack([column[in_frame] for column in columns], axis=1).astype(np.float64)
-    fitted = np.linalg.lstsq(design.T @ design, design.T @ warped[in_frame].astype(np.float64), rcond=1e-9)[0]
+    fitted = np.linalg.lstsq(
+        design.T @ design, design.T @ warped[in_frame].astype(np.float64), rcond=1e-9
+    )[0]
     y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in template.sharp.shape)
     light = fitted[0] + fitted[1] * y[:, None] + fitted[2] * x[None, :]
-    if not light.min() > 0.1 * light.max():  # no light that a lamp could throw: rather none than a wild one
+    if (
+        not light.min() > 0.1 * light.max()
+    ):  # no light that a lamp could throw: rather none than a wild one
         return template
     return replace(template, sharp=(template.sharp * light).astype(np.float32))
 
 
 def _best_blur(picture: Singles, template: _Template, corners: Floats) -> float:
     warped, in_frame = _aligned(picture, template, corners)
-    return max(BLURS, key=lambda sigma: _correlation(warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame))
+    return max(
+        BLURS,
+        key=lambda sigma: _correlation(
+            warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame
+        ),
+    )
 
 
 def _agreement(
-    picture: Singles, template: _Template, corners: Floats, sigma: float, hidden: Floats | None = None
+    picture: Singles,
+    template: _Template,
+    corners: Floats,
+    sigma: float,
+    hidden: Floats | None = None,
 ) -> Agreement:
     warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
         at = _mapped(_homography(corners, template.corners), hidden)
-        covered = cv2.fillConvexPoly(np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1)
+        covered = cv2.fillConvexPoly(
+            np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1
+        )
         in_frame &= covered == 0
     expected = template.blurred(np.hypot(sigma, LIGHT_BLUR))
     contrast = float(expected.std())

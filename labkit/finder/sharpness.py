@@ -49,21 +49,34 @@ def edge_px(image: ArrayLike) -> float:
     as many pixels exceed as lie along two of its sides: a target has longer edges, and noise is not taken for one.
     """
     grey = cv2.GaussianBlur(np.asarray(image, dtype=np.float32), (0, 0), 0.7)
-    slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
+    slope = np.hypot(
+        cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8),
+        cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8),
+    )
     low, high = np.percentile(grey, (1, 99))
     edge_pixels = min(2 * min(grey.shape), slope.size)
-    return float((high - low) / max(float(np.partition(slope, -edge_pixels, axis=None)[-edge_pixels]), 1e-9))
+    return float(
+        (high - low)
+        / max(float(np.partition(slope, -edge_pixels, axis=None)[-edge_pixels]), 1e-9)
+    )
 
 
 def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
     """Rows and columns, from even to even, of the box around what is brighter than halfway, and a little more."""
     rows, cols = counts.shape
     step = max(2, -(-max(rows, cols) // LIT_CELLS) // 2 * 2)
-    coarse = cv2.resize(counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA)
-    lit = coarse.astype(np.float64) >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
+    coarse = cv2.resize(
+        counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA
+    )
+    lit = (
+        coarse.astype(np.float64)
+        >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
+    )
 
     def span(bright: NDArray[np.intp], size: int) -> tuple[int, int]:
-        return max(0, int(bright.min() - 1) * step), min(size // 2 * 2, int(bright.max() + 3) * step)
+        return max(0, int(bright.min() - 1) * step), min(
+            size // 2 * 2, int(bright.max() + 3) * step
+        )
 
     along_rows, along_cols = np.nonzero(lit)
     return span(along_rows, rows), span(along_cols, cols)
@@ -77,22 +90,37 @@ def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
     """
     side = float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
     scale = min(1.0, WORKING_SIDE / side)
-    rows, cols = (max(9, round(side * scale * side_mm / float(np.mean(target.size_mm)))) for side_mm in target.size_mm)
+    rows, cols = (
+        max(9, round(side * scale * side_mm / float(np.mean(target.size_mm))))
+        for side_mm in target.size_mm
+    )
     straightened = _straightened(np.asarray(image, dtype=np.float32), corners, rows, cols)
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * target.size_mm[0]
     x = ((np.arange(cols) + 0.5) / cols - 0.5) * target.size_mm[1]
     sharp = target.sample(y, x, 0.4 * rows / target.size_mm[0]).astype(np.float32)
-    count = max(2, round(np.log(LARGEST_SHARE * min(rows, cols) / FINEST_PX) / np.log(STEP)))
+    count = max(
+        2, round(np.log(LARGEST_SHARE * min(rows, cols) / FINEST_PX) / np.log(STEP))
+    )
     diameters = FINEST_PX * STEP ** np.arange(count)
-    agreement = [_correlation(straightened, _out_of_focus(sharp, float(diameter))) for diameter in diameters]
+    agreement = [
+        _correlation(straightened, _out_of_focus(sharp, float(diameter)))
+        for diameter in diameters
+    ]
     return float(diameters[int(np.argmax(agreement))]) / scale
 
 
-def _straightened(image: NDArray[np.float32], corners: Floats, rows: int, cols: int) -> NDArray[np.float32]:
+def _straightened(
+    image: NDArray[np.float32], corners: Floats, rows: int, cols: int
+) -> NDArray[np.float32]:
     """The target's part of a picture on a regular grid."""
-    grid = np.array([[-0.5, -0.5], [cols - 0.5, -0.5], [cols - 0.5, rows - 0.5], [-0.5, rows - 0.5]], dtype=np.float32)
+    grid = np.array(
+        [[-0.5, -0.5], [cols - 0.5, -0.5], [cols - 0.5, rows - 0.5], [-0.5, rows - 0.5]],
+        dtype=np.float32,
+    )
     at = np.ascontiguousarray(corners[:, ::-1], dtype=np.float32)
-    warped = cv2.warpPerspective(image, cv2.getPerspectiveTransform(at, grid), (cols, rows), flags=cv2.INTER_AREA)
+    warped = cv2.warpPerspective(
+        image, cv2.getPerspectiveTransform(at, grid), (cols, rows), flags=cv2.INTER_AREA
+    )
     return np.asarray(warped, dtype=np.float32)
 
 
@@ -102,7 +130,10 @@ def _out_of_focus(image: NDArray[np.float32], diameter: float) -> NDArray[np.flo
     fine = np.arange(-8 * reach - 3.5, 8 * reach + 4) / 8
     disc = (np.hypot(fine[:, None], fine[None, :]) <= diameter / 2).astype(np.float32)
     kernel = disc.reshape(2 * reach + 1, 8, 2 * reach + 1, 8).sum(axis=(1, 3))
-    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+    return np.asarray(
+        cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE),
+        dtype=np.float32,
+    )
 
 
 def _correlation(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:

@@ -10,7 +10,15 @@ from __future__ import annotations
 import sys
 from io import BytesIO
 
-TYPES = {"L": "u1", "RGB": "u1", "I;16": "<u2", "I;16L": "<u2", "I;16B": ">u2", "I;16N": "=u2", "RGB;16": "=u2"}
+TYPES = {
+    "L": "u1",
+    "RGB": "u1",
+    "I;16": "<u2",
+    "I;16L": "<u2",
+    "I;16B": ">u2",
+    "I;16N": "=u2",
+    "RGB;16": "=u2",
+}
 """Pillow's modes, and the numbers that they write."""
 
 PLAIN = {"1": "L", "P": "RGB"}
@@ -23,7 +31,11 @@ def limit(memory_bytes: int, seconds: int) -> None:
         import resource
     except ImportError:  # Windows
         return
-    for what, most in ((resource.RLIMIT_AS, memory_bytes), (resource.RLIMIT_CPU, seconds), (resource.RLIMIT_CORE, 0)):
+    for what, most in (
+        (resource.RLIMIT_AS, memory_bytes),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_CORE, 0),
+    ):
         try:
             resource.setrlimit(what, (most, most))
         except (OSError, ValueError):  # macOS takes no limit of memory
@@ -37,10 +49,17 @@ def deep_colours(memory_bytes: int, seconds: int) -> None:
 
     limit(memory_bytes, seconds)
     try:
-        numbers = cv2.imdecode(np.frombuffer(sys.stdin.buffer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+        numbers = cv2.imdecode(
+            np.frombuffer(sys.stdin.buffer.read(), np.uint8), cv2.IMREAD_UNCHANGED
+        )
     except cv2.error as error:
         sys.exit(str(error.err))
-    if numbers is None or numbers.ndim != 3 or numbers.shape[2] != 3 or numbers.dtype != np.uint16:
+    if (
+        numbers is None
+        or numbers.ndim != 3
+        or numbers.shape[2] != 3
+        or numbers.dtype != np.uint16
+    ):
         sys.exit("no colours of 16 bit came out of it")
     sys.stdout.buffer.write(b"RGB;16\n" + numbers[..., ::-1].tobytes())
 
@@ -58,7 +77,9 @@ def main() -> None:
     try:
         with Image.open(BytesIO(sys.stdin.buffer.read()), formats=[name]) as picture:
             picture.load()
-            plain = picture.convert(PLAIN[picture.mode]) if picture.mode in PLAIN else picture
+            plain = (
+                picture.convert(PLAIN[picture.mode]) if picture.mode in PLAIN else picture
+            )
             if plain.mode not in TYPES:
                 sys.exit(f"numbers of the kind {plain.mode}")
             sys.stdout.buffer.write(plain.mode.encode() + b"\n" + plain.tobytes())

@@ -62,7 +62,9 @@ def read_encoding(path: Path) -> Encoding:
 
 def srgb(stored: Floats) -> Floats:
     """sRGB's curve, IEC 61966-2-1: light, 0 to 1, by the number stored, 0 to 1."""
-    return np.where(stored <= 0.04045, stored / 12.92, ((np.maximum(stored, 0) + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        stored <= 0.04045, stored / 12.92, ((np.maximum(stored, 0) + 0.055) / 1.055) ** 2.4
+    )
 
 
 def profile_curves(icc: bytes) -> tuple[Curve, ...]:
@@ -72,12 +74,20 @@ def profile_curves(icc: bytes) -> tuple[Curve, ...]:
     """
     try:
         tags = _tags(icc)
-        names = TRC if all(name in tags for name in TRC) else (GREY_TRC,) if GREY_TRC in tags else ()
+        names = (
+            TRC
+            if all(name in tags for name in TRC)
+            else (GREY_TRC,)
+            if GREY_TRC in tags
+            else ()
+        )
         curves = tuple(_curve(tags[name]) for name in names)
     except (struct.error, ZeroDivisionError) as error:
         raise InputError("holds an ICC profile that is damaged") from error
     if not curves:
-        raise InputError('has an ICC profile without tone curves: give sensor.tone_curve = "sRGB" or "linear"')
+        raise InputError(
+            'has an ICC profile without tone curves: give sensor.tone_curve = "sRGB" or "linear"'
+        )
     return curves
 
 
@@ -87,7 +97,9 @@ def profile_name(icc: bytes) -> str:
         data = _tags(icc).get(b"desc", b"")
         if data.startswith(b"mluc"):
             length, at = struct.unpack_from(">II", data, 20)
-            return data[at : at + min(length, 120)].decode("utf-16-be", "replace").rstrip("\0")
+            return (
+                data[at : at + min(length, 120)].decode("utf-16-be", "replace").rstrip("\0")
+            )
         (length,) = struct.unpack_from(">I", data, 8)
         return data[12 : 12 + min(length, 60)].decode("ascii", "replace").rstrip("\0")
     except struct.error:
@@ -96,7 +108,10 @@ def profile_name(icc: bytes) -> str:
 
 def _tags(icc: bytes) -> dict[bytes, bytes]:
     (count,) = struct.unpack_from(">I", icc, 128)
-    entries = (struct.unpack_from(">4sII", icc, 132 + 12 * place) for place in range(min(count, 100)))
+    entries = (
+        struct.unpack_from(">4sII", icc, 132 + 12 * place)
+        for place in range(min(count, 100))
+    )
     return {name: icc[at : at + size] for name, at, size in entries}
 
 
@@ -107,7 +122,9 @@ def _curve(data: bytes) -> Curve:
         (count,) = struct.unpack_from(">I", values)
         if count == 0:
             return lambda x: x
-        table = np.array(struct.unpack_from(f">{min(count, 65536)}H", values, 4), dtype=np.float64)
+        table = np.array(
+            struct.unpack_from(f">{min(count, 65536)}H", values, 4), dtype=np.float64
+        )
         if count == 1:
             power = float(table[0]) / 256
             return lambda x: x**power
@@ -143,7 +160,9 @@ def _of_png(chunks: dict[bytes, bytes]) -> Encoding:
         except zlib.error as error:
             raise InputError("holds an ICC profile that is damaged") from error
         if unpacking.unconsumed_tail:
-            raise InputError(f"holds an ICC profile of more than {MOST_PROFILE_BYTES >> 20} MiB")
+            raise InputError(
+                f"holds an ICC profile of more than {MOST_PROFILE_BYTES >> 20} MiB"
+            )
         return Encoding(icc=icc)
     if b"sRGB" in chunks:
         return Encoding(srgb=True)

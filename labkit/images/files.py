@@ -48,12 +48,22 @@ UNDER_LOAD = 12
 PNG = b"\x89PNG\r\n\x1a\n"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 SPACE = rb"(?:\s|#[^\n]*\n)+"
-PGM = re.compile(rb"P([25])" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})\s")
+PGM = re.compile(
+    rb"P([25])" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})" + SPACE + rb"(\d{1,9})\s"
+)
 
 PNG_NEEDED = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
 """Chunks that the decoder gets: texts and profiles, which may swell to any size, are left out."""
 
-ADAM7 = ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1))
+ADAM7 = (
+    (0, 0, 8, 8),
+    (0, 4, 8, 8),
+    (4, 0, 8, 4),
+    (0, 2, 4, 4),
+    (2, 0, 4, 2),
+    (0, 1, 2, 2),
+    (1, 0, 2, 1),
+)
 """Passes of an interlaced PNG: first row, first column, steps down and right."""
 
 GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
@@ -80,7 +90,9 @@ def format_of(head: bytes) -> Format | None:
     return "tiff" if head.startswith(TIFF) else None
 
 
-def read_picture(path: Path, most_pixels: int = MOST_PIXELS, *, deep_colours: bool = False) -> Picture:
+def read_picture(
+    path: Path, most_pixels: int = MOST_PIXELS, *, deep_colours: bool = False
+) -> Picture:
     """The picture in a PNG, PGM or TIFF file. deep_colours: colours of 16 bit are allowed.
 
     Raises OSError where it cannot be read, and InputError, whose message leaves out the file's name, for one that is
@@ -103,26 +115,45 @@ def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
     pages = [page for page in tiff.pages if isinstance(page, tifffile.TiffPage)]
     for page in pages:
         pages += [sub for sub in page.pages or () if isinstance(sub, tifffile.TiffPage)]
-        end = max((at + count for at, count in zip(page.dataoffsets, page.databytecounts, strict=False)), default=0)
+        end = max(
+            (
+                at + count
+                for at, count in zip(page.dataoffsets, page.databytecounts, strict=False)
+            ),
+            default=0,
+        )
         if end > size:
-            raise InputError(f"is truncated: {size} bytes, but its tags state at least {end}")
+            raise InputError(
+                f"is truncated: {size} bytes, but its tags state at least {end}"
+            )
 
 
 def check_size(shape: tuple[int, ...], most_pixels: int) -> None:
     """Raise InputError for a declared size, (rows, columns) or more, that is not allowed."""
     words = " × ".join(map(str, shape))
     if not all(1 <= side <= MOST_PER_SIDE for side in shape[:2]):
-        raise InputError(f"declares {words} pixels: allowed are 1 to {MOST_PER_SIDE} a side")
+        raise InputError(
+            f"declares {words} pixels: allowed are 1 to {MOST_PER_SIDE} a side"
+        )
     if prod(shape[:2]) > most_pixels:
-        raise InputError(f"declares {words} pixels: allowed are {most_pixels / 1e6:.0f} million in all")
+        raise InputError(
+            f"declares {words} pixels: allowed are {most_pixels / 1e6:.0f} million in all"
+        )
 
 
 def _read_png(content: bytes, most_pixels: int, deep_colours: bool) -> Picture:
     chunks = png_chunks(content)
     header = chunks[0][1]
-    cols, rows, bits, colours = int.from_bytes(header[:4]), int.from_bytes(header[4:8]), header[8], header[9]
+    cols, rows, bits, colours = (
+        int.from_bytes(header[:4]),
+        int.from_bytes(header[4:8]),
+        header[8],
+        header[9],
+    )
     check_size((rows, cols), most_pixels)
-    if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(name == b"tRNS" for name, _, _ in chunks):
+    if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(
+        name == b"tRNS" for name, _, _ in chunks
+    ):
         raise InputError("has colours or transparency that cannot be used: allowed is grey")
     deep = colours == TRUE_COLOUR and bits == 16
     if deep and not deep_colours:
@@ -141,7 +172,9 @@ def png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
     while name != b"IEND":
         length, name = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]
         end = at + 8 + length
-        if len(content) < end + 4 or zlib.crc32(content[at + 4 : end]) != int.from_bytes(content[end : end + 4]):
+        if len(content) < end + 4 or zlib.crc32(content[at + 4 : end]) != int.from_bytes(
+            content[end : end + 4]
+        ):
             raise InputError(DAMAGED)
         chunks.append((name, content[at + 8 : end], content[at : end + 4]))
         at = end + 4
@@ -152,10 +185,19 @@ def png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
 
 def _check_pixels(header: bytes, compressed: bytes) -> None:
     """Raise InputError where a PNG holds fewer pixels than its header declares: Pillow would make the rest black."""
-    cols, rows, bits = int.from_bytes(header[:4]), int.from_bytes(header[4:8]), header[8] * (1, 0, 3, 1)[header[9]]
+    cols, rows, bits = (
+        int.from_bytes(header[:4]),
+        int.from_bytes(header[4:8]),
+        header[8] * (1, 0, 3, 1)[header[9]],
+    )
     passes = ADAM7 if header[12] else ((0, 0, 1, 1),)
-    sizes = [(-(-(rows - top) // down), -(-(cols - left) // right)) for top, left, down, right in passes]
-    needed = sum(high * (1 + -(-wide * bits // 8)) for high, wide in sizes if high > 0 and wide > 0)
+    sizes = [
+        (-(-(rows - top) // down), -(-(cols - left) // right))
+        for top, left, down, right in passes
+    ]
+    needed = sum(
+        high * (1 + -(-wide * bits // 8)) for high, wide in sizes if high > 0 and wide > 0
+    )
     stream, there = zlib.decompressobj(), 0
     try:
         while there < needed and (part := stream.decompress(compressed, 1 << 20)):
@@ -183,7 +225,9 @@ def _read_pgm(content: bytes, most_pixels: int) -> Picture:
     else:
         numbers = _plain_numbers(content[header.end() :], rows * cols)
     if numbers.max() > most:
-        raise InputError(f"{DAMAGED}: it holds {numbers.max():g}, its header states {most} at most")
+        raise InputError(
+            f"{DAMAGED}: it holds {numbers.max():g}, its header states {most} at most"
+        )
     return Picture(numbers.astype(dtype).reshape(rows, cols), 8 * dtype.itemsize, most)
 
 
@@ -205,45 +249,73 @@ def _read_tiff(path: Path, most_pixels: int, deep_colours: bool) -> Picture:
             bits = int(page.bitspersample)
             if page.compression != UNCOMPRESSED:
                 by = OPENCV if page.ndim == 3 and bits == 16 else "TIFF"
-                return Picture(decode(by, path.read_bytes(), page.shape, bits), bits, 2**bits - 1)
+                return Picture(
+                    decode(by, path.read_bytes(), page.shape, bits), bits, 2**bits - 1
+                )
             check_strips(tiff, path.stat().st_size)
             if sum(page.databytecounts) < page.nbytes:
-                raise InputError(f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there")
+                raise InputError(
+                    f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there"
+                )
             return Picture(page.asarray(), bits, 2**bits - 1)
     except (InputError, OSError):
         raise
-    except Exception as error:  # tifffile lets through whatever a damaged tag happens to break
+    except (
+        Exception
+    ) as error:  # tifffile lets through whatever a damaged tag happens to break
         raise InputError(f"{DAMAGED} ({shown(str(error))})") from error
 
 
-def _check_tiff(tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, deep_colours: bool) -> None:
+def _check_tiff(
+    tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, deep_colours: bool
+) -> None:
     """Raise InputError for what a TIFF declares, as far as it is not allowed."""
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
     check_size(page.shape, most_pixels)
     if page.photometric == MIN_IS_WHITE:
-        raise InputError("counts darkness (MinIsWhite): allowed are numbers that grow with light")
+        raise InputError(
+            "counts darkness (MinIsWhite): allowed are numbers that grow with light"
+        )
     if len(tiff.pages) > 1:
         raise InputError(f"holds {len(tiff.pages)} pictures: allowed is one")
     if page.dtype not in (np.uint8, np.uint16) or page.bitspersample not in (8, 16):
-        what = f"{page.bitspersample} bit" if page.dtype in (np.uint8, np.uint16) else str(page.dtype)
+        what = (
+            f"{page.bitspersample} bit"
+            if page.dtype in (np.uint8, np.uint16)
+            else str(page.dtype)
+        )
         raise InputError(f"holds {what} numbers: allowed are 8 and 16 bit integers")
-    if page.shape[2:] not in ((), (3,)) or (page.ndim == 3 and page.bitspersample != 8 and not deep_colours):
-        raise InputError(f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey")
+    if page.shape[2:] not in ((), (3,)) or (
+        page.ndim == 3 and page.bitspersample != 8 and not deep_colours
+    ):
+        raise InputError(
+            f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey"
+        )
 
 
 def decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
     """The numbers of a picture that the decoder is sure to end with. Raises InputError."""
     expected = prod(shape) * bits // 8
-    memory = (OPENCV_MEMORY_BYTES if name == OPENCV else DECODER_MEMORY_BYTES) + 4 * expected + 2 * len(content)
+    memory = (
+        (OPENCV_MEMORY_BYTES if name == OPENCV else DECODER_MEMORY_BYTES)
+        + 4 * expected
+        + 2 * len(content)
+    )
     seconds = DECODER_SECONDS + prod(shape) // 2_000_000
     command = [sys.executable, "-P", decoder.__file__, name, str(memory), str(seconds)]
     try:
-        done = subprocess.run(command, input=content, capture_output=True, timeout=UNDER_LOAD * seconds)
+        done = subprocess.run(
+            command, input=content, capture_output=True, timeout=UNDER_LOAD * seconds
+        )
     except subprocess.TimeoutExpired:
-        raise InputError(f"{DAMAGED}: it takes longer than {UNDER_LOAD * seconds} s to decode") from None
+        raise InputError(
+            f"{DAMAGED}: it takes longer than {UNDER_LOAD * seconds} s to decode"
+        ) from None
     if done.returncode < 0:
-        raise InputError(f"{DAMAGED}: its decoder ended by signal {-done.returncode}, after {seconds} s at most")
+        raise InputError(
+            f"{DAMAGED}: its decoder ended by signal {-done.returncode}, after {seconds} s at most"
+        )
     if done.returncode:
         words = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise InputError(f"{DAMAGED} ({shown(words)})")

@@ -42,14 +42,18 @@ def read_header(content: bytes) -> JpegHeader:
         if marker == APP1 and data.startswith(EXIF):
             exif = exif or data[len(EXIF) :]
         elif marker == APP2 and data.startswith(ICC) and len(data) > len(ICC) + 1:
-            profile[data[len(ICC)]] = data[len(ICC) + 2 :]  # numbered: a long profile lies in several segments
+            profile[data[len(ICC)]] = data[
+                len(ICC) + 2 :
+            ]  # numbered: a long profile lies in several segments
         elif marker in FRAMES:
             frame = frame or data
     if len(frame) < 6 or len(frame) < 6 + 3 * frame[5]:
         raise InputError(DAMAGED)
     bits, colours = frame[0], frame[5]
     if bits != 8 or colours not in (1, 3):
-        raise InputError(f"holds {colours} colours of {bits} bit: allowed in a JPEG are grey and RGB, of 8 bit")
+        raise InputError(
+            f"holds {colours} colours of {bits} bit: allowed in a JPEG are grey and RGB, of 8 bit"
+        )
     sampling = {frame[7 + 3 * place] for place in range(colours)}
     return JpegHeader(
         rows=int.from_bytes(frame[1:3]),
@@ -69,7 +73,9 @@ def read_jpeg(path: Path, most_pixels: int = MOST_PIXELS) -> tuple[Picture, Jpeg
     content = path.read_bytes()
     header = read_header(content)
     check_size((header.rows, header.cols), most_pixels)
-    shape = (header.rows, header.cols) if header.colours == 1 else (header.rows, header.cols, 3)
+    shape = (
+        (header.rows, header.cols) if header.colours == 1 else (header.rows, header.cols, 3)
+    )
     return Picture(decode("JPEG", content, shape, 8), 8, 255), header
 
 

@@ -47,14 +47,20 @@ class Aperture(Estimated):
     @property
     def lit(self) -> tuple[float, float]:
         """Across and down: shares of a third of a pixel, and of a pixel."""
-        return max(USUAL_APERTURE + self.across, LEAST), max(USUAL_APERTURE + self.down, LEAST)
+        return max(USUAL_APERTURE + self.across, LEAST), max(
+            USUAL_APERTURE + self.down, LEAST
+        )
 
     def at(self, values: Sequence[float]) -> Self:
         across, down = values
         return type(self)(float(across), float(down))
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
-        across, down = (Uncertain(USUAL_APERTURE + number.value, number.std) for number in numbers)
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
+        across, down = (
+            Uncertain(USUAL_APERTURE + number.value, number.std) for number in numbers
+        )
         return {"panel_pixels.lit_across": across, "panel_pixels.lit_down": down}
 
     def finding(self, found: Mapping[str, Uncertain]) -> str:

@@ -41,9 +41,15 @@ class Blur:
     given: tuple[Part, ...] = ()
     _finer: float = field(init=False, repr=False, compare=False)
     _fading: Floats = field(init=False, repr=False, compare=False)
-    _pixel: tuple[Floats, Floats] = field(init=False, repr=False, compare=False)  # along rows (m, 1) and columns (1, n)
-    _centred: tuple[Complexes, Complexes] = field(init=False, repr=False, compare=False)  # with the shift to the window
-    _camera: Floats | None = field(init=False, repr=False, compare=False)  # half plane of its parts, if there are any
+    _pixel: tuple[Floats, Floats] = field(
+        init=False, repr=False, compare=False
+    )  # along rows (m, 1) and columns (1, n)
+    _centred: tuple[Complexes, Complexes] = field(
+        init=False, repr=False, compare=False
+    )  # with the shift to the window
+    _camera: Floats | None = field(
+        init=False, repr=False, compare=False
+    )  # half plane of its parts, if there are any
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
@@ -56,16 +62,29 @@ class Blur:
                 f"{pupil.spacing_um:g} um"
             )
         pupil.check_sampling(min(self.spectrum.nodes))
-        pixel = np.sinc(torus.row_frequency * self.active_um), np.sinc(torus.column_frequency * self.active_um)
+        pixel = (
+            np.sinc(torus.row_frequency * self.active_um),
+            np.sinc(torus.column_frequency * self.active_um),
+        )
         shift = torus.shift(pupil.size // 2 * pupil.spacing_um)
-        parts = [part.transfer(*self._per_pixel) for part in (*self.given, *self.parts) if not part.idle]
+        parts = [
+            part.transfer(*self._per_pixel)
+            for part in (*self.given, *self.parts)
+            if not part.idle
+        ]
         airy_um = pupil.wavelength_um * pupil.f_number
-        perfect = sum(share * perfect_lens(torus, node * airy_um) for share, node in self.spectrum.shares)
+        perfect = sum(
+            share * perfect_lens(torus, node * airy_um)
+            for share, node in self.spectrum.shares
+        )
         for name, value in (
             ("_finer", finer),
             ("_fading", fading(pupil.size)),
             ("_pixel", pixel),
-            ("_centred", tuple(along * turn for along, turn in zip(pixel, shift, strict=True))),
+            (
+                "_centred",
+                tuple(along * turn for along, turn in zip(pixel, shift, strict=True)),
+            ),
             ("_camera", math.prod(parts) if parts else None),
             ("_perfect", perfect),
             ("_perfect_psf", self.psf(np.zeros(len(pupil.noll)))),
@@ -76,7 +95,10 @@ class Blur:
     @property
     def _per_pixel(self) -> tuple[Floats, Floats]:
         """Frequencies of the half plane along rows and columns, cycles a pixel."""
-        return self.torus.row_frequency * self.torus.pitch_um, self.torus.column_frequency * self.torus.pitch_um
+        return (
+            self.torus.row_frequency * self.torus.pitch_um,
+            self.torus.column_frequency * self.torus.pitch_um,
+        )
 
     def _through_camera(self, transfer: AnyArray) -> AnyArray:
         """A half plane, which is changed, times that of the camera's parts."""
@@ -96,7 +118,11 @@ class Blur:
         """(size, size) the lens's PSF as `Pupil.psf` gives it, in all light. waves: (modes,) waves RMS at the reference."""
         psf = np.zeros((self.pupil.size, self.pupil.size))
         for share, node in self.spectrum.shares:
-            psf += share * (self.pupil.psf(waves) if node == 1 else self.pupil.stretched(waves / node, node))
+            psf += share * (
+                self.pupil.psf(waves)
+                if node == 1
+                else self.pupil.stretched(waves / node, node)
+            )
         return psf
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
@@ -105,21 +131,34 @@ class Blur:
             yield from self._in_light(self.spectrum.nodes[0]).psf_slopes(waves, only)
             return
         shares = [np.float32(share) for share in self.spectrum.weights]
-        every = zip(*(self._in_light(node).psf_slopes(waves, only) for node in self.spectrum.nodes), strict=True)
+        every = zip(
+            *(self._in_light(node).psf_slopes(waves, only) for node in self.spectrum.nodes),
+            strict=True,
+        )
         for of_mode in every:
-            yield np.asarray(sum(share * slope for share, slope in zip(shares, of_mode, strict=True)))
+            yield np.asarray(
+                sum(share * slope for share, slope in zip(shares, of_mode, strict=True))
+            )
 
     def _in_light(self, node: float) -> Pupil:
         """The pupil in one of the spectrum's wavelengths."""
-        return self.pupil if node == 1 else replace(self.pupil, wavelength_um=node * self.pupil.wavelength_um)
+        return (
+            self.pupil
+            if node == 1
+            else replace(self.pupil, wavelength_um=node * self.pupil.wavelength_um)
+        )
 
-    def transfer(self, waves: Floats, precision: type[np.floating] = np.float64) -> AnyComplexes:
+    def transfer(
+        self, waves: Floats, precision: type[np.floating] = np.float64
+    ) -> AnyComplexes:
         """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
         return self._through_camera(self._bare(waves, precision))
 
     def _bare(self, waves: Floats, precision: type[np.floating]) -> AnyComplexes:
         """The same without the camera's parts."""
-        return self._of((self.psf(waves) - self._perfect_psf).astype(precision), self._perfect)
+        return self._of(
+            (self.psf(waves) - self._perfect_psf).astype(precision), self._perfect
+        )
 
     def _of(self, departure: Floats | Floats32, perfect: Floats) -> AnyComplexes:
         """Half plane of a departure (size, size) of the PSF, through the pixel, and of a perfect lens, which is so already."""
@@ -135,36 +174,57 @@ class Blur:
 
     def by_cone(self, waves: Floats) -> Complexes64:
         """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held, in single precision."""
-        departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
+        departure, perfect = (
+            np.zeros((self.pupil.size, self.pupil.size)),
+            np.zeros(self._perfect.shape),
+        )
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
         for share, node in self.spectrum.shares:
             for sign, at in ((1, waves), (-1, 0 * waves)):
-                departure += sign * share * self.pupil.stretched(at / node, node, slope=True)
+                departure += (
+                    sign * share * self.pupil.stretched(at / node, node, slope=True)
+                )
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
-        return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
+        return self._through_camera(
+            self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
+        )
 
     def by_light(self, waves: Floats, slopes: Mapping[float, float]) -> Complexes64:
         """Half plane of its derivative by a number of the light. slopes: of each node's weight, by node; their sum is 0."""
-        departure, perfect = np.zeros((self.pupil.size, self.pupil.size)), np.zeros(self._perfect.shape)
+        departure, perfect = (
+            np.zeros((self.pupil.size, self.pupil.size)),
+            np.zeros(self._perfect.shape),
+        )
         airy_um = self.pupil.wavelength_um * self.pupil.f_number
         for node, slope in slopes.items():
-            departure += slope * (self.pupil.stretched(waves / node, node) - self.pupil.stretched(0 * waves, node))
+            departure += slope * (
+                self.pupil.stretched(waves / node, node)
+                - self.pupil.stretched(0 * waves, node)
+            )
             perfect += slope * perfect_lens(self.torus, node * airy_um)
-        return self._through_camera(self._of(departure.astype(np.float32), _times(perfect, *self._pixel)))
+        return self._through_camera(
+            self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
+        )
 
     def by_parts(self, waves: Floats, first: int = 0) -> Iterator[Complexes64]:
         """Half planes of its derivatives by the numbers of each part, from one on, in single precision."""
         if not self.parts[first:]:
             return
         places = [frequency.astype(np.float32) for frequency in self._per_pixel]
-        active = {k: part.transfer(*places) for k, part in enumerate(self.parts) if not part.idle}
+        active = {
+            k: part.transfer(*places) for k, part in enumerate(self.parts) if not part.idle
+        }
         given = [part.transfer(*places) for part in self.given if not part.idle]
         bare = _times(self._bare(waves, np.float32), *given)
         for k, part in enumerate(self.parts[first:], first):
             for light in part.light_slopes():
                 yield self.by_light(waves, light)
             slopes = part.slopes(*places)
-            others = _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k)) if slopes else bare
+            others = (
+                _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k))
+                if slopes
+                else bare
+            )
             for slope in slopes:
                 yield np.asarray(others * slope.astype(np.float32, copy=False))
 
@@ -187,7 +247,9 @@ class Blur:
         """
         by_row, by_column = np.empty_like(transfer), np.empty_like(transfer)
         np.subtract(transfer[2:], transfer[:-2], out=by_row[1:-1])
-        by_row[0] = transfer[1] - np.conj(np.roll(transfer[1, ::-1], 1))  # the row at frequency -1
+        by_row[0] = transfer[1] - np.conj(
+            np.roll(transfer[1, ::-1], 1)
+        )  # the row at frequency -1
         by_row[-1] = -transfer[-2]
         np.subtract(transfer[:, 2:], transfer[:, :-2], out=by_column[:, 1:-1])
         by_column[:, 0] = transfer[:, 1] - transfer[:, -1]

@@ -49,7 +49,9 @@ class Estimated(ABC):
         """Return the same group with other numbers, kept within what is possible."""
 
     @abstractmethod
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         """Return the data-sheet quantities of estimated numbers.
 
         Parameters
@@ -69,7 +71,11 @@ class Estimated(ABC):
     def own(self, found: Mapping[str, Uncertain]) -> dict[str, Uncertain]:
         """Return this group's quantities among those of a whole camera, by their keys without the group's name."""
         start = f"{self.name}."
-        return {key.removeprefix(start): value for key, value in found.items() if key.startswith(start)}
+        return {
+            key.removeprefix(start): value
+            for key, value in found.items()
+            if key.startswith(start)
+        }
 
 
 def root(square: Uncertain, unit: str = "") -> Uncertain:

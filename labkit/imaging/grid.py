@@ -38,9 +38,16 @@ class Torus:
             raise ValueError(
                 f"{self.oversampling} samples a pixel of {self.pitch_um:g} um cannot hold {self.band_limit_per_um:g} cycles/um"
             )
-        if any(m + f > p for m, f, p in zip(self.margin, self.frame, self.pixels, strict=True)):
-            raise ValueError(f"a frame of {self.frame} pixels at {self.margin} does not fit a torus of {self.pixels}")
-        count = min(self.fine[0] // 2, int(self.band_limit_per_um * self.fine[0] * self.spacing_um) + 1)
+        if any(
+            m + f > p for m, f, p in zip(self.margin, self.frame, self.pixels, strict=True)
+        ):
+            raise ValueError(
+                f"a frame of {self.frame} pixels at {self.margin} does not fit a torus of {self.pixels}"
+            )
+        count = min(
+            self.fine[0] // 2,
+            int(self.band_limit_per_um * self.fine[0] * self.spacing_um) + 1,
+        )
         rows, columns = (
             scipy.fft.rfftfreq(self.fine[0], self.spacing_um),
             scipy.fft.fftfreq(self.fine[1], self.spacing_um),
@@ -50,15 +57,22 @@ class Torus:
 
     @classmethod
     def around(
-        cls, frame: tuple[int, int], guard_px: tuple[int, int], pitch_um: float, band_limit_per_um: float
+        cls,
+        frame: tuple[int, int],
+        guard_px: tuple[int, int],
+        pitch_um: float,
+        band_limit_per_um: float,
     ) -> "Torus":
         """A torus with at least guard_px pixels of guard band below and beside the frame, its sides good for the FFT."""
         oversampling = math.ceil(2 * pitch_um * band_limit_per_um * (1 + 1e-9))
         rows, columns = (
-            scipy.fft.next_fast_len(side + guard, real=True) for side, guard in zip(frame, guard_px, strict=True)
+            scipy.fft.next_fast_len(side + guard, real=True)
+            for side, guard in zip(frame, guard_px, strict=True)
         )
         margin = ((rows - frame[0]) // 2, (columns - frame[1]) // 2)
-        return cls((rows, columns), margin, frame, oversampling, pitch_um, band_limit_per_um)
+        return cls(
+            (rows, columns), margin, frame, oversampling, pitch_um, band_limit_per_um
+        )
 
     @property
     def fine(self) -> tuple[int, int]:
@@ -75,7 +89,9 @@ class Torus:
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
-    def half_spectrum_of_window(self, window: AnyFloats, finer: float = 1.0) -> AnyComplexes:
+    def half_spectrum_of_window(
+        self, window: AnyFloats, finer: float = 1.0
+    ) -> AnyComplexes:
         """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
 
         window: (m, m), sampled `finer` times as finely as the torus, whose sides are whole numbers of its samples; what it
@@ -83,46 +99,65 @@ class Torus:
         """
         rows, columns = (round(side * finer) for side in self.fine)
         if max(window.shape) > min(rows, columns):
-            raise ValueError(f"a window of {window.shape} samples does not fit a torus of {(rows, columns)}")
+            raise ValueError(
+                f"a window of {window.shape} samples does not fit a torus of {(rows, columns)}"
+            )
         by_row = scipy.fft.rfft(window, n=rows, axis=0)[: self.row_frequency.size]
         return self._columns(np.asarray(scipy.fft.fft(by_row, n=columns, axis=1)))
 
     def cut(self, spectrum: Complexes64, oversampling: int) -> Complexes64:
         """What a half plane of the same torus at another, finer oversampling holds of this one's band."""
-        return self._columns(spectrum[: self.row_frequency.size]) * np.float32((self.oversampling / oversampling) ** 2)
+        return self._columns(spectrum[: self.row_frequency.size]) * np.float32(
+            (self.oversampling / oversampling) ** 2
+        )
 
     def _columns(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Those of this torus's column frequencies, of a half plane with more of them."""
         if spectrum.shape[1] == self.fine[1]:
             return spectrum
         positive = (self.fine[1] + 1) // 2
-        return np.concatenate([spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1)
+        return np.concatenate(
+            [spectrum[:, :positive], spectrum[:, positive - self.fine[1] :]], axis=1
+        )
 
     def shift(self, distance_um: float) -> tuple[Complexes, Complexes]:
         """Factors along rows (m, 1) and columns (1, n) of the half plane that moves an image up and left by a distance."""
         turn = 2j * np.pi * distance_um
         return np.exp(turn * self.row_frequency), np.exp(turn * self.column_frequency)
 
-    def sample(self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None) -> Floats:
+    def sample(
+        self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None
+    ) -> Floats:
         """The frame's pixels, (rows, columns), of an image given by its half spectrum, times a transfer function if any.
 
         Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as
         fold onto the torus once: whole it is as large as the spectrum.
         """
-        folded = np.zeros(self.pixels, np.result_type(spectrum, spectrum if transfer is None else transfer))
+        folded = np.zeros(
+            self.pixels,
+            np.result_type(spectrum, spectrum if transfer is None else transfer),
+        )
         for rows in self._onto_one_another(spectrum):
-            block = self.folded_columns(spectrum[rows] if transfer is None else spectrum[rows] * transfer[rows])
+            block = self.folded_columns(
+                spectrum[rows] if transfer is None else spectrum[rows] * transfer[rows]
+            )
             folded[: len(block)] += block
             if rows.start == 0:
                 folded[0] -= 0.5 * block[0]  # frequency 0 has no partner
         return self.unfolded(folded)
 
-    def sample_slopes(self, spectrum: AnyComplexes, transfer: AnyComplexes) -> tuple[Floats, Floats]:
+    def sample_slopes(
+        self, spectrum: AnyComplexes, transfer: AnyComplexes
+    ) -> tuple[Floats, Floats]:
         """Derivatives along rows and along columns, per pixel, of what `sample` gives."""
         down, right = (
-            (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype) for f in (self.row_frequency, self.column_frequency)
+            (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype)
+            for f in (self.row_frequency, self.column_frequency)
         )
-        by_row, folded = np.zeros(self.pixels, spectrum.dtype), np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype)
+        by_row, folded = (
+            np.zeros(self.pixels, spectrum.dtype),
+            np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype),
+        )
         for rows in self._onto_one_another(spectrum):
             block = spectrum[rows] * transfer[rows]
             by_row[: len(block)] += self.folded_columns(block) * down[rows]
@@ -133,11 +168,16 @@ class Torus:
 
     def _onto_one_another(self, spectrum: AnyComplexes) -> Iterator[slice]:
         """Rows of a half plane, as many at a time as sampling folds onto the same ones."""
-        return (slice(first, first + self.pixels[0]) for first in range(0, len(spectrum), self.pixels[0]))
+        return (
+            slice(first, first + self.pixels[0])
+            for first in range(0, len(spectrum), self.pixels[0])
+        )
 
     def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""
-        return np.asarray(spectrum.reshape(len(spectrum), self.oversampling, self.pixels[1]).sum(axis=1))
+        return np.asarray(
+            spectrum.reshape(len(spectrum), self.oversampling, self.pixels[1]).sum(axis=1)
+        )
 
     def folded_rows(self, spectrum: AnyComplexes) -> AnyComplexes:
         """Half planes' rows folded by sampling: (half rows, any) -> (rows, any).
@@ -154,5 +194,7 @@ class Torus:
     def unfolded(self, folded: AnyComplexes) -> Floats:
         """The frame's pixels of a half plane that was folded both ways: twice the real part of its transform."""
         image = scipy.fft.ifft2(folded).real
-        seen = image[tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))]
+        seen = image[
+            tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))
+        ]
         return seen * (2.0 / self.oversampling**2)

@@ -13,7 +13,9 @@ from labkit.optics.psf import diffraction_mtf
 from labkit.target import Target
 from labkit.types import Floats
 
-STRAY = 0.05  # of the target's size, by which it may stand or end elsewhere than the reference
+STRAY = (
+    0.05  # of the target's size, by which it may stand or end elsewhere than the reference
+)
 SMOOTH = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
 ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
@@ -52,7 +54,9 @@ def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[in
     return math.ceil(rows), math.ceil(columns)
 
 
-def wrapped_light(torus: Torus, target: Target, reference: Pose, airy_um: float, active_um: float) -> Floats:
+def wrapped_light(
+    torus: Torus, target: Target, reference: Pose, airy_um: float, active_um: float
+) -> Floats:
     """(rows, columns) of the frame: what comes around a torus of a perfect lens's light, in units of the target's radiance.
 
     It is smooth and hardly depends on pose and wavefront, so two rough pictures differ by it: one on the torus, one on a
@@ -62,15 +66,23 @@ def wrapped_light(torus: Torus, target: Target, reference: Pose, airy_um: float,
     twice = replace(
         rough,
         pixels=(2 * torus.pixels[0], 2 * torus.pixels[1]),
-        margin=(torus.margin[0] + torus.pixels[0] // 2, torus.margin[1] + torus.pixels[1] // 2),
+        margin=(
+            torus.margin[0] + torus.pixels[0] // 2,
+            torus.margin[1] + torus.pixels[1] // 2,
+        ),
     )
     scene, pictures = Scene(twice, target, rough.band_limit_per_um, reference), []
     image = scene.image(reference)
     for each in (rough, twice):
         low = [wide - own for wide, own in zip(twice.margin, each.margin, strict=True)]
         shown = image[low[0] : low[0] + each.pixels[0], low[1] : low[1] + each.pixels[1]]
-        smooth = np.exp(-(np.hypot(each.row_frequency, each.column_frequency) ** 2) * (torus.pitch_um / SMOOTH) ** 2)
-        pixel = np.sinc(each.row_frequency * active_um) * np.sinc(each.column_frequency * active_um)
+        smooth = np.exp(
+            -(np.hypot(each.row_frequency, each.column_frequency) ** 2)
+            * (torus.pitch_um / SMOOTH) ** 2
+        )
+        pixel = np.sinc(each.row_frequency * active_um) * np.sinc(
+            each.column_frequency * active_um
+        )
         transfer = perfect_lens(each, airy_um) * pixel * smooth
         pictures.append(each.sample(each.half_spectrum(shown) * transfer))
     return np.asarray(pictures[0] - pictures[1])

@@ -26,7 +26,11 @@ from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 ROUGH_BAND = 1.0
 
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
-GROWTH = (((-1, 0.0, 0.0),), ((1, 0.5, 0.0), (-1, -0.5, 0.0)), ((1, 0.0, 0.5), (-1, 0.0, -0.5)))
+GROWTH = (
+    ((-1, 0.0, 0.0),),
+    ((1, 0.5, 0.0), (-1, -0.5, 0.0)),
+    ((1, 0.0, 0.5), (-1, 0.0, -0.5)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,22 +110,42 @@ class ForwardModel:
         window_um = window_airy * optics.airy_um
         cutoff = 1 / (optics.airy_um * (1 - cone_margin) * optics.shortest)
         reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
-        guard_px = guards(frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0))
+        guard_px = guards(
+            frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0)
+        )
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         target = _lit(target, optics)
         finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
         spacing_um = torus.spacing_um / finer
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
         size = min(size, min(torus.fine) * finer)
-        pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
+        pupil = Pupil(
+            optics.wavelength_um,
+            optics.reference_um,
+            optics.f_number,
+            spacing_um,
+            size,
+            optics.noll,
+        )
         wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
         fewer = replace(
-            torus, oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)), band_limit_per_um=limit
+            torus,
+            oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)),
+            band_limit_per_um=limit,
         )
-        blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
+        blur = Blur(
+            torus, pupil, optics.active_um, optics.light, optics.parts, optics.given
+        )
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
-        return cls(optics, Scene(torus, target, band * cutoff, reference, shine), blur, rough, wrapped, window_airy)
+        return cls(
+            optics,
+            Scene(torus, target, band * cutoff, reference, shine),
+            blur,
+            rough,
+            wrapped,
+            window_airy,
+        )
 
     def with_optics(self, optics: Optics) -> "ForwardModel":
         """Return the model with other `Optics.camera_parameters`. Drawings serve both unless a panel's `Aperture` changes.
@@ -133,11 +157,17 @@ class ForwardModel:
         pupil = replace(self.blur.pupil, f_number=optics.f_number)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.light, parts=optics.parts)
         target = _lit(self.scene.target, optics)
-        scene = self.scene if target is self.scene.target else replace(self.scene, target=target)
+        scene = (
+            self.scene
+            if target is self.scene.target
+            else replace(self.scene, target=target)
+        )
         rough = replace(blur, torus=self.rough.torus).simple
         return replace(self, optics=optics, scene=scene, blur=blur, rough=rough)
 
-    def rebuilt(self, optics: Optics, reference: Pose, *, waves: Floats, cone_margin: float) -> "ForwardModel":
+    def rebuilt(
+        self, optics: Optics, reference: Pose, *, waves: Floats, cone_margin: float
+    ) -> "ForwardModel":
         """Build the model anew for other optics, over the whole band, with a window for a wavefront (modes,) RMS."""
         window_airy = max(self.window_airy, optics.window_airy(waves))
         scene = self.scene
@@ -159,7 +189,10 @@ class ForwardModel:
         """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
         self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
-        return [self._mean(spectrum, transfer, u) for spectrum, u in zip(drawing.spectra, used, strict=True)]
+        return [
+            self._mean(spectrum, transfer, u)
+            for spectrum, u in zip(drawing.spectra, used, strict=True)
+        ]
 
     def evaluate(
         self,
@@ -187,25 +220,43 @@ class ForwardModel:
         self._checked(drawing, used)
         blur = self.blur if exact else self.rough
         spectra = [self._cut(blur, spectrum) for spectrum in drawing.spectra]
-        by_modes = self._responses(blur, blur.psf_slopes(waves) if by_waves else (), spectra, used)
-        by_lens = [np.array(rows, float).reshape(-1, int(u.sum())) for rows, u in zip(by_modes, used, strict=True)]
+        by_modes = self._responses(
+            blur, blur.psf_slopes(waves) if by_waves else (), spectra, used
+        )
+        by_lens = [
+            np.array(rows, float).reshape(-1, int(u.sum()))
+            for rows, u in zip(by_modes, used, strict=True)
+        ]
         means = means or self.means(waves, drawing, used)
         single = blur.transfer(waves, np.float32)
         if by_camera:
             by_parts = self._turned(blur, blur.by_parts(waves), spectra, used)
             by_panel = self._by_panel(blur, single, drawing, used)
             by_cone = self._turned(blur, [blur.by_cone(waves)], spectra, used)
-            by_lens = [np.concatenate(rows) for rows in zip(by_lens, by_parts, by_panel, by_cone, strict=True)]
+            by_lens = [
+                np.concatenate(rows)
+                for rows in zip(by_lens, by_parts, by_panel, by_cone, strict=True)
+            ]
         kernels = (single, *blur.spread(single))
         by_pose = [
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
             for spectrum, pose, u in zip(spectra, drawing.poses, used, strict=True)
         ]
-        by_shine = self._by_shine(blur.torus, spectra, kernels, used) if by_camera else np.empty((len(used), 0, 0))
-        return [Evaluation(*of) for of in zip(means, by_lens, by_pose, by_shine, strict=True)]
+        by_shine = (
+            self._by_shine(blur.torus, spectra, kernels, used)
+            if by_camera
+            else np.empty((len(used), 0, 0))
+        )
+        return [
+            Evaluation(*of) for of in zip(means, by_lens, by_pose, by_shine, strict=True)
+        ]
 
     def _by_shine(
-        self, torus: Torus, spectra: Sequence[Complexes64], kernels: Sequence[AnyComplexes], used: Sequence[Bools]
+        self,
+        torus: Torus,
+        spectra: Sequence[Complexes64],
+        kernels: Sequence[AnyComplexes],
+        used: Sequence[Bools],
     ) -> list[Floats]:
         """(0 or 2, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
         if self.scene.shine is None:
@@ -216,28 +267,47 @@ class ForwardModel:
             made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
         return made
 
-    def by_parts(self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int) -> list[Floats]:
+    def by_parts(
+        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int
+    ) -> list[Floats]:
         """(numbers, pixels) of each frame: derivatives by the numbers of the optics' parts from one on."""
-        return self._turned(self.blur, self.blur.by_parts(waves, first), drawing.spectra, used)
+        return self._turned(
+            self.blur, self.blur.by_parts(waves, first), drawing.spectra, used
+        )
 
     def _turned(
-        self, blur: Blur, turns: Iterable[Complexes64], spectra: Sequence[Complexes64], used: Sequence[Bools]
+        self,
+        blur: Blur,
+        turns: Iterable[Complexes64],
+        spectra: Sequence[Complexes64],
+        used: Sequence[Bools],
     ) -> list[Floats]:
         """(turns, pixels) of each frame: what derivatives of the transfer function make of it."""
         rows = [list[Floats]() for _ in used]
         for turn in turns:
             for of_frame, spectrum, u in zip(rows, spectra, used, strict=True):
                 of_frame.append(self._seen(blur.torus.sample(spectrum, turn), u))
-        return [np.array(of_frame).reshape(-1, int(u.sum())) for of_frame, u in zip(rows, used, strict=True)]
+        return [
+            np.array(of_frame).reshape(-1, int(u.sum()))
+            for of_frame, u in zip(rows, used, strict=True)
+        ]
 
-    def _by_panel(self, blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
+    def _by_panel(
+        self, blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]
+    ) -> list[Floats]:
         """(0 or 2, pixels) of each frame, by a panel's aperture, which the target is drawn by."""
         count = 0 if self.optics.panel is None else len(self.optics.panel.labels)
         rows = [np.zeros((count, int(u.sum()))) for u in used]
         if count:
-            for of_frame, slopes, u in zip(rows, self.scene.slopes(drawing.poses), used, strict=True):
-                for row, slope in zip(of_frame, slopes, strict=False):  # no slopes of a target that is no panel's
-                    row[:] = self._seen(blur.torus.sample(self._cut(blur, slope), transfer), u)
+            for of_frame, slopes, u in zip(
+                rows, self.scene.slopes(drawing.poses), used, strict=True
+            ):
+                for row, slope in zip(
+                    of_frame, slopes, strict=False
+                ):  # no slopes of a target that is no panel's
+                    row[:] = self._seen(
+                        blur.torus.sample(self._cut(blur, slope), transfer), u
+                    )
         return rows
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> list[Floats32]:
@@ -246,21 +316,38 @@ class ForwardModel:
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
         """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
-        (rows,) = self._responses(self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used])
+        (rows,) = self._responses(
+            self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used]
+        )
         return np.array(rows, float).reshape(-1, int(used.sum()))
 
     def _cut(self, blur: Blur, spectrum: Complexes64) -> Complexes64:
         """Of a drawing's half plane the band of one of the blurs."""
-        return spectrum if blur.torus == self.blur.torus else blur.torus.cut(spectrum, self.blur.torus.oversampling)
+        return (
+            spectrum
+            if blur.torus == self.blur.torus
+            else blur.torus.cut(spectrum, self.blur.torus.oversampling)
+        )
 
     def _responses(
-        self, blur: Blur, psfs: Iterable[Floats32], spectra: Sequence[AnyComplexes], used: Sequence[Bools]
+        self,
+        blur: Blur,
+        psfs: Iterable[Floats32],
+        spectra: Sequence[AnyComplexes],
+        used: Sequence[Bools],
     ) -> list[list[Floats32]]:
         """(pixels,) of each frame: what each of some changes of the PSF changes in its mean."""
-        behind, changes = [blur.behind_pixel(spectrum) for spectrum in spectra], list[list[Floats32]]([] for _ in used)
+        behind, changes = (
+            [blur.behind_pixel(spectrum) for spectrum in spectra],
+            list[list[Floats32]]([] for _ in used),
+        )
         for response in blur.responses(psfs):
             for of_frame, b, u in zip(changes, behind, used, strict=True):
-                of_frame.append(self._seen(blur.torus.sample(b, response), u).astype(np.float32, copy=False))
+                of_frame.append(
+                    self._seen(blur.torus.sample(b, response), u).astype(
+                        np.float32, copy=False
+                    )
+                )
         return changes
 
     def _checked(self, drawing: Drawing, used: Sequence[Bools]) -> None:
@@ -286,12 +373,22 @@ class ForwardModel:
 
 def _lit(target: Target, optics: Optics) -> Target:
     """The target as it shines with the optics' aperture, if that is estimated; itself where it does so already."""
-    if optics.panel is None or not isinstance(target, PanelTarget) or target.aperture == optics.panel.lit:
+    if (
+        optics.panel is None
+        or not isinstance(target, PanelTarget)
+        or target.aperture == optics.panel.lit
+    ):
         return target
     return target.lit(*optics.panel.lit)
 
 
-def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes], pose: Pose, used: Bools) -> Floats:
+def _by_pose(
+    torus: Torus,
+    spectrum: Complexes64,
+    kernels: Sequence[AnyComplexes],
+    pose: Pose,
+    used: Bools,
+) -> Floats:
     """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
     kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
@@ -304,7 +401,9 @@ def _by_pose(torus: Torus, spectrum: Complexes64, kernels: Sequence[AnyComplexes
     for kernel, growth in zip(kernels, GROWTH, strict=True):
         pictures = [picture[used] for picture in torus.sample_slopes(spectrum, kernel)]
         for sign, row, column in growth:
-            for motion, picture in zip(pose.jacobian(rows + row, columns + column), pictures, strict=True):
+            for motion, picture in zip(
+                pose.jacobian(rows + row, columns + column), pictures, strict=True
+            ):
                 motion *= sign * picture
                 result += motion
     return result

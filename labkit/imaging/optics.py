@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import chain
 
 import numpy as np
@@ -71,13 +72,17 @@ class Optics:
     def light(self) -> Spectrum:
         """Spectrum of the light: that of a part, if one has it, else `spectrum`, else one wavelength."""
         of_parts = (part.light for part in (*self.parts, *self.given))
-        return next((light for light in (*of_parts, self.spectrum) if light is not None), Spectrum())
+        return next(
+            (light for light in (*of_parts, self.spectrum) if light is not None), Spectrum()
+        )
 
     @property
     def shortest(self) -> float:
         """Shortest wavelength of the light, relative, as broad as an estimate may make it."""
         broadest = (part.broadest for part in self.parts)
-        return min(min(light.nodes) for light in (self.light, *broadest) if light is not None)
+        return min(
+            min(light.nodes) for light in (self.light, *broadest) if light is not None
+        )
 
     def in_one_wavelength(self) -> Optics:
         """Return the same optics in light of the nominal wavelength alone."""
@@ -93,12 +98,16 @@ class Optics:
     @property
     def camera_parameters(self) -> Floats:
         """(n,) numbers that may be estimated next to the wavefront: of the parts, of the panel, ln N."""
-        return np.array([*chain(*(group.values for group in self.estimated)), math.log(self.f_number)])
+        return np.array(
+            [*chain(*(group.values for group in self.estimated)), math.log(self.f_number)]
+        )
 
     @property
     def camera_labels(self) -> tuple[str, ...]:
         """Names of the numbers before ln N, each as GROUP.NUMBER."""
-        return tuple(f"{group.name}.{label}" for group in self.estimated for label in group.labels)
+        return tuple(
+            f"{group.name}.{label}" for group in self.estimated for label in group.labels
+        )
 
     @property
     def camera_stds(self) -> Floats:
@@ -124,9 +133,23 @@ class Optics:
         """Return the optics with another known part, which does nothing yet, to be estimated."""
         return replace(self, parts=(*self.parts, KNOWN[name]))
 
+    def with_parts(self, names: Collection[str]) -> Optics:
+        """Return the optics with further known parts, in the order of `KNOWN`."""
+        return reduce(Optics.with_part, [name for name in KNOWN if name in names], self)
+
+    def with_named(self, labels: Sequence[str], values: Floats) -> Optics:
+        """Return the same optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""
+        known = dict(zip((*labels, "ln N"), values, strict=True))
+        own = zip((*self.camera_labels, "ln N"), self.camera_parameters, strict=True)
+        return self.with_camera_parameters(
+            np.array([known.get(label, value) for label, value in own])
+        )
+
     def without(self, names: Collection[str]) -> Optics:
         """Return the optics without some estimated parts."""
-        return replace(self, parts=tuple(part for part in self.parts if part.name not in names))
+        return replace(
+            self, parts=tuple(part for part in self.parts if part.name not in names)
+        )
 
     @property
     def shared(self) -> tuple[Part, ...]:
@@ -141,7 +164,11 @@ class Optics:
         """
         own = {part.name: part for part in self.parts if part.per_channel}
         alike = self.wavelength_um == other.wavelength_um
-        taken = [own.pop(part.name, part) for part in other.parts if not part.per_channel or part.name in own or alike]
+        taken = [
+            own.pop(part.name, part)
+            for part in other.parts
+            if not part.per_channel or part.name in own or alike
+        ]
         return replace(self, parts=(*taken, *own.values()), panel=other.panel)
 
     def window_airy(self, waves: Floats) -> float:

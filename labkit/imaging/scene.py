@@ -58,17 +58,30 @@ class Scene:
     def __post_init__(self) -> None:
         around = self.surround
         (raster,) = self._rasters(
-            lambda *at: (self.target.sample(*at) - around if around else self.target.sample(*at),)
+            lambda *at: (
+                self.target.sample(*at) - around if around else self.target.sample(*at),
+            )
         )
         object.__setattr__(self, "_raster", raster)
 
-    def _rasters(self, sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]]) -> "tuple[_Raster, ...]":
-        return _Raster.draw(sampled, self.target.size_mm, self.reference, self.cutoff_per_um * self.torus.pitch_um)
+    def _rasters(
+        self, sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]]
+    ) -> "tuple[_Raster, ...]":
+        return _Raster.draw(
+            sampled,
+            self.target.size_mm,
+            self.reference,
+            self.cutoff_per_um * self.torus.pitch_um,
+        )
 
     @cached_property
     def _slopes(self) -> "tuple[_Raster, ...]":
         """By the aperture of a panel's stripes."""
-        return self._rasters(self.target.slopes) if isinstance(self.target, PanelTarget) else ()
+        return (
+            self._rasters(self.target.slopes)
+            if isinstance(self.target, PanelTarget)
+            else ()
+        )
 
     @property
     def surround(self) -> float:
@@ -89,24 +102,34 @@ class Scene:
         low, high = np.clip(low, 0, self.torus.fine), np.clip(high, 0, self.torus.fine)
         image = np.zeros(self.torus.fine, np.float32)
         if np.all(high > low):
-            to_torus = np.array([[1 / many, 0, low[0] / many], [0, 1 / many, low[1] / many], [0, 0, 1]])
+            to_torus = np.array(
+                [[1 / many, 0, low[0] / many], [0, 1 / many, low[1] / many], [0, 0, 1]]
+            )
             window = tuple(slice(*ends) for ends in zip(low, high, strict=True))
-            image[window] = raster.at(np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape)
+            image[window] = raster.at(
+                np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape
+            )
             if self.shine is not None:
                 rows, columns = (
                     np.arange(*ends) / many - margin
-                    for ends, margin in zip(zip(low, high, strict=True), (top, left), strict=True)
+                    for ends, margin in zip(
+                        zip(low, high, strict=True), (top, left), strict=True
+                    )
                 )
                 image[window] *= self.shine.at(rows, columns)
         return image
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
         """The half planes of the DFT of `image` at each pose."""
-        return Drawing(tuple(poses), tuple(self._drawn(self._raster, pose) for pose in poses))
+        return Drawing(
+            tuple(poses), tuple(self._drawn(self._raster, pose) for pose in poses)
+        )
 
     def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes64, ...]]:
         """At each pose the half planes of the derivatives of `image` by the aperture of a panel's stripes; none of others."""
-        return [tuple(self._drawn(raster, pose) for raster in self._slopes) for pose in poses]
+        return [
+            tuple(self._drawn(raster, pose) for raster in self._slopes) for pose in poses
+        ]
 
     def _drawn(self, raster: "_Raster", pose: Pose) -> Complexes64:
         return self.torus.half_spectrum(self._seen(raster, pose))
@@ -143,12 +166,17 @@ class _Raster:
         for first in range(0, len(y_mm), many := max(1, AT_ONCE // len(x_mm))):
             rows = slice(first, first + many)
             parts = sampled(y_mm[rows], x_mm, BAND_SHARE * cutoff_per_mm)
-            rasters = rasters or [np.empty((len(y_mm), len(x_mm)), np.float32) for _ in parts]
+            rasters = rasters or [
+                np.empty((len(y_mm), len(x_mm)), np.float32) for _ in parts
+            ]
             for raster, part in zip(rasters, parts, strict=True):
                 raster[rows] = spline.along_rows(part)
         for raster in rasters:
             spline.filter_columns(raster)
-        return tuple(cls(raster, -counts * step_mm / half_mm, step_mm / half_mm) for raster in rasters)
+        return tuple(
+            cls(raster, -counts * step_mm / half_mm, step_mm / half_mm)
+            for raster in rasters
+        )
 
     @property
     def outline(self) -> tuple[Floats, Floats]:
@@ -159,4 +187,8 @@ class _Raster:
     def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats32:
         """Values on a grid of a shape, whose (i, j, 1) a homography (3, 3) takes to unit coordinates (y, x, 1); 0 outside."""
         (y, x), (down, across) = -self.first / self.step, 1 / self.step
-        return spline.read(self.coefficients, np.array([[down, 0, y], [0, across, x], [0, 0, 1]]) @ to_target, shape)
+        return spline.read(
+            self.coefficients,
+            np.array([[down, 0, y], [0, across, x], [0, 0, 1]]) @ to_target,
+            shape,
+        )

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from labkit.types import Bools, Floats
 
 ORDER = 3  # of the polynomial: a panel's light changes little over a target
-SHARE_STD = 0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
+SHARE_STD = (
+    0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +27,15 @@ class Shine:
     @classmethod
     def seen(cls, illumination: Floats, used: Bools) -> "Shine":
         """Of light that is known where a mask (rows, columns) holds, noise of single pixels in it."""
-        down, right = (_powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True))
+        down, right = (
+            _powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True)
+        )
         low = np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)) <= ORDER
         terms = np.array([down[i] * right[j] for i, j in np.argwhere(low)])
         coefficients = np.zeros(low.shape)
-        coefficients[low] = np.linalg.lstsq(terms.T, np.log(illumination[used]), rcond=None)[0]
+        coefficients[low] = np.linalg.lstsq(
+            terms.T, np.log(illumination[used]), rcond=None
+        )[0]
         return cls(used.shape, coefficients)
 
     def at(self, rows: Floats, columns: Floats) -> Floats:
@@ -44,9 +50,13 @@ class Shine:
         picture larger or smaller.
         """
         down, right = (
-            self._ln(rows + r, columns + c) - self._ln(rows - r, columns - c) for r, c in ((0.5, 0), (0, 0.5))
+            self._ln(rows + r, columns + c) - self._ln(rows - r, columns - c)
+            for r, c in ((0.5, 0), (0, 0.5))
         )
-        away = (at - (n - 1) / 2 for at, n in zip((rows[:, None], columns[None, :]), self.shape, strict=True))
+        away = (
+            at - (n - 1) / 2
+            for at, n in zip((rows[:, None], columns[None, :]), self.shape, strict=True)
+        )
         bent = [np.broadcast_to(self._round_std * d, down.shape) for d in away]
         return np.array([[SHARE_STD * down, SHARE_STD * right], bent])
 
@@ -59,14 +69,21 @@ class Shine:
         """
         rows, columns = (max(n - 1, 1) / 2 for n in self.shape)
         c = self.coefficients
-        unlike, crossed = c[2, 0] / rows**2 - c[0, 2] / columns**2, c[1, 1] / (rows * columns)
+        unlike, crossed = (
+            c[2, 0] / rows**2 - c[0, 2] / columns**2,
+            c[1, 1] / (rows * columns),
+        )
         return float(np.hypot(unlike, crossed))
 
     def _ln(self, rows: Floats, columns: Floats) -> Floats:
-        down, right = (_powers(at, n) for at, n in zip((rows, columns), self.shape, strict=True))
+        down, right = (
+            _powers(at, n) for at, n in zip((rows, columns), self.shape, strict=True)
+        )
         return np.asarray(down.T @ self.coefficients @ right)
 
 
 def _powers(at: Floats | NDArray[np.intp], size: int) -> Floats:
     """(4, n) of places (n,) along an axis of a frame, from -1 to 1."""
-    return np.asarray(np.clip(2 * at / max(size - 1, 1) - 1, -1, 1) ** np.arange(ORDER + 1)[:, None])
+    return np.asarray(
+        np.clip(2 * at / max(size - 1, 1) - 1, -1, 1) ** np.arange(ORDER + 1)[:, None]
+    )

@@ -90,14 +90,26 @@ def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
                 e += weight * line[left + 4]
                 f += weight * line[left + 5]
             one, two, three = a * across[0, j], b * across[1, j], c * across[2, j]
-            values[i, j] = one + two + three + d * across[3, j] + e * across[4, j] + f * across[5, j]
+            values[i, j] = (
+                one + two + three + d * across[3, j] + e * across[4, j] + f * across[5, j]
+            )
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _weigh(places: Floats32, weights: Floats32) -> None:
     """Weights (6, n) of the six samples around each of n places (0..1) past the third: the quintic B-spline's pieces."""
-    one, two, half, quarter = np.float32(1), np.float32(2), np.float32(1 / 2), np.float32(1 / 4)
-    least, slope, middle, last = np.float32(1 / 120), np.float32(1 / 24), np.float32(11 / 20), np.float32(1 / 12)
+    one, two, half, quarter = (
+        np.float32(1),
+        np.float32(2),
+        np.float32(1 / 2),
+        np.float32(1 / 4),
+    )
+    least, slope, middle, last = (
+        np.float32(1 / 120),
+        np.float32(1 / 24),
+        np.float32(11 / 20),
+        np.float32(1 / 12),
+    )
     for j in range(places.size):
         t = places[j]
         s = one - t
@@ -123,7 +135,9 @@ def _filter_columns(samples: Floats) -> None:
             for j in range(columns):
                 samples[i, j] += z * samples[i - 1, j]
         for j in range(columns):
-            samples[rows - 1, j] = z / (z**2 - 1) * (samples[rows - 1, j] + z * samples[rows - 2, j])
+            samples[rows - 1, j] = (
+                z / (z**2 - 1) * (samples[rows - 1, j] + z * samples[rows - 2, j])
+            )
         for i in range(rows - 2, -1, -1):
             for j in range(columns):
                 samples[i, j] = z * (samples[i + 1, j] - samples[i, j])

@@ -26,7 +26,11 @@ class Pose:
     half_size_mm: tuple[float, float]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "v", real_array("v", self.v, (POSE_SIZE,), "pose: six in pixels, two unitless"))
+        object.__setattr__(
+            self,
+            "v",
+            real_array("v", self.v, (POSE_SIZE,), "pose: six in pixels, two unitless"),
+        )
 
     @classmethod
     def from_corners(cls, corners_px: Floats, size_mm: tuple[float, float]) -> "Pose":
@@ -36,12 +40,22 @@ class Pose:
         """
         row, col = real_array("corners_px", corners_px, (4, 2), "pixels").T
         one, zero = np.ones(4), np.zeros(4)
-        row_equations = np.stack([one, CORNER_Y, CORNER_X, zero, zero, zero, -row * CORNER_Y, -row * CORNER_X], axis=1)
-        col_equations = np.stack([zero, zero, zero, one, CORNER_Y, CORNER_X, -col * CORNER_Y, -col * CORNER_X], axis=1)
+        row_equations = np.stack(
+            [one, CORNER_Y, CORNER_X, zero, zero, zero, -row * CORNER_Y, -row * CORNER_X],
+            axis=1,
+        )
+        col_equations = np.stack(
+            [zero, zero, zero, one, CORNER_Y, CORNER_X, -col * CORNER_Y, -col * CORNER_X],
+            axis=1,
+        )
         try:
-            v = np.linalg.solve(np.concatenate([row_equations, col_equations]), np.concatenate([row, col]))
+            v = np.linalg.solve(
+                np.concatenate([row_equations, col_equations]), np.concatenate([row, col])
+            )
         except np.linalg.LinAlgError as error:
-            raise ValueError(f"corners_px, shape (4, 2): no three may lie on a line (pixels): {corners_px}") from error
+            raise ValueError(
+                f"corners_px, shape (4, 2): no three may lie on a line (pixels): {corners_px}"
+            ) from error
         return cls(v, (size_mm[0] / 2, size_mm[1] / 2))
 
     def moved(self, step: Floats) -> "Pose":
@@ -69,7 +83,9 @@ class Pose:
         """Pixels (..., 2) of unit target coordinates (...)."""
         v = self.v
         w = 1 + v[6] * y + v[7] * x
-        return np.stack([(v[0] + v[1] * y + v[2] * x) / w, (v[3] + v[4] * y + v[5] * x) / w], axis=-1)
+        return np.stack(
+            [(v[0] + v[1] * y + v[2] * x) / w, (v[3] + v[4] * y + v[5] * x) / w], axis=-1
+        )
 
     def to_target(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Unit target coordinates (y, x) of pixels; row and col broadcast together."""
@@ -105,11 +121,16 @@ class Pose:
             return 0.0
         y, x = v[7], -v[6]
         length = np.hypot(tall * y, wide * x)
-        return float(np.log(np.hypot(v[1] * y + v[2] * x, v[4] * y + v[5] * x) / length)) - self.log_scale()[0]
+        return (
+            float(np.log(np.hypot(v[1] * y + v[2] * x, v[4] * y + v[5] * x) / length))
+            - self.log_scale()[0]
+        )
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
-        y, x, one = (a * row + b * col + c for a, b, c in np.linalg.inv(self.matrix))  # (y, x, 1) / (1 + v6 y + v7 x)
+        y, x, one = (
+            a * row + b * col + c for a, b, c in np.linalg.inv(self.matrix)
+        )  # (y, x, 1) / (1 + v6 y + v7 x)
         zero, basis = np.zeros_like(y), np.stack([one, y, x])
         rows = np.concatenate([basis, [zero, zero, zero], -row * basis[1:]])
         cols = np.concatenate([[zero, zero, zero], basis, -col * basis[1:]])

@@ -33,7 +33,10 @@ def rim_rays_airy(noll: Sequence[int], waves: Floats) -> Floats:
 
     def path(rho: float, turn: float) -> Floats:
         rim = np.full(RAYS, rho)
-        return sum((w * zernike(j, rim, theta + turn) for j, w in zip(noll, waves, strict=True)), np.zeros(RAYS))
+        return sum(
+            (w * zernike(j, rim, theta + turn) for j, w in zip(noll, waves, strict=True)),
+            np.zeros(RAYS),
+        )
 
     by_rho = (path(1.0, 0.0) - path(1.0 - STEP, 0.0)) / STEP
     by_theta = (path(1.0, STEP) - path(1.0, -STEP)) / (2 * STEP)
@@ -45,5 +48,7 @@ def fading(size: int) -> Floats:
 
     They are `scipy.signal.windows.tukey`'s, whose import takes a quarter of the time that a worker takes to begin.
     """
-    inwards = np.minimum(np.arange(size), np.arange(size)[::-1]) / (0.5 * FADING * (size - 1))
+    inwards = np.minimum(np.arange(size), np.arange(size)[::-1]) / (
+        0.5 * FADING * (size - 1)
+    )
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(inwards, 1.0)))

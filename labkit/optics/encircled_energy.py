@@ -50,7 +50,9 @@ class _Mean:
 
     def density(self, radius_um: Floats) -> Floats:
         """(r,) energy per um of radius."""
-        kernel = (self.frequency * self.weight)[:, None] * j0(2 * np.pi * np.outer(self.frequency, radius_um))
+        kernel = (self.frequency * self.weight)[:, None] * j0(
+            2 * np.pi * np.outer(self.frequency, radius_um)
+        )
         return np.asarray((2 * np.pi) ** 2 * radius_um * (self.value @ kernel))
 
 
@@ -77,16 +79,22 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
     dust changes.
     """
     if not 0 < share <= MOST:
-        raise ValueError(f"share = {share:g}: above 0 and at most {MOST:g} of the energy is possible")
+        raise ValueError(
+            f"share = {share:g}: above 0 and at most {MOST:g} of the energy is possible"
+        )
     centred = about_centroid(wavefront)
     limit = max(2.0, 0.3 / (1 - share)) * wavefront.wavelength_um * wavefront.f_number
     mean = _mean_transfer(centred, limit)
     while mean.energy(np.array([limit]))[0][0] < share:
         limit *= 2
         mean = _mean_transfer(centred, limit)
-    radius = brentq(lambda r: mean.energy(np.array([r]))[0][0] - share, 0.0, limit, xtol=1e-10 * limit)
+    radius = brentq(
+        lambda r: mean.energy(np.array([r]))[0][0] - share, 0.0, limit, xtol=1e-10 * limit
+    )
     gradient = mean.energy(np.array([radius]))[1][:, 0]
-    std = float(np.sqrt(centred.variance(gradient))) / abs(float(mean.density(np.array([radius]))[0]))
+    std = float(np.sqrt(centred.variance(gradient))) / abs(
+        float(mean.density(np.array([radius]))[0])
+    )
     return Uncertain(radius, np.hypot(std, centred.cone_error * radius), "um")
 
 
@@ -100,7 +108,9 @@ def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
     matrix = np.vstack([np.zeros((2, len(rest.noll))), np.eye(len(rest.noll))])
     for k, (n, m) in enumerate(noll_to_nm(j) for j in rest.noll):
         if abs(m) == 1:
-            matrix[0 if m > 0 else 1, k] = -sqrt(2 * (n + 1)) / 2  # Noll 2 and 3 are 2 on the rim
+            matrix[0 if m > 0 else 1, k] = (
+                -sqrt(2 * (n + 1)) / 2
+            )  # Noll 2 and 3 are 2 on the rim
     return rest.mapped((2, 3, *rest.noll), matrix)
 
 
@@ -110,7 +120,9 @@ def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     means = [_mean_in_one_light(light, radius_um) for light in lights]
     return _Mean(
         np.concatenate([mean.frequency for mean in means]),
-        np.concatenate([share * mean.weight for share, mean in zip(shares, means, strict=True)]),
+        np.concatenate(
+            [share * mean.weight for share, mean in zip(shares, means, strict=True)]
+        ),
         np.concatenate([mean.value for mean in means]),
         np.concatenate([mean.slopes for mean in means], axis=1),
     )
@@ -119,11 +131,18 @@ def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
 def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     cutoff, steep = wavefront.cutoff_per_mm * 1e-3, steepness(wavefront)
     turns = 2 * np.pi * radius_um * cutoff
-    node, weight = np.polynomial.legendre.leggauss(24 + int(np.ceil(0.5 * turns + 0.35 * steep)))
-    angle = np.pi / 4 * (node + 1)  # f = cutoff cos(angle), with which the transfer function is smooth to its end
+    node, weight = np.polynomial.legendre.leggauss(
+        24 + int(np.ceil(0.5 * turns + 0.35 * steep))
+    )
+    angle = (
+        np.pi / 4 * (node + 1)
+    )  # f = cutoff cos(angle), with which the transfer function is smooth to its end
     frequency = cutoff * np.cos(angle)
     directions = 12 + int(np.ceil(0.5 * steep))
-    parts = [transfer_function(wavefront, 1e3 * frequency, k * 180 / directions) for k in range(directions)]
+    parts = [
+        transfer_function(wavefront, 1e3 * frequency, k * 180 / directions)
+        for k in range(directions)
+    ]
     value = np.mean([transfer.real for transfer, _ in parts], axis=0)
     slopes = np.mean([by_mode.real for _, by_mode in parts], axis=0)
     return _Mean(frequency, weight * np.pi / 4 * cutoff * np.sin(angle), value, slopes)

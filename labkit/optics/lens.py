@@ -12,7 +12,9 @@ from labkit.types import Floats
 
 Convention = Literal["corrected", "thesis"]
 
-PV_PER_RMS = np.sqrt(12.0)  # a defocus of unit peak-to-valley over a disc has an RMS of 1/sqrt(12)
+PV_PER_RMS = np.sqrt(
+    12.0
+)  # a defocus of unit peak-to-valley over a disc has an RMS of 1/sqrt(12)
 
 USUAL_LOG_MAGNIFICATION = 0.7
 """Prior standard error of the logarithm: pupil magnifications of lenses lie between 0.5 and 2."""
@@ -31,8 +33,13 @@ class ThinLens:
     pupil_magnification: float = 1.0
 
     def __post_init__(self) -> None:
-        if not all(np.all(np.asarray(x) > 0) for x in (self.focal_length_mm, self.f_number, self.pupil_magnification)):
-            raise ValueError(f"focal length, f-number and pupil magnification must be positive: {self}")
+        if not all(
+            np.all(np.asarray(x) > 0)
+            for x in (self.focal_length_mm, self.f_number, self.pupil_magnification)
+        ):
+            raise ValueError(
+                f"focal length, f-number and pupil magnification must be positive: {self}"
+            )
 
     @property
     def exit_pupil_mm(self) -> float:
@@ -46,7 +53,9 @@ class ThinLens:
         """
         range_mm = real_array("range_mm", range_mm, None, "mm")
         if np.any(range_mm <= self.focal_length_mm):
-            raise ValueError(f"range must exceed the focal length, {self.focal_length_mm:g} mm: {range_mm}")
+            raise ValueError(
+                f"range must exceed the focal length, {self.focal_length_mm:g} mm: {range_mm}"
+            )
         return range_mm * self.focal_length_mm / (range_mm - self.focal_length_mm)
 
     def focused_magnification(self, focus_mm: Floats | float) -> Floats:
@@ -56,9 +65,13 @@ class ThinLens:
     def working_f_number(self, focus_mm: Floats | float) -> Floats:
         """f-number of the cone that reaches the sensor of a lens focused at a range: N (1 + m0 / mp), the same wherever the
         target stands."""
-        return self.f_number * (1 + self.focused_magnification(focus_mm) / self.pupil_magnification)
+        return self.f_number * (
+            1 + self.focused_magnification(focus_mm) / self.pupil_magnification
+        )
 
-    def chief_ray_scale(self, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:
+    def chief_ray_scale(
+        self, target_mm: Floats | float, focus_mm: Floats | float
+    ) -> Floats:
         """Size of the picture over the target's, unitless, of a target at one range and a lens focused at another.
 
         Along chief rays, through the pupils' centres: blur moves no size. target_mm, focus_mm: broadcast together.
@@ -75,12 +88,18 @@ class ThinLens:
         """
         focal_mm = 1 / (1 / self.image_distance_mm(reference_mm) + 1 / np.asarray(focus_mm))
         f_number = self.f_number * focal_mm / self.focal_length_mm
-        return ThinLens(cast(float, focal_mm), cast(float, f_number), self.pupil_magnification)
+        return ThinLens(
+            cast(float, focal_mm), cast(float, f_number), self.pupil_magnification
+        )
 
-    def pupil_to_image_mm(self, range_mm: Floats | float, convention: Convention = "corrected") -> Floats:
+    def pupil_to_image_mm(
+        self, range_mm: Floats | float, convention: Convention = "corrected"
+    ) -> Floats:
         """Distance from the exit pupil to the image of a range, mm. Thesis (E.2); (4.40) prints the sign of (mp-1) wrong."""
         offset = (self.pupil_magnification - 1.0) * self.focal_length_mm
-        return self.image_distance_mm(range_mm) + (offset if convention == "corrected" else -offset)
+        return self.image_distance_mm(range_mm) + (
+            offset if convention == "corrected" else -offset
+        )
 
 
 def defocus_waves(
@@ -98,7 +117,9 @@ def defocus_waves(
     positive("reference_nm", reference_nm, "nm")
     half_squared = (lens.exit_pupil_mm / 2.0) ** 2
     path_mm = _sagitta_mm(lens.pupil_to_image_mm(target_mm, convention), half_squared)
-    path_mm = path_mm - _sagitta_mm(lens.pupil_to_image_mm(focus_mm, convention), half_squared)
+    path_mm = path_mm - _sagitta_mm(
+        lens.pupil_to_image_mm(focus_mm, convention), half_squared
+    )
     return np.asarray(path_mm / PV_PER_RMS / (reference_nm * 1e-6))
 
 
@@ -120,14 +141,22 @@ def blur_per_wave_um(f_number: float, reference_um: float) -> float:
     return float(8 * f_number * PV_PER_RMS * reference_um)
 
 
-def circle_of_confusion_mm(lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float) -> Floats:
+def circle_of_confusion_mm(
+    lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float
+) -> Floats:
     """Diameter on the sensor of the geometric blur of a point. Thesis (E.9)."""
     image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
-    return np.asarray(lens.exit_pupil_mm * np.abs(focus - image) / lens.pupil_to_image_mm(target_mm))
+    return np.asarray(
+        lens.exit_pupil_mm * np.abs(focus - image) / lens.pupil_to_image_mm(target_mm)
+    )
 
 
-def ground_sample_mm(lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float) -> Floats:
+def ground_sample_mm(
+    lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float
+) -> Floats:
     """What one pixel spans on a target at a range, mm. Thesis (2.35)."""
     range_mm = real_array("range_mm", range_mm, None, "mm")
     positive("pixel_pitch_um", pixel_pitch_um, "um")
-    return np.asarray((range_mm - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm)
+    return np.asarray(
+        (range_mm - lens.focal_length_mm) * pixel_pitch_um * 1e-3 / lens.focal_length_mm
+    )

@@ -17,9 +17,14 @@ from labkit.optics.zernike import nm_to_noll
 from labkit.types import Bools, Floats
 from labkit.uncertain import Uncertain
 
-PUPIL_SAMPLES = 240  # across; the PSF of a pupil of samples repeats itself after so many lambda N
+PUPIL_SAMPLES = (
+    240  # across; the PSF of a pupil of samples repeats itself after so many lambda N
+)
 HALF_WIDTH_AIRY = 32.0  # of a PSF's usual window: 0.6 % of the light lies beyond
-RIM_ANGLES, RADII = 512, 129  # where a wavefront's extremes are looked for: they are known to 1e-3 of themselves
+RIM_ANGLES, RADII = (
+    512,
+    129,
+)  # where a wavefront's extremes are looked for: they are known to 1e-3 of themselves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +60,9 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
     return Psf(spacing_um, value / total, np.sqrt(wavefront.variance(slopes)) / total)
 
 
-def psf_value(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Floats:
+def psf_value(
+    wavefront: FittedWavefront, spacing_um: float, size: int | None = None
+) -> Floats:
     """(size, size) PSF of the optics alone on a grid of a spacing, unit sum, its centre in the middle, in all of its light.
 
     size: samples along a side, odd; by default the window reaches 32 lambda N from the centre. Raises ValueError for an even
@@ -69,21 +76,36 @@ def psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
     """Summed absolute difference of two PSFs at the same points of the sensor; each sums to 1."""
     spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
     size = 4 * int(HALF_WIDTH_AIRY) + 1
-    return float(np.abs(psf_value(wavefront, spacing_um, size) - psf_value(other, spacing_um, size)).sum())
+    return float(
+        np.abs(
+            psf_value(wavefront, spacing_um, size) - psf_value(other, spacing_um, size)
+        ).sum()
+    )
 
 
-def _psf_at(wavefront: FittedWavefront, spacing_um: float, size: int | None, modes: slice) -> tuple[Floats, Floats]:
+def _psf_at(
+    wavefront: FittedWavefront, spacing_um: float, size: int | None, modes: slice
+) -> tuple[Floats, Floats]:
     """The PSF on the grid, in any scale, and its derivatives by some modes; pupils are sampled finely enough."""
     airy_um = wavefront.wavelength_um * wavefront.f_number
     if not positive("spacing_um", spacing_um, "um") <= airy_um:
-        raise ValueError(f"spacing_um = {spacing_um:g}: at most lambda N is needed, here {airy_um:g} um")
-    half = int(np.ceil(HALF_WIDTH_AIRY * airy_um / spacing_um)) if size is None else size // 2
+        raise ValueError(
+            f"spacing_um = {spacing_um:g}: at most lambda N is needed, here {airy_um:g} um"
+        )
+    half = (
+        int(np.ceil(HALF_WIDTH_AIRY * airy_um / spacing_um)) if size is None else size // 2
+    )
     if size is not None and (size < 1 or size % 2 == 0):
-        raise ValueError(f"size = {size}: an odd number of samples is needed, so that one is the centre")
+        raise ValueError(
+            f"size = {size}: an odd number of samples is needed, so that one is the centre"
+        )
     apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
     # in all lights alike: PSFs are shares of light on such samples
     fine_um = airy_um / 2 * min(wavefront.spectrum.nodes)
-    across, at_um = int(np.ceil(apart_um / fine_um)), spacing_um * np.arange(-half, half + 1.0)
+    across, at_um = (
+        int(np.ceil(apart_um / fine_um)),
+        spacing_um * np.arange(-half, half + 1.0),
+    )
     value: Floats = np.zeros((at_um.size, at_um.size))
     slopes: Floats = np.zeros((len(wavefront.noll[modes]), at_um.size, at_um.size))
     for share, w in wavefront.lights:
@@ -94,7 +116,9 @@ def _psf_at(wavefront: FittedWavefront, spacing_um: float, size: int | None, mod
     return value, slopes
 
 
-def opd_map(wavefront: FittedWavefront, samples: int, without: Collection[int] = ()) -> OpdMap:
+def opd_map(
+    wavefront: FittedWavefront, samples: int, without: Collection[int] = ()
+) -> OpdMap:
     """Path difference on samples x samples squares that cover the pupil's diameter, at their centres.
 
     without: Noll modes to leave out. Raises ValueError for fewer than one sample.
@@ -128,8 +152,12 @@ def magnitude(wavefront: FittedWavefront) -> Uncertain:
     value = float(np.linalg.norm(a))
     if not np.isfinite(covariance).all():
         return Uncertain(value, np.sqrt(np.trace(covariance)), "waves")
-    error = np.sqrt(4 * a @ covariance @ a + 2 * np.sum(covariance**2) + np.trace(covariance) ** 2)
-    return Uncertain(value, error / (np.sqrt(value**2 + error) + value) if error > 0 else 0.0, "waves")
+    error = np.sqrt(
+        4 * a @ covariance @ a + 2 * np.sum(covariance**2) + np.trace(covariance) ** 2
+    )
+    return Uncertain(
+        value, error / (np.sqrt(value**2 + error) + value) if error > 0 else 0.0, "waves"
+    )
 
 
 def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
@@ -149,7 +177,9 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
 @lru_cache(maxsize=4)
 def _all_over(noll: tuple[int, ...]) -> Floats:
     """(modes, points) the modes over the pupil and its rim."""
-    rho, theta = np.meshgrid(np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES)
+    rho, theta = np.meshgrid(
+        np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES
+    )
     return modes_at(noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(noll), -1)
 
 
@@ -170,11 +200,20 @@ def trefoil(wavefront: FittedWavefront) -> Directed:
 
 def _directed(wavefront: FittedWavefront, n: int, m: int) -> Directed:
     cosine, sine = (wavefront.index(nm_to_noll(n, sign * m)) for sign in (1, -1))
-    pair = wavefront.without(set(wavefront.noll) - {wavefront.noll[cosine], wavefront.noll[sine]})
+    pair = wavefront.without(
+        set(wavefront.noll) - {wavefront.noll[cosine], wavefront.noll[sine]}
+    )
     c, s = wavefront.waves[[cosine, sine]]
     square = c**2 + s**2
     unknown = 360 / m / np.sqrt(12)  # of an angle that may be any
     across = np.zeros(len(wavefront.noll))
     across[[cosine, sine]] = -s, c
-    std = np.degrees(np.sqrt(wavefront.variance(across)) / square) / m if square > 0 else unknown
-    return Directed(magnitude(pair), Uncertain(np.degrees(np.arctan2(s, c)) / m, min(std, unknown), "deg"))
+    std = (
+        np.degrees(np.sqrt(wavefront.variance(across)) / square) / m
+        if square > 0
+        else unknown
+    )
+    return Directed(
+        magnitude(pair),
+        Uncertain(np.degrees(np.arctan2(s, c)) / m, min(std, unknown), "deg"),
+    )

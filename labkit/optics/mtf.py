@@ -26,10 +26,17 @@ from labkit.uncertain import Uncertain
 Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
 
-BLOCK = 1 << 15  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
+BLOCK = (
+    1 << 15
+)  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
 TURNS = 1024  # parts of a turn at which cosine and sine are tabulated
-COSINES, SINES = np.cos(2 * np.pi / TURNS * np.arange(TURNS)), np.sin(2 * np.pi / TURNS * np.arange(TURNS))
-HALF_MODULATION_GRID = 200  # frequencies up to the cutoff among which the first below one half is looked for
+COSINES, SINES = (
+    np.cos(2 * np.pi / TURNS * np.arange(TURNS)),
+    np.sin(2 * np.pi / TURNS * np.arange(TURNS)),
+)
+HALF_MODULATION_GRID = (
+    200  # frequencies up to the cutoff among which the first below one half is looked for
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +81,17 @@ def mtf(
     it has no derivative: there they are those of the transfer function itself; where it is of the order of its errors, they
     are rough.
     """
-    frequency = real_array("frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor")
+    frequency = real_array(
+        "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
+    )
     along, azimuth = frequency.ravel(), azimuth_deg(direction, field)
     value, gradient = _modulus(*transfer_function(wavefront, along, azimuth))
     variance = wavefront.variance(gradient)
     if wavefront.f_number_std:
-        variance = variance + (wavefront.cone_error * along * _slope(wavefront, along, azimuth)) ** 2
+        variance = (
+            variance
+            + (wavefront.cone_error * along * _slope(wavefront, along, azimuth)) ** 2
+        )
     std = np.sqrt(variance)
     return Curve(frequency, value.reshape(frequency.shape), std.reshape(frequency.shape))
 
@@ -87,7 +99,10 @@ def mtf(
 def _slope(wavefront: FittedWavefront, frequency: Floats, azimuth: float) -> Floats:
     """Of the MTF by frequency, mm; the wider the cone, the higher each frequency that it passes alike."""
     step = 1e-4 * wavefront.cutoff_per_mm
-    after, before = (np.abs(transfer_function(wavefront, frequency + d, azimuth)[0]) for d in (step, -step))
+    after, before = (
+        np.abs(transfer_function(wavefront, frequency + d, azimuth)[0])
+        for d in (step, -step)
+    )
     return np.asarray((after - before) / (2 * step))
 
 
@@ -111,15 +126,25 @@ def mtf50(
     azimuth, cutoff = azimuth_deg(direction, field), wavefront.cutoff_per_mm
 
     def pixel(frequency: Floats) -> Floats:
-        return np.ones_like(frequency) if active_um is None else pixel_mtf(frequency, active_um, azimuth)
+        return (
+            np.ones_like(frequency)
+            if active_um is None
+            else pixel_mtf(frequency, active_um, azimuth)
+        )
 
     def value(frequency: float) -> float:
         at = np.array([frequency])
         return float((np.abs(transfer_function(wavefront, at, azimuth)[0]) * pixel(at))[0])
 
     grid = np.linspace(0, cutoff, HALF_MODULATION_GRID + 1)
-    below = int(np.argmax(np.abs(transfer_function(wavefront, grid, azimuth)[0]) * pixel(grid) < 0.5))
-    half = brentq(lambda f: value(f) - 0.5, grid[below - 1], grid[below], xtol=1e-10 * cutoff)
+    below = int(
+        np.argmax(
+            np.abs(transfer_function(wavefront, grid, azimuth)[0]) * pixel(grid) < 0.5
+        )
+    )
+    half = brentq(
+        lambda f: value(f) - 0.5, grid[below - 1], grid[below], xtol=1e-10 * cutoff
+    )
     step = 1e-5 * cutoff
     slope = (value(half + step) - value(half - step)) / (2 * step)
     std = mtf(wavefront, half, azimuth).std * pixel(np.array(half))
@@ -136,7 +161,9 @@ def pixel_mtf(
 
     direction, field: as in `azimuth_deg`. Thesis (2.45), corrected.
     """
-    frequency = real_array("frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor")
+    frequency = real_array(
+        "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
+    )
     azimuth = np.deg2rad(azimuth_deg(direction, field))
     width_mm = positive("active_um", active_um, "um") * 1e-3
     x, y = frequency * np.cos(azimuth), frequency * np.sin(azimuth)
@@ -150,7 +177,9 @@ def transfer_function(
 
     It is the Fourier transform of the PSF: light to the right of the origin has a falling phase along x.
     """
-    return _slice(wavefront, frequency_per_mm, _tables(wavefront.noll, np.deg2rad(azimuth_deg)))
+    return _slice(
+        wavefront, frequency_per_mm, _tables(wavefront.noll, np.deg2rad(azimuth_deg))
+    )
 
 
 def turning_transfer_function(
@@ -162,12 +191,21 @@ def turning_transfer_function(
     """
     turn = np.deg2rad(azimuth_deg)
     turning = np.tensordot(wavefront.waves, _tables(wavefront.noll, turn, slope=True), 1)
-    return _slice(wavefront, frequency_per_mm, np.concatenate([_tables(wavefront.noll, turn), turning[None]]))
+    return _slice(
+        wavefront,
+        frequency_per_mm,
+        np.concatenate([_tables(wavefront.noll, turn), turning[None]]),
+    )
 
 
-def _slice(wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats) -> tuple[Complexes, Complexes]:
+def _slice(
+    wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
+) -> tuple[Complexes, Complexes]:
     """(f,) the transfer function, and (tables, f) its derivatives by paths, of which the first are the modes'."""
-    value, slopes = np.zeros(len(frequency_per_mm), complex), np.zeros((len(tables), len(frequency_per_mm)), complex)
+    value, slopes = (
+        np.zeros(len(frequency_per_mm), complex),
+        np.zeros((len(tables), len(frequency_per_mm)), complex),
+    )
     for share, light in wavefront.lights:
         of_light, its_slopes = _slice_in_one_light(light, frequency_per_mm, tables)
         value += share * of_light
@@ -179,19 +217,27 @@ def _slice_in_one_light(
     wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
 ) -> tuple[Complexes, Complexes]:
     """As `_slice`; 0 beyond this light's cutoff."""
-    apart = np.minimum(2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0)  # of the pupil's radius
+    apart = np.minimum(
+        2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0
+    )  # of the pupil's radius
     radians = wavefront.radians_per_wave * np.where(frequency_per_mm < 0, 1.0, -1.0)
     path = np.tensordot(wavefront.waves, tables[: len(wavefront.noll)], 1)
     rule = _gauss(nodes_for(wavefront))
     size = max(1, BLOCK // rule[0].size ** 2)
     blocks = [slice(k, k + size) for k in range(0, len(apart), size)]
     parts = [_autocorrelation(apart[b], radians[b], path, tables, rule) for b in blocks]
-    values, slopes = zip(*parts, strict=True) if parts else ([np.zeros(0)], [np.zeros((len(tables), 0))])
+    values, slopes = (
+        zip(*parts, strict=True) if parts else ([np.zeros(0)], [np.zeros((len(tables), 0))])
+    )
     return np.concatenate(values), np.concatenate(slopes, axis=1)
 
 
 def _autocorrelation(
-    apart: Floats, radians: Floats, path: Floats, tables: Floats, rule: tuple[Floats, Floats]
+    apart: Floats,
+    radians: Floats,
+    path: Floats,
+    tables: Floats,
+    rule: tuple[Floats, Floats],
 ) -> tuple[Complexes, Complexes]:
     """(f,) the integral of exp(i radians * difference of path) over the overlap, and (tables, f) its derivatives.
 
@@ -215,7 +261,9 @@ def _autocorrelation(
     cosine, sine = _cosine_and_sine(difference)
     moments = area * scale * (cosine @ weighed + 1j * (sine @ weighed))  # (f, beta, k)
     by_power = np.swapaxes(in_y, 0, 1) @ moments @ np.swapaxes(apart_by, 1, 2)  # (f, q, p)
-    slopes: Complexes = np.asarray(1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2))), complex)
+    slopes: Complexes = np.asarray(
+        1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2))), complex
+    )
     return moments[:, :, 0].sum(axis=1), slopes
 
 
@@ -262,10 +310,17 @@ def _gauss(count: int) -> tuple[Floats, Floats]:
 @lru_cache(maxsize=16)
 def _slopes_of(noll: tuple[int, ...]) -> Floats:
     """(2, modes, samples) slopes of the modes, along each axis, at samples of the pupil."""
-    rho, theta = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 2 * np.pi, 24, endpoint=False))
+    rho, theta = np.meshgrid(
+        np.linspace(0, 1, 9), np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    )
     x, y = (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel()
     tables = _tables(noll, 0.0)
-    return np.array([[polynomial.polyval2d(x, y, polynomial.polyder(t, axis=axis)) for t in tables] for axis in (0, 1)])
+    return np.array(
+        [
+            [polynomial.polyval2d(x, y, polynomial.polyder(t, axis=axis)) for t in tables]
+            for axis in (0, 1)
+        ]
+    )
 
 
 def nodes_for(wavefront: FittedWavefront) -> int:
@@ -276,4 +331,6 @@ def nodes_for(wavefront: FittedWavefront) -> int:
 def steepness(wavefront: FittedWavefront) -> float:
     """The greatest slope of the phase, radians per radius of the pupil, by samples of it; in the shortest light."""
     slopes = np.tensordot(wavefront.waves, _slopes_of(wavefront.noll), (0, 1))
-    return float(wavefront.radians_per_wave / min(wavefront.spectrum.nodes) * np.hypot(*slopes).max())
+    return float(
+        wavefront.radians_per_wave / min(wavefront.spectrum.nodes) * np.hypot(*slopes).max()
+    )

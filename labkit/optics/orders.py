@@ -81,7 +81,11 @@ class Coefficients:
 
 def coefficients(wavefront: FittedWavefront, order: Order) -> Coefficients:
     """The coefficients of a wavefront in one of the orders. Raises ValueError for another."""
-    conversions: dict[str, Callable[[int], int]] = {"noll": int, "osa": noll_to_osa, "fringe": noll_to_fringe}
+    conversions: dict[str, Callable[[int], int]] = {
+        "noll": int,
+        "osa": noll_to_osa,
+        "fringe": noll_to_fringe,
+    }
     if order not in conversions:
         raise ValueError(f"order {order!r}: one of {', '.join(conversions)} is needed")
     index = [conversions[order](j) for j in wavefront.noll]
@@ -89,5 +93,8 @@ def coefficients(wavefront: FittedWavefront, order: Order) -> Coefficients:
     turn = np.argsort(index)
     scaled = wavefront.covariance * np.outer(factor, factor)
     return Coefficients(
-        order, tuple(index[k] for k in turn), (wavefront.waves * factor)[turn], scaled[np.ix_(turn, turn)]
+        order,
+        tuple(index[k] for k in turn),
+        (wavefront.waves * factor)[turn],
+        scaled[np.ix_(turn, turn)],
     )

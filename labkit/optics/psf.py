@@ -60,7 +60,11 @@ class Pupil:
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
         object.__setattr__(self, "amplitude", smooth_disc(offsets, self.radius))
-        object.__setattr__(self, "modes", np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape))
+        object.__setattr__(
+            self,
+            "modes",
+            np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape),
+        )
 
     def check_sampling(self, stretch: float = 1.0) -> None:
         """Raises ValueError where the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
@@ -85,8 +89,16 @@ class Pupil:
         return np.asarray(scipy.fft.fft(columns, self.size, axis=1))
 
     def _pupil_function(self, waves: Floats) -> Complexes:
-        waves = real_array("waves", waves, (len(self.noll),), "waves RMS, one for each mode")
-        phase = 2 * np.pi * self.reference_um / self.wavelength_um * np.tensordot(waves, self.modes, 1)
+        waves = real_array(
+            "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
+        )
+        phase = (
+            2
+            * np.pi
+            * self.reference_um
+            / self.wavelength_um
+            * np.tensordot(waves, self.modes, 1)
+        )
         return np.asarray(self.amplitude * np.exp(1j * phase))
 
     @property
@@ -104,14 +116,20 @@ class Pupil:
         waves: (modes,) waves RMS at the reference wavelength. It sums to a little under one: the halo reaches beyond the
         window. Thesis (2.13), (H.1)-(H.3), corrected: lambda_ref / lambda.
         """
-        return np.asarray(np.abs(self._to_image(self._pupil_function(waves))) ** 2 / self._light)
+        return np.asarray(
+            np.abs(self._to_image(self._pupil_function(waves))) ** 2 / self._light
+        )
 
-    def psf_jacobian(self, waves: Floats, only: slice = slice(None)) -> tuple[Floats, Floats]:
+    def psf_jacobian(
+        self, waves: Floats, only: slice = slice(None)
+    ) -> tuple[Floats, Floats]:
         """The PSF, and (modes, size, size) its derivatives by each mode, or only some, per wave RMS. Thesis (H.7), (H.11)."""
         pupil = self._pupil_function(waves)
         field = self._to_image(pupil)
         slopes = np.empty((len(self.modes[only]), self.size, self.size))
-        for slope, product in zip(slopes, self._products(pupil, np.conj(field), self.modes[only]), strict=True):
+        for slope, product in zip(
+            slopes, self._products(pupil, np.conj(field), self.modes[only]), strict=True
+        ):
             slope[:] = product.imag
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
@@ -133,19 +151,25 @@ class Pupil:
             product *= turned
             yield product
 
-    def psf_at(self, waves: Floats, at_um: Floats, only: slice = slice(None)) -> tuple[Floats, Floats]:
+    def psf_at(
+        self, waves: Floats, at_um: Floats, only: slice = slice(None)
+    ) -> tuple[Floats, Floats]:
         """The PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives, or only some.
 
         Scaled as `psf` is, but on any grid and without the fold at the window's borders; what `size` and `spacing_um` set is
         the pupil's sampling alone. R. Soummer et al., Opt. Express 15, 15935 (2007).
         """
-        turn = np.exp(-2j * np.pi / (self.size * self.spacing_um) * np.outer(at_um, self._offsets))
+        turn = np.exp(
+            -2j * np.pi / (self.size * self.spacing_um) * np.outer(at_um, self._offsets)
+        )
         pupil = self._pupil_function(waves)
         field = turn @ pupil @ turn.T
         factor = 4 * np.pi * self.reference_um / self.wavelength_um / self._light
         slopes = np.empty((len(self.noll[only]), *field.shape))
         for slope, mode in zip(slopes, self.modes[only], strict=True):
-            np.multiply(-factor, (np.conj(field) * (turn @ (pupil * mode) @ turn.T)).imag, out=slope)
+            np.multiply(
+                -factor, (np.conj(field) * (turn @ (pupil * mode) @ turn.T)).imag, out=slope
+            )
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
     def stretched(self, waves: Floats, stretch: float, slope: bool = False) -> Floats:

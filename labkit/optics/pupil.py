@@ -39,11 +39,18 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
     along, across = axis[:, None], axis[None, :]
     distance = np.hypot(along, across)
     octant = (distance < radius).astype(float)
-    edge = (np.abs(distance - radius) < REACH * np.sqrt(2)) & (along >= across)  # where chords end steeply
-    at, weight = (np.concatenate(each) for each in zip(*map(_gauss, range(-REACH, REACH)), strict=True))
+    edge = (np.abs(distance - radius) < REACH * np.sqrt(2)) & (
+        along >= across
+    )  # where chords end steeply
+    at, weight = (
+        np.concatenate(each)
+        for each in zip(*map(_gauss, range(-REACH, REACH)), strict=True)
+    )
     rows, columns = np.nonzero(edge)
     half_chord = np.sqrt(np.maximum(radius**2 - (axis[columns, None] - at) ** 2, 0.0))
-    inside = _primitive(half_chord - axis[rows, None]) - _primitive(-half_chord - axis[rows, None])
+    inside = _primitive(half_chord - axis[rows, None]) - _primitive(
+        -half_chord - axis[rows, None]
+    )
     octant[rows, columns] = octant[columns, rows] = inside @ weight
     return np.asarray(octant[np.ix_(places, places)])
 

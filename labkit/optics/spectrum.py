@@ -32,12 +32,17 @@ class Spectrum:
     weights: tuple[float, ...] = (1.0,)
 
     @classmethod
-    def of_samples(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], nominal_nm: float) -> Spectrum:
+    def of_samples(
+        cls, wavelengths_nm: Sequence[float], weights: Sequence[float], nominal_nm: float
+    ) -> Spectrum:
         """Of samples, by as few nodes as have their moments: G. Golub and J. Welsch, Math. Comp. 23, 221 (1969).
 
         Raises ValueError for weights below 0, or none above.
         """
-        at, shares = np.asarray(wavelengths_nm, float) / nominal_nm, np.asarray(weights, float)
+        at, shares = (
+            np.asarray(wavelengths_nm, float) / nominal_nm,
+            np.asarray(weights, float),
+        )
         if not (shares.min() >= 0 < shares.sum()):
             raise ValueError(
                 f"weights {[*map(float, shares)]} of a spectrum: none may be below 0, and some must be above"
@@ -49,7 +54,9 @@ class Spectrum:
     @classmethod
     def of_lines(cls, lines: Sequence[Sequence[float]], nominal_nm: float) -> Spectrum:
         """Of wavelengths, nm, and their shares, each as it is."""
-        nodes, weights = zip(*((float(nm) / nominal_nm, float(share)) for nm, share in lines), strict=True)
+        nodes, weights = zip(
+            *((float(nm) / nominal_nm, float(share)) for nm, share in lines), strict=True
+        )
         return cls(nodes, weights)
 
     @classmethod

@@ -54,10 +54,15 @@ class Climber:
     """
 
     def __init__(self, wavefront: FittedWavefront, most_tilt: float = 0.0) -> None:
-        heights = [(share / light.wavelength_um**2, light.radians_per_wave) for share, light in wavefront.lights]
+        heights = [
+            (share / light.wavelength_um**2, light.radians_per_wave)
+            for share, light in wavefront.lights
+        ]
         whole = sum(height for height, _ in heights)
         self._lights = [(height / whole, factor) for height, factor in heights]
-        steep = steepness(wavefront) + 2 * most_tilt * max(factor for _, factor in self._lights)
+        steep = steepness(wavefront) + 2 * most_tilt * max(
+            factor for _, factor in self._lights
+        )
         self._weights, self._modes = _over_pupil((*TILTS, *wavefront.noll), steep)
 
     def peak(self, waves: Floats, tilts: Floats) -> Peak:
@@ -80,7 +85,9 @@ class Climber:
         hessian = bend[free:, free:] - moved.T @ (moved / values[fixed][:, None])
         return Peak(value, at[:free], slope[free:], hessian)
 
-    def _height(self, waves: Floats, modes: Floats, path: Floats | float = 0.0) -> tuple[float, Floats, Floats]:
+    def _height(
+        self, waves: Floats, modes: Floats, path: Floats | float = 0.0
+    ) -> tuple[float, Floats, Floats]:
         """Of the PSF at its centre over a perfect one's, as of `_peak`, in all lights."""
         value, slope, bend = 0.0, np.zeros(len(waves)), np.zeros((len(waves), len(waves)))
         for share, factor in self._lights:
@@ -97,7 +104,9 @@ def mean_square(wavefront: FittedWavefront, peak: Peak) -> float:
     if not np.isfinite(wavefront.covariance).all():
         return first
     product = peak.hessian @ wavefront.covariance
-    return first + float(np.sum(product * product.T)) / 2 + float(np.trace(product)) ** 2 / 4
+    return (
+        first + float(np.sum(product * product.T)) / 2 + float(np.trace(product)) ** 2 / 4
+    )
 
 
 def _peak(
@@ -116,9 +125,15 @@ def _over_pupil(noll: tuple[int, ...], steep: float) -> tuple[Floats, Floats]:
     """(points,) weights, with sum 1, of a quadrature over the pupil that resolves a steepness; (modes, points) the modes."""
     node, weight = np.polynomial.legendre.leggauss(16 + int(np.ceil(0.35 * steep)))
     angles = 48 + 2 * int(np.ceil(0.7 * steep))
-    rho, theta = np.meshgrid((node + 1) / 2, 2 * np.pi * np.arange(angles) / angles, indexing="ij")
-    weights = np.broadcast_to((weight * (node + 1) / 2 / angles)[:, None], rho.shape).ravel()
-    return weights, modes_at(noll, (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel())
+    rho, theta = np.meshgrid(
+        (node + 1) / 2, 2 * np.pi * np.arange(angles) / angles, indexing="ij"
+    )
+    weights = np.broadcast_to(
+        (weight * (node + 1) / 2 / angles)[:, None], rho.shape
+    ).ravel()
+    return weights, modes_at(
+        noll, (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel()
+    )
 
 
 def brightest_tilts(wavefront: FittedWavefront) -> Floats:
@@ -127,10 +142,14 @@ def brightest_tilts(wavefront: FittedWavefront) -> Floats:
     The true peak of each is at most 2 % higher: of two peaks as equal as that, the lower may be taken.
     """
     w, airy_um = wavefront, 1e3 / wavefront.cutoff_per_mm
-    size = 128 + 16 * int(np.ceil(steepness(w) / np.pi))  # a slope of pi throws light lambda N away
+    size = 128 + 16 * int(
+        np.ceil(steepness(w) / np.pi)
+    )  # a slope of pi throws light lambda N away
     psf = np.zeros((size, size))
     for share, light in w.lights:
-        psf += share * Pupil(light.wavelength_um, w.reference_um, w.f_number, airy_um / 8, size, w.noll).psf(w.waves)
+        psf += share * Pupil(
+            light.wavelength_um, w.reference_um, w.f_number, airy_um / 8, size, w.noll
+        ).psf(w.waves)
     row, column = np.unravel_index(psf.argmax(), psf.shape)
     away_um = np.array([column - size // 2, row - size // 2]) * airy_um / 8
     # one wave RMS of tilt is four waves across the pupil, which throw light 4 lambda N away

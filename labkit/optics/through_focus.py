@@ -60,14 +60,20 @@ def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> T
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
     centre, rms = int(np.argmin(np.abs(defocus))), float(np.linalg.norm(rest.waves))
     split = rms * rest.reference_um / rest.wavelength_um > SPLITS_WAVES
-    brightest = [brightest_tilts(_with_defocus(rest, float(waves))) for waves in defocus] if split else []
+    brightest = (
+        [brightest_tilts(_with_defocus(rest, float(waves))) for waves in defocus]
+        if split
+        else []
+    )
     most_tilt = max((float(np.linalg.norm(tilts)) for tilts in brightest), default=rms)
     climber = Climber(_with_defocus(rest, float(np.abs(defocus).max())), most_tilt)
     peaks: dict[int, Peak] = {}
     for k in (*range(centre, -1, -1), *range(centre + 1, len(defocus))):
         beside = peaks.get(k - 1, peaks.get(k + 1))
         starts = [np.zeros(2) if beside is None else beside.tilts, *brightest[k : k + 1]]
-        ends = [climber.peak(np.array([*rest.waves, defocus[k]]), start) for start in starts]
+        ends = [
+            climber.peak(np.array([*rest.waves, defocus[k]]), start) for start in starts
+        ]
         peaks[k] = max(ends, key=lambda end: end.value)
     found = [peaks[k] for k in range(len(defocus))]
     full = _with_defocus(rest, 0.0)
@@ -77,17 +83,25 @@ def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> T
 
 
 def mtf_through_focus(
-    wavefront: FittedWavefront, frequency_per_mm: float, direction: Direction | float, defocus_waves: Floats
+    wavefront: FittedWavefront,
+    frequency_per_mm: float,
+    direction: Direction | float,
+    defocus_waves: Floats,
 ) -> ThroughFocus:
     """MTF of the optics alone at one frequency along a direction, of modes and defocus as in `strehl_through_focus`."""
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
     steepest = _with_defocus(rest, float(np.abs(defocus).max()))
-    transfer, by_mode = np.zeros(len(defocus), complex), np.zeros((len(rest.noll), len(defocus)), complex)
+    transfer, by_mode = (
+        np.zeros(len(defocus), complex),
+        np.zeros((len(rest.noll), len(defocus)), complex),
+    )
     for share, light in steepest.lights:
         apart = min(2 * abs(frequency_per_mm) / light.cutoff_per_mm, 2.0)
         area, differences = _overlap(light, apart, azimuth_deg(direction))
         factor = 1j * light.radians_per_wave
-        phase = rest.waves @ differences[:-1] + np.outer(defocus, differences[-1])  # (n, points)
+        phase = rest.waves @ differences[:-1] + np.outer(
+            defocus, differences[-1]
+        )  # (n, points)
         turned: Complexes = share * area * np.exp(factor * phase)
         transfer += turned.sum(axis=1)
         by_mode += factor * (differences[:-1] @ turned.T)
@@ -111,7 +125,10 @@ def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDept
     if not (near.size and far.size):
         return None
     # of a place where S falls to a level: the slope of both by the modes, over that of S
-    pulls = [(DEPTH * slopes(top) - slopes(end)) / float(spline(end, 1)) for end in (float(near[-1]), float(far[0]))]
+    pulls = [
+        (DEPTH * slopes(top) - slopes(end)) / float(spline(end, 1))
+        for end in (float(near[-1]), float(far[0]))
+    ]
     of_top = -slopes(top, 1) / float(spline(top, 2))
 
     def uncertain(value: float, pull: Floats) -> Uncertain:
@@ -143,7 +160,9 @@ def _with_defocus(rest: FittedWavefront, waves: float) -> FittedWavefront:
     return known
 
 
-def _overlap(wavefront: FittedWavefront, apart: float, azimuth: float) -> tuple[Floats, Floats]:
+def _overlap(
+    wavefront: FittedWavefront, apart: float, azimuth: float
+) -> tuple[Floats, Floats]:
     """(points,) weights over the overlap of two pupils so far apart along an azimuth, and (modes, points) their differences.
 
     The nodes are those of `labkit.optics.mtf`.
@@ -152,7 +171,10 @@ def _overlap(wavefront: FittedWavefront, apart: float, azimuth: float) -> tuple[
     top = np.arccos(apart / 2)
     half = np.cos(top * node) - apart / 2
     area = np.outer(top * weight * np.cos(top * node) * half, weight) / np.pi
-    along, across = np.outer(half, node), np.broadcast_to(np.sin(top * node)[:, None], area.shape)
+    along, across = (
+        np.outer(half, node),
+        np.broadcast_to(np.sin(top * node)[:, None], area.shape),
+    )
     turn = np.deg2rad(azimuth)
     ends = [
         modes_at(

@@ -42,16 +42,26 @@ class FittedWavefront:
     def __post_init__(self) -> None:
         modes = len(self.noll)
         if len(set(self.noll)) < modes or any(j < 1 for j in self.noll):
-            raise ValueError(f"noll = {self.noll}: Noll's modes are counted from 1, and each is given once")
+            raise ValueError(
+                f"noll = {self.noll}: Noll's modes are counted from 1, and each is given once"
+            )
         for name in ("wavelength_um", "reference_um"):
             positive(name, getattr(self, name), "um")
         positive("f_number", self.f_number, "unitless")
-        object.__setattr__(self, "waves", real_array("waves", self.waves, (modes,), "waves RMS, one for each mode"))
+        object.__setattr__(
+            self,
+            "waves",
+            real_array("waves", self.waves, (modes,), "waves RMS, one for each mode"),
+        )
         covariance = np.asarray(self.covariance, float)
         if covariance.shape != (modes, modes):
-            raise ValueError(f"covariance has shape {covariance.shape}; {(modes, modes)} is needed (waves RMS squared)")
+            raise ValueError(
+                f"covariance has shape {covariance.shape}; {(modes, modes)} is needed (waves RMS squared)"
+            )
         if not np.allclose(covariance, covariance.T, rtol=1e-8, equal_nan=True):
-            raise ValueError(f"covariance, shape {covariance.shape}: it is not symmetric (waves RMS squared)")
+            raise ValueError(
+                f"covariance, shape {covariance.shape}: it is not symmetric (waves RMS squared)"
+            )
         object.__setattr__(self, "covariance", covariance)
 
     @property
@@ -70,13 +80,18 @@ class FittedWavefront:
         if self.spectrum == Spectrum():
             return [(1.0, self)]
         return [
-            (share, replace(self, wavelength_um=node * self.wavelength_um, spectrum=Spectrum()))
+            (
+                share,
+                replace(self, wavelength_um=node * self.wavelength_um, spectrum=Spectrum()),
+            )
             for share, node in self.spectrum.shares
         ]
 
     def in_light(self, std_nm: float) -> FittedWavefront:
         """The same in light of a standard deviation about its wavelength; at most `labkit.optics.spectrum.WIDEST` of it."""
-        return replace(self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2))
+        return replace(
+            self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2)
+        )
 
     @property
     def radians_per_wave(self) -> float:
@@ -91,18 +106,30 @@ class FittedWavefront:
     def index(self, j: int) -> int:
         """Where Noll mode j stands in `noll`. Raises ValueError if it is not among them."""
         if j not in self.noll:
-            raise ValueError(f"Noll mode {j} is not among the fitted: {', '.join(map(str, self.noll))}")
+            raise ValueError(
+                f"Noll mode {j} is not among the fitted: {', '.join(map(str, self.noll))}"
+            )
         return self.noll.index(j)
 
     def without(self, modes: Collection[int]) -> FittedWavefront:
         """The same wavefront with some Noll modes left out, they and their covariances; those it has not are no error."""
         kept = [k for k, j in enumerate(self.noll) if j not in modes]
         noll = tuple(self.noll[k] for k in kept)
-        return replace(self, noll=noll, waves=self.waves[kept], covariance=self.covariance[np.ix_(kept, kept)])
+        return replace(
+            self,
+            noll=noll,
+            waves=self.waves[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+        )
 
     def mapped(self, noll: tuple[int, ...], matrix: Floats) -> FittedWavefront:
         """The wavefront of modes `noll` whose coefficients are a matrix (len(noll), modes) times these."""
-        return replace(self, noll=noll, waves=matrix @ self.waves, covariance=matrix @ self.covariance @ matrix.T)
+        return replace(
+            self,
+            noll=noll,
+            waves=matrix @ self.waves,
+            covariance=matrix @ self.covariance @ matrix.T,
+        )
 
     def opd(self, x: Floats, y: Floats) -> Floats:
         """Path difference at points of the pupil, waves at the reference; x, y: of one shape, the pupil's radius is 1."""
@@ -113,7 +140,9 @@ class FittedWavefront:
         known = np.isfinite(np.diag(self.covariance))
         part = np.tensordot(self.covariance[np.ix_(known, known)], gradient[known], 1)
         variance = np.sum(gradient[known] * part, axis=0).clip(0)
-        for value, slope in zip(np.diag(self.covariance)[~known], gradient[~known], strict=True):
+        for value, slope in zip(
+            np.diag(self.covariance)[~known], gradient[~known], strict=True
+        ):
             variance = variance + np.where(slope != 0, value, 0.0)
         return np.asarray(variance)
 
@@ -130,4 +159,8 @@ def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
 def modes_at(noll: tuple[int, ...], x: Floats, y: Floats) -> Floats:
     """(modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
     rho, theta = np.hypot(x, y), np.arctan2(y, x)
-    return np.stack([zernike(j, rho, theta) for j in noll]) if noll else np.zeros((0, *np.shape(x)))
+    return (
+        np.stack([zernike(j, rho, theta) for j in noll])
+        if noll
+        else np.zeros((0, *np.shape(x)))
+    )

@@ -49,7 +49,9 @@ def noll_to_nm(j: int) -> tuple[int, int]:
 def nm_to_noll(n: int, m: int) -> int:
     """The Noll mode of radial order n and signed azimuthal order m. Raises ValueError where there is none."""
     if abs(m) > n or (n - m) % 2:
-        raise ValueError(f"no Zernike polynomial has radial order {n} and azimuthal order {m}")
+        raise ValueError(
+            f"no Zernike polynomial has radial order {n} and azimuthal order {m}"
+        )
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_to_nm(j) == (n, m))
 
@@ -69,7 +71,12 @@ def radial(n: int, m: int, rho: Floats) -> Floats:
     m = abs(m)
     total = np.zeros_like(rho)
     for k in range((n - m) // 2 + 1):
-        total += (-1) ** k * comb(n - k, k) * comb(n - 2 * k, (n - m) // 2 - k) * rho ** (n - 2 * k)
+        total += (
+            (-1) ** k
+            * comb(n - k, k)
+            * comb(n - 2 * k, (n - m) // 2 - k)
+            * rho ** (n - 2 * k)
+        )
     return total
 
 

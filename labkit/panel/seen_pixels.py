@@ -126,15 +126,26 @@ def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixe
     most = min((waves.shape[1] for waves, _ in found), default=0)
     if not most:
         return None
-    strengths = np.sqrt(np.mean([np.abs(waves[:, :most]) ** 2 for waves, _ in found], axis=0))
+    strengths = np.sqrt(
+        np.mean([np.abs(waves[:, :most]) ** 2 for waves, _ in found], axis=0)
+    )
     noise = float(np.sqrt(np.mean([std**2 for _, std in found]) / len(found)))
     axis = int(np.argmax(strengths.max(axis=1)))
     number = int(np.argmax(strengths[axis] > NEARLY * strengths[axis].max()))
     contrast = float(strengths[axis, number])
     if contrast < max(LEAST_CONTRAST, BEYOND_NOISE * noise):
         return None
-    phases = [(o.range_mm, o.channel, waves[axis, number]) for o, (waves, _) in zip(observations, found, strict=True)]
-    return SeenPixels(target.cell_mm[axis] / (number + 1), number + 1, _layout(phases, axis), contrast, strengths)
+    phases = [
+        (o.range_mm, o.channel, waves[axis, number])
+        for o, (waves, _) in zip(observations, found, strict=True)
+    ]
+    return SeenPixels(
+        target.cell_mm[axis] / (number + 1),
+        number + 1,
+        _layout(phases, axis),
+        contrast,
+        strengths,
+    )
 
 
 def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> str | None:
@@ -142,7 +153,9 @@ def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> st
     turn = 0j
     for _, group in groupby(waves, key=lambda of: of[0]):
         colours = {COLOUR_WORDS.get(name.lower()): wave for _, name, wave in group}
-        pairs = [(a, b) for a, b in (("R", "G"), ("G", "B")) if a in colours and b in colours]
+        pairs = [
+            (a, b) for a, b in (("R", "G"), ("G", "B")) if a in colours and b in colours
+        ]
         turn += sum(complex(colours[b] * np.conj(colours[a])) for a, b in pairs)
     if not turn:
         return None
@@ -161,7 +174,9 @@ def _waves(o: Observation, target: CellTarget) -> tuple[Complexes, float]:
     down, right = (np.asarray(index, float) for index in np.indices(frame.counts.shape))
     white = _white(target, *pose.to_target(down, right)) & frame.used
     rows, cols = pose.pixel_per_unit()
-    per_px = [n / (2 * scale) for n, scale in zip(target.cells.shape, (rows, cols), strict=True)]  # cells
+    per_px = [
+        n / (2 * scale) for n, scale in zip(target.cells.shape, (rows, cols), strict=True)
+    ]  # cells
     most = int(FASTEST / max(per_px))
     if white.sum() < LEAST_PIXELS or not most:
         return np.zeros((2, 0), complex), 0.0
@@ -191,7 +206,9 @@ def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
     half = np.array(target.size_mm) / 2
     inside = (np.abs(y) < MIDDLE) & (np.abs(x) < MIDDLE)
     white = (target.radiance(y * half[0], x * half[1]) > 0.99 * target.cells.max()) & inside
-    return np.asarray(cv2.erode(white.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0)
+    return np.asarray(
+        cv2.erode(white.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0
+    )
 
 
 def _strongest(picture: Floats, frequency: Floats, extent: float, pixels: int) -> complex:
@@ -199,7 +216,8 @@ def _strongest(picture: Floats, frequency: Floats, extent: float, pixels: int) -
     reach = STRAY * float(np.hypot(*frequency))
     near = np.linspace(-reach, reach, 2 * int(np.ceil(2 * extent * reach)) + 1)
     down, right = (
-        np.exp(-2j * np.pi * np.outer(f + near, np.arange(n))) for f, n in zip(frequency, picture.shape, strict=True)
+        np.exp(-2j * np.pi * np.outer(f + near, np.arange(n)))
+        for f, n in zip(frequency, picture.shape, strict=True)
     )
     amplitudes = 2 / pixels * (down @ picture @ right.T)
     return complex(amplitudes.ravel()[int(np.argmax(np.abs(amplitudes)))])

@@ -22,7 +22,9 @@ HARMONIC = 2 * sin(pi * LIT) / (pi * LIT)
 """Amplitude of a white panel's stripes in one colour, relative to their mean: the first term of their Fourier series."""
 
 
-def stripe_contrast(plan: Plan, pitch_mm: float, range_mm: float, defocus_waves: float) -> float:
+def stripe_contrast(
+    plan: Plan, pitch_mm: float, range_mm: float, defocus_waves: float
+) -> float:
     """Return the amplitude of a panel's stripes in a photograph, relative to white, for the channel that shows most contrast.
 
     Parameters
@@ -33,7 +35,9 @@ def stripe_contrast(plan: Plan, pitch_mm: float, range_mm: float, defocus_waves:
     defocus_waves : waves RMS at the plan's reference wavelength; the lens is otherwise perfect
     """
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    per_mm = float(ground_sample_mm(lens, range_mm, 1e3)) / pitch_mm  # on the sensor: 1e3 um of it see so many mm
+    per_mm = (
+        float(ground_sample_mm(lens, range_mm, 1e3)) / pitch_mm
+    )  # on the sensor: 1e3 um of it see so many mm
     passed = []
     for channel in plan.channel:
         wavefront = FittedWavefront(

@@ -61,7 +61,12 @@ def panel_pixels(plan: Plan, target: Target) -> tuple[int, int] | None:
         return None
     cells = target.cells.shape if isinstance(target, CellTarget) else (1, 1)
     try:
-        down, across = (whole_pixels(side, n, pitch_mm) for side, n in zip(target.size_mm, cells, strict=True))
+        down, across = (
+            whole_pixels(side, n, pitch_mm)
+            for side, n in zip(target.size_mm, cells, strict=True)
+        )
     except TargetError as error:
-        raise PlanError(f"target.pixels: {error}, or correct target.pixels.pitch_mm") from None
+        raise PlanError(
+            f"target.pixels: {error}, or correct target.pixels.pitch_mm"
+        ) from None
     return down, across

@@ -77,8 +77,15 @@ def matches(pattern: str, words: str) -> AfterValidator:
 
 def what_it_takes(field: FieldInfo) -> str:
     """What a field of a table takes, in words; empty where its type says enough."""
-    optional = [item for part in get_args(field.annotation) for item in getattr(part, "__metadata__", ())]
-    found = [item.func if isinstance(item, AfterValidator) else item for item in (*field.metadata, *optional)]
+    optional = [
+        item
+        for part in get_args(field.annotation)
+        for item in getattr(part, "__metadata__", ())
+    ]
+    found = [
+        item.func if isinstance(item, AfterValidator) else item
+        for item in (*field.metadata, *optional)
+    ]
     for kind in (Takes, Allowed, Matching):
         for item in found:
             if isinstance(item, kind):
@@ -108,5 +115,9 @@ Length = Annotated[Number, AfterValidator(Allowed(1e-3, 1e6))]
 Name = Annotated[str, matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters and digits")]
 Line = Annotated[str, matches(r".+", "printable text")]
 Address = Annotated[
-    str, matches(r"[a-z][a-z0-9]*:\S*", "driver:where, such as simulated:, gphoto2: or grbl:/dev/ttyUSB0")
+    str,
+    matches(
+        r"[a-z][a-z0-9]*:\S*",
+        "driver:where, such as simulated:, gphoto2: or grbl:/dev/ttyUSB0",
+    ),
 ]

@@ -16,20 +16,30 @@ from labkit.plan.fields import what_it_takes
 Step = int | str
 
 
-def message(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
+def message(
+    error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]
+) -> str:
     """Every problem of `tables` that are no `model`, in one line; keys that are not known come first.
 
     A key written wrongly is often missing as well: its name is what leads on. A list is too short for what is wrong in it.
     """
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-    within = {detail["loc"][:end] for detail in details for end in range(len(detail["loc"]))}
-    details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
+    within = {
+        detail["loc"][:end] for detail in details for end in range(len(detail["loc"]))
+    }
+    details = [
+        detail
+        for detail in details
+        if detail["type"] != "too_short" or detail["loc"] not in within
+    ]
     return "; ".join(dict.fromkeys(_problem(detail, model, tables) for detail in details))
 
 
 def plain_number(text: str) -> str | None:
     """The number that is meant by a fraction, an f-number as engraved or a decimal comma; None for other text."""
-    if fraction := re.fullmatch(r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text):
+    if fraction := re.fullmatch(
+        r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text
+    ):
         over, under = float(fraction[1]), float(fraction[2])
         return f"{over / under:.6g}" if under else None
     if engraved := re.fullmatch(r"\s*[fF]\s*[/:]?\s*(\d{1,9}(?:[.,]\d{1,9})?)\s*", text):
@@ -41,10 +51,14 @@ def plain_number(text: str) -> str | None:
 def dotted(steps: Iterable[Step]) -> str:
     """Keys as TOML writes them, long ones cut short."""
     keys = [str(step) for step in steps]
-    return ".".join(key if len(key) <= LONGEST else f"{key[: LONGEST - 3]}..." for key in keys)
+    return ".".join(
+        key if len(key) <= LONGEST else f"{key[: LONGEST - 3]}..." for key in keys
+    )
 
 
-def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
+def _problem(
+    detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, Any]
+) -> str:
     """One problem as words."""
     loc, value = _whole_field(detail["loc"], tables)
     where = _where(loc, tables)
@@ -69,7 +83,9 @@ def _problem(detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, 
     return f"{where} = {shown(value)}: {reason}" + (f"; write {meant}" if meant else "")
 
 
-def _whole_field(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> tuple[tuple[Step, ...], Any]:
+def _whole_field(
+    loc: tuple[Step, ...], tables: Mapping[str, Any]
+) -> tuple[tuple[Step, ...], Any]:
     """A location without the places in a list that a field holds, and the field's value; None where it is missing."""
     value: Any = tables
     for depth, step in enumerate(loc):
@@ -91,7 +107,9 @@ def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
     if loc[2:] == ("name",) and name is not None:
         return "channel.name"
     named = isinstance(name, str) and len(name) <= LONGEST
-    return dotted([f'channel "{name}"' if named else f"[[channel]] number {loc[1] + 1}", *loc[2:]])
+    return dotted(
+        [f'channel "{name}"' if named else f"[[channel]] number {loc[1] + 1}", *loc[2:]]
+    )
 
 
 def _model_at(loc: tuple[Step, ...], model: type[BaseModel]) -> type[BaseModel]:

@@ -12,7 +12,15 @@ from labkit.errors import PlanError
 from labkit.plan.fields import Takes, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
-from labkit.plan.tables import CameraSettings, Channel, DisplaySettings, FitSettings, Lens, RailSettings, TargetSpec
+from labkit.plan.tables import (
+    CameraSettings,
+    Channel,
+    DisplaySettings,
+    FitSettings,
+    Lens,
+    RailSettings,
+    TargetSpec,
+)
 from labkit.plan.text import plain, read_tables, read_text, write_tables
 
 REFERENCE_NM = 450.0
@@ -43,7 +51,9 @@ class Plan(Table):
 
     lens: Lens
     sensor: Sensor
-    channel: Annotated[tuple[Channel, ...], Field(min_length=1), Takes("one or more [[channel]] tables")]
+    channel: Annotated[
+        tuple[Channel, ...], Field(min_length=1), Takes("one or more [[channel]] tables")
+    ]
     target: TargetSpec
     fit: FitSettings = FitSettings()
     camera: CameraSettings | None = None
@@ -74,7 +84,11 @@ class Plan(Table):
         changed = self._tables()
         for name, given in tables.items():
             kept = changed.get(name)
-            changed[name] = {**kept, **given} if isinstance(kept, dict) and isinstance(given, Mapping) else given
+            changed[name] = (
+                {**kept, **given}
+                if isinstance(kept, dict) and isinstance(given, Mapping)
+                else given
+            )
         return type(self).from_tables(changed)
 
     def to_toml(self) -> str:
@@ -115,7 +129,9 @@ class Plan(Table):
         for name in names:
             if name not in colours and (name.lower() in COLOUR_WORDS or not alone):
                 meant = COLOUR_WORDS.get(name.lower())
-                yield f'channel.name = "{name}": allowed is {words}' + (f"; did you mean {meant}?" if meant else "")
+                yield f'channel.name = "{name}": allowed is {words}' + (
+                    f"; did you mean {meant}?" if meant else ""
+                )
 
     def _range_problems(self) -> Iterator[str]:
         focal_mm = self.lens.focal_length_mm

@@ -11,7 +11,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labkit.errors import PlanError
 from labkit.filter_array import ChannelPixels, channel_pixels, pattern_of
-from labkit.plan.fields import Allowed, Count, Number, Takes, matches, not_allowed, or_fit, problem
+from labkit.plan.fields import (
+    Allowed,
+    Count,
+    Number,
+    Takes,
+    matches,
+    not_allowed,
+    or_fit,
+    problem,
+)
 from labkit.plan.table import Table
 
 SPREAD = '0 to 3 pixels, [rows, columns] of such, or "fit"'
@@ -26,7 +35,9 @@ USUAL_SPREAD_PX = 0.5
 def _spread(given: Any) -> Any:
     """Of a low-pass filter or a smear, as a plan may state it."""
     spreads = given if isinstance(given, (list, tuple)) else (given, given)
-    numbers = len(spreads) == 2 and all(type(s) in (int, float) and 0 <= s <= 3 for s in spreads)
+    numbers = len(spreads) == 2 and all(
+        type(s) in (int, float) and 0 <= s <= 3 for s in spreads
+    )
     if not (numbers or given == "fit"):
         raise not_allowed(SPREAD)
     return tuple(given) if isinstance(given, list) else given
@@ -36,7 +47,11 @@ class LowPassFilter(Table):
     """An optical low-pass filter in front of the sensor. Without this table no filter is assumed, and `labkit fit` looks
     for one."""
 
-    spread_px: Annotated[float | tuple[float, float] | Literal["fit"], BeforeValidator(_spread), Takes(SPREAD)]
+    spread_px: Annotated[
+        float | tuple[float, float] | Literal["fit"],
+        BeforeValidator(_spread),
+        Takes(SPREAD),
+    ]
     """Distance between the filter's spots, in pixel pitches of the file: along rows and columns alike, or
     `[rows, columns]`; `"fit"` estimates it."""
     turned: bool = False
@@ -63,17 +78,31 @@ HEADERLESS = "[rows, columns], each from 2 to 65536"
 class MeasuredTone(Table):
     """A tone curve as `labkit camera tone` measures it."""
 
-    light: Annotated[tuple[Number, ...], Field(min_length=2), Takes("rising numbers, 0 to 1, two or more")]
+    light: Annotated[
+        tuple[Number, ...],
+        Field(min_length=2),
+        Takes("rising numbers, 0 to 1, two or more"),
+    ]
     """Light of each step, as a share of white's."""
-    numbers: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1), Takes("rising numbers, 0 to 1, as many")]
+    numbers: Annotated[
+        tuple[tuple[Number, ...], ...],
+        Field(min_length=1),
+        Takes("rising numbers, 0 to 1, as many"),
+    ]
     """What the camera wrote for each step, as a share of full scale: one list for each colour, or one for all."""
-    std: Annotated[tuple[tuple[Number, ...], ...], Takes("as many numbers as in `numbers`")] = ()
+    std: Annotated[
+        tuple[tuple[Number, ...], ...], Takes("as many numbers as in `numbers`")
+    ] = ()
     """Standard errors of `numbers`."""
 
     @model_validator(mode="after")
     def _rising(self) -> MeasuredTone:
         for values in (self.light, *self.numbers):
-            rising = all(low < high for low, high in pairwise(values)) and values[0] >= 0 and values[-1] <= 1
+            rising = (
+                all(low < high for low, high in pairwise(values))
+                and values[0] >= 0
+                and values[-1] <= 1
+            )
             if len(values) != len(self.light) or not rising:
                 raise not_allowed(TONE)
         return self
@@ -81,7 +110,9 @@ class MeasuredTone(Table):
 
 def _tone(given: Any) -> Any:
     """Of `Sensor.tone_curve`, as a plan may state it."""
-    if isinstance(given, MeasuredTone) or (isinstance(given, str) and given in ("file", "linear", "sRGB")):
+    if isinstance(given, MeasuredTone) or (
+        isinstance(given, str) and given in ("file", "linear", "sRGB")
+    ):
         return given
     try:
         return MeasuredTone.from_tables(given if isinstance(given, Mapping) else {})
@@ -107,17 +138,23 @@ class Sensor(Table):
     headerless_px: Annotated[tuple[Pixels, Pixels] | None, Takes(HEADERLESS)] = None
     """Size of files that hold nothing but 16-bit numbers, lower byte first. Default: the files have headers."""
     low_pass_filter: LowPassFilter | None = None
-    diffusion_px: Annotated[float | Literal["fit"] | None, or_fit(0, 2), Takes('0 to 2, or "fit"')] = None
+    diffusion_px: Annotated[
+        float | Literal["fit"] | None, or_fit(0, 2), Takes('0 to 2, or "fit"')
+    ] = None
     """Standard deviation of the charge's diffusion, in pixel pitches of the file; `"fit"` estimates it. Default: none, and
     `labkit fit` looks for it."""
     smear_px: Annotated[
-        float | tuple[float, float] | Literal["fit"] | None, BeforeValidator(_spread), Takes(SPREAD)
+        float | tuple[float, float] | Literal["fit"] | None,
+        BeforeValidator(_spread),
+        Takes(SPREAD),
     ] = None
     """Standard deviation of the camera's or rail's shake while the shutter is open, in pixel pitches of the file: along rows
     and columns alike, or `[rows, columns]`; `"fit"` estimates it. Default: none, and `labkit fit` looks for it."""
-    tone_curve: Annotated[Literal["file", "linear", "sRGB"] | MeasuredTone, BeforeValidator(_tone), Takes(TONE)] = (
-        "file"
-    )
+    tone_curve: Annotated[
+        Literal["file", "linear", "sRGB"] | MeasuredTone,
+        BeforeValidator(_tone),
+        Takes(TONE),
+    ] = "file"
     """Tone curve of processed pictures (JPEG, PNG, TIFF in colours), which labkit undoes. `"file"`: the curve that each file
     states, sRGB where a picture in colours states none. `"linear"`: none. A table: as `labkit camera tone` measured it."""
 
@@ -138,6 +175,12 @@ class Sensor(Table):
 
     @model_validator(mode="after")
     def _white_above_black(self) -> Sensor:
-        if self.black_level is not None and self.white_level is not None and self.white_level <= self.black_level:
-            raise problem(f"white_level = {self.white_level:g}: allowed is above black_level = {self.black_level:g}")
+        if (
+            self.black_level is not None
+            and self.white_level is not None
+            and self.white_level <= self.black_level
+        ):
+            raise problem(
+                f"white_level = {self.white_level:g}: allowed is above black_level = {self.black_level:g}"
+            )
         return self

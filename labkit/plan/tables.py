@@ -49,7 +49,12 @@ NEEDED = {
 }
 """Kind of target -> the fields that it cannot do without."""
 
-ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = 0.02, 0.03, 1e-4, 0.005
+ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = (
+    0.02,
+    0.03,
+    1e-4,
+    0.005,
+)
 """Relative standard errors of engravings, of a target's size, and of a colour's wavelength, that a plan does not state."""
 
 WITHIN_CHANNEL = 0.05
@@ -75,7 +80,9 @@ class Lens(Table):
     """Focal length as engraved."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
     """F-number as engraved: at infinity, at the aperture that was set."""
-    veil: Annotated[float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')] = None
+    veil: Annotated[
+        float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')
+    ] = None
     """Share of the light that the lens strays round about; `"fit"` estimates it. Default: none, and `labkit fit` looks for
     it."""
     veil_scale_px: Annotated[Number, AfterValidator(Allowed(3, 100))] = 15.0
@@ -88,7 +95,9 @@ class Lens(Table):
     @property
     def stated_focal_length(self) -> Uncertain:
         """As engraved, with its error."""
-        return _stated(self.focal_length_mm, self.focal_length_std_mm, ENGRAVED_FOCAL_LENGTH, "mm")
+        return _stated(
+            self.focal_length_mm, self.focal_length_std_mm, ENGRAVED_FOCAL_LENGTH, "mm"
+        )
 
     @property
     def stated_f_number(self) -> Uncertain:
@@ -116,7 +125,9 @@ class Channel(Table):
     """Spectrum of the light times the filter, where it is known; its mean lies within 5 % of the wavelength. Default: one
     wavelength; `labkit fit` looks for a width."""
 
-    width_nm: Annotated[float | Literal["fit"] | None, or_fit(0, 1000), Takes('0 to 1000, or "fit"')] = None
+    width_nm: Annotated[
+        float | Literal["fit"] | None, or_fit(0, 1000), Takes('0 to 1000, or "fit"')
+    ] = None
     """Standard deviation of the light's wavelengths, in place of a spectrum: 0.42 of the width at half maximum of a Gaussian;
     `"fit"` estimates it."""
 
@@ -138,7 +149,11 @@ class Channel(Table):
         widest_nm = WIDEST_LIGHT * self.wavelength_nm
         if self.width_nm is not None and self.spectrum is not None:
             raise problem("width_nm stands beside spectrum: allowed is one of them")
-        if self.width_nm is not None and self.width_nm != "fit" and self.width_nm > widest_nm:
+        if (
+            self.width_nm is not None
+            and self.width_nm != "fit"
+            and self.width_nm > widest_nm
+        ):
             raise problem(
                 f"width_nm = {self.width_nm:g}: allowed is up to {WIDEST_LIGHT:.0%} of the wavelength, {widest_nm:.3g} nm; "
                 "give a wider spectrum in samples"
@@ -146,7 +161,9 @@ class Channel(Table):
         if self.spectrum is not None:
             nm, weights = self.samples
             if not weights or min(weights) < 0 or not sum(weights) > 0:
-                raise problem(f"spectrum has no weight or one below 0: allowed is {SPECTRUM}")
+                raise problem(
+                    f"spectrum has no weight or one below 0: allowed is {SPECTRUM}"
+                )
             mean = sum(n * w for n, w in zip(nm, weights, strict=True)) / sum(weights)
             if abs(mean / self.wavelength_nm - 1) > WITHIN_CHANNEL or min(nm) < 100:
                 raise problem(
@@ -181,7 +198,9 @@ class TargetPixels(Table):
 class TargetSpec(Table):
     """The target that was photographed. Which keys it needs depends on its kind."""
 
-    kind: Annotated[str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")]
+    kind: Annotated[
+        str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")
+    ]
     """Kind of target: one that comes with labkit, or of a package of your own."""
     size_mm: Length
     """Side of the whole target; its height, where it is not square."""
@@ -195,7 +214,9 @@ class TargetSpec(Table):
     """Number from which noise is drawn; the same number draws the same target."""
     angle_deg: Annotated[Number, AfterValidator(Allowed(-45, 45))] = 5.0
     """Angle of a slanted edge to the vertical; its lower end leans to the right."""
-    grid: Annotated[tuple[Cells, Cells] | None, Takes("[rows, columns], each from 1 to 4096")] = None
+    grid: Annotated[
+        tuple[Cells, Cells] | None, Takes("[rows, columns], each from 1 to 4096")
+    ] = None
     """Rows and columns of disks, each in the middle of a square; `size_mm` is the height of all rows. Default: none."""
     diameter_mm: Length | None = None
     """Diameter of a disk, less than the side of its square. Default: none."""
@@ -203,7 +224,9 @@ class TargetSpec(Table):
     """What surrounds the target."""
     file: Path | None = None
     """Grey PNG, PGM or TIFF, relative to the plan; its values are relative radiance. Default: none."""
-    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS)] = None
+    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS)] = (
+        None
+    )
     """Corners of the target in the photographs, in the order (0, 0), (0, w), (h, w), (h, 0) of its own; pixel centres are at
     integers, rows count down, columns right. Default: labkit searches for the target."""
     pixels: TargetPixels | None = None
@@ -221,7 +244,9 @@ class TargetSpec(Table):
 
     @field_validator("corners_px")
     @classmethod
-    def _convex(cls, corners: tuple[tuple[float, float], ...] | None) -> tuple[tuple[float, float], ...] | None:
+    def _convex(
+        cls, corners: tuple[tuple[float, float], ...] | None
+    ) -> tuple[tuple[float, float], ...] | None:
         if corners is not None and not _is_convex(corners):
             raise not_allowed(CORNERS)
         return corners
@@ -233,8 +258,12 @@ class TargetSpec(Table):
             if getattr(self, key) is None:
                 raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
         if self.pixels is not None and self.surround == "white":
-            raise problem('surround = "white": allowed is "black" or "unknown" where [target.pixels] draws the panel')
-        checked = (info.context or {}).get("files") != "unchecked"  # a plan that is only read about needs no picture
+            raise problem(
+                'surround = "white": allowed is "black" or "unknown" where [target.pixels] draws the panel'
+            )
+        checked = (info.context or {}).get(
+            "files"
+        ) != "unchecked"  # a plan that is only read about needs no picture
         if checked and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')
         return self
@@ -245,7 +274,9 @@ class FitSettings(Table):
 
     zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] = (4, 15)
     """First and last Zernike mode to estimate, in Noll's order."""
-    reference_wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None = None
+    reference_wavelength_nm: (
+        Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None
+    ) = None
     """Wavefronts are reported in waves of this wavelength. Default: 450 nm, or the wavelength of a single channel."""
     convention: Literal["corrected", "thesis"] = "corrected"
     """Focus model: with the thesis's equation (4.40) corrected, or as printed there."""
@@ -290,7 +321,9 @@ class RailSettings(Table):
     address: Address
     """Driver and device: `"grbl:/dev/ttyUSB0"`, `"zaber:/dev/ttyUSB0"`, `"manual:"`, `"simulated:"`; `"grbl:simulated"` and
     `"zaber:simulated"` are the real drivers on simulated controllers."""
-    ranges_mm: Annotated[tuple[Length, ...], Field(min_length=1), Takes("one or more ranges in mm")]
+    ranges_mm: Annotated[
+        tuple[Length, ...], Field(min_length=1), Takes("one or more ranges in mm")
+    ]
     """Distances from the target to the camera at which to photograph, each once and above the focal length."""
     range_at_zero_mm: Annotated[Number, AfterValidator(Allowed(-1e6, 1e6))]
     """Range when the rail's position is 0; `labkit rail calibrate` determines it."""
@@ -345,12 +378,16 @@ class DisplaySettings(Table):
             raise problem("pixel_pitch_mm and pixels belong together: give both or neither")
         if self.by_hand:
             if self.panel is not None or self.pixels is not None:
-                raise problem(f'address = "{BY_HAND}" is a target on paper: leave out panel, pixel_pitch_mm and pixels')
+                raise problem(
+                    f'address = "{BY_HAND}" is a target on paper: leave out panel, pixel_pitch_mm and pixels'
+                )
             return self
         if (self.panel is None) == (self.pixels is None):
             raise problem("give either panel, or pixel_pitch_mm and pixels")
         if self.pixels is not None and min(self.pixels) < 1:
-            raise problem(f"pixels = {list(self.pixels)}: allowed is [height, width], each at least 1")
+            raise problem(
+                f"pixels = {list(self.pixels)}: allowed is [height, width], each at least 1"
+            )
         return self
 
 

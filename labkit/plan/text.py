@@ -32,7 +32,9 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except IsADirectoryError as error:
         plan = path / "plan.toml"
-        raise PlanError(f"is a folder: give {plan if plan.exists() else 'the plan in it'}") from error
+        raise PlanError(
+            f"is a folder: give {plan if plan.exists() else 'the plan in it'}"
+        ) from error
     except OSError as error:
         raise PlanError(str(error.strerror)) from error
     except UnicodeDecodeError as error:
@@ -71,7 +73,9 @@ def plain(value: Any, *where: str) -> Any:
     where: the keys that lead to it. Raises PlanError for integers of more than 64 bits and for what is too deep.
     """
     if len(where) > DEEPEST:
-        raise PlanError(f"{dotted(where[:2])}: lists or tables more than {DEEPEST} deep in one another")
+        raise PlanError(
+            f"{dotted(where[:2])}: lists or tables more than {DEEPEST} deep in one another"
+        )
     match value:
         case None | bool() | str():
             return value
@@ -86,7 +90,11 @@ def plain(value: Any, *where: str) -> Any:
         case BaseModel():
             return plain(value.model_dump(exclude_unset=True), *where)
         case Mapping():
-            return {str(key): plain(item, *where, str(key)) for key, item in value.items() if item is not None}
+            return {
+                str(key): plain(item, *where, str(key))
+                for key, item in value.items()
+                if item is not None
+            }
         case Iterable():
             return [plain(item, *where, str(place)) for place, item in enumerate(value)]
     return value

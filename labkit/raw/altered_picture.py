@@ -70,11 +70,17 @@ def alterations(mosaic: Mosaic) -> Alterations:
     """What a program has done to a picture. A mosaic was never altered: nothing is looked for there."""
     if mosaic.pattern not in (MONO, IN_COLOURS):
         return Alterations()
-    plane = mosaic.part("G", (slice(0, None), slice(0, None)))  # green is interpolated least
+    plane = mosaic.part(
+        "G", (slice(0, None), slice(0, None))
+    )  # green is interpolated least
     noise, overshoot = noise_of(plane), edge_overshoot(plane.counts)
     notes: list[str] = []
-    if noise is not None and max(noise.upper) < (ENLARGED if noise.periodic > PERIODIC else EMPTY):
-        percent = f"{100 * max(noise.upper):.1f} % near Nyquist's frequency of what it is below"
+    if noise is not None and max(noise.upper) < (
+        ENLARGED if noise.periodic > PERIODIC else EMPTY
+    ):
+        percent = (
+            f"{100 * max(noise.upper):.1f} % near Nyquist's frequency of what it is below"
+        )
         if noise.periodic > PERIODIC:
             return Alterations(
                 f"has been enlarged by a program: its noise is {percent}, and its strength repeats with the pixels that were "
@@ -90,7 +96,11 @@ def alterations(mosaic: Mosaic) -> Alterations:
             "give them as the camera made them"
         )
     if overshoot > OVERSHOOT or (noise is not None and min(noise.upper) > AMPLIFIED):
-        how = f"edges overshoot by {100 * overshoot:.0f} %" if overshoot > OVERSHOOT else "noise grows with frequency"
+        how = (
+            f"edges overshoot by {100 * overshoot:.0f} %"
+            if overshoot > OVERSHOOT
+            else "noise grows with frequency"
+        )
         notes.append(
             f"the photographs were sharpened, {how}: that is part of the PSF, and no wavefront makes it; develop them again "
             "without sharpening"
@@ -106,7 +116,11 @@ def noise_of(mosaic: Mosaic) -> Noise | None:
     rows, cols = (size // TILE_PX for size in plane.shape)
     places = np.argwhere(np.ones((rows, cols), bool))
     places = places[:: -(-len(places) // MOST_TILES)]
-    tiles = plane[: rows * TILE_PX, : cols * TILE_PX].reshape(rows, TILE_PX, cols, TILE_PX).swapaxes(1, 2)
+    tiles = (
+        plane[: rows * TILE_PX, : cols * TILE_PX]
+        .reshape(rows, TILE_PX, cols, TILE_PX)
+        .swapaxes(1, 2)
+    )
     chosen = tiles[places[:, 0], places[:, 1]].astype(np.float64)
     power, rounding = _spectra(chosen), _rounding(mosaic, chosen.mean(axis=(1, 2)))
     middle = _band(power, MIDDLE, MIDDLE)
@@ -118,7 +132,10 @@ def noise_of(mosaic: Mosaic) -> Noise | None:
         float(np.mean((_band(turned, UPPER, (0.0, MIDDLE[1])) - rounding)[seen]) / noise)
         for turned in (power, power.swapaxes(1, 2))
     )
-    return Noise((max(0.0, along_rows), max(0.0, along_cols)), _periodic(plane, places[seen], mosaic.compressed))
+    return Noise(
+        (max(0.0, along_rows), max(0.0, along_cols)),
+        _periodic(plane, places[seen], mosaic.compressed),
+    )
 
 
 def edge_overshoot(plane: ArrayLike) -> float:
@@ -132,7 +149,11 @@ def edge_overshoot(plane: ArrayLike) -> float:
 
 def _rounding(mosaic: Mosaic, level: Floats) -> Floats:
     """(tiles,) variance of rounding at those levels."""
-    return np.full(level.shape, 1 / 12) if mosaic.tone is None else mosaic.tone.rounding_variance(level)
+    return (
+        np.full(level.shape, 1 / 12)
+        if mosaic.tone is None
+        else mosaic.tone.rounding_variance(level)
+    )
 
 
 def _spectra(tiles: Floats) -> Floats:
@@ -141,7 +162,10 @@ def _spectra(tiles: Floats) -> Floats:
     ramp = np.broadcast_to(np.linspace(-1.0, 1.0, size), (size, size))
     level = tiles - tiles.mean(axis=(1, 2), keepdims=True)
     for slope in (ramp, ramp.T):
-        level = level - np.einsum("tij,ij->t", level, slope)[:, None, None] / np.sum(slope**2) * slope
+        level = (
+            level
+            - np.einsum("tij,ij->t", level, slope)[:, None, None] / np.sum(slope**2) * slope
+        )
     window = np.outer(np.hanning(size), np.hanning(size))
     return np.asarray(np.abs(np.fft.fft2(level * window)) ** 2 / np.sum(window**2))
 
@@ -149,7 +173,9 @@ def _spectra(tiles: Floats) -> Floats:
 def _band(power: Floats, first: tuple[float, float], second: tuple[float, float]) -> Floats:
     """(tiles,) mean power where the frequencies along rows and along columns lie in these bands, cycles per pixel."""
     frequency = np.abs(np.fft.fftfreq(power.shape[-1]))
-    along, across = ((frequency >= low) & (frequency <= high) for low, high in (first, second))
+    along, across = (
+        (frequency >= low) & (frequency <= high) for low, high in (first, second)
+    )
     return np.asarray(power[:, along][:, :, across].mean(axis=(1, 2)))
 
 
@@ -166,9 +192,9 @@ def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> floa
             for row, col in turned * TILE_PX:
                 part = picture[row : row + TILE_PX, col : col + TILE_PX].astype(np.float64)
                 steps = np.abs(np.diff(part, order, axis=1))
-                strength[col + 1 : col + 1 + steps.shape[1]] += (steps / max(float(steps.mean()), 1e-12) - 1).sum(
-                    axis=0
-                )
+                strength[col + 1 : col + 1 + steps.shape[1]] += (
+                    steps / max(float(steps.mean()), 1e-12) - 1
+                ).sum(axis=0)
             strongest = max(strongest, _strongest_period(strength, compressed))
     return strongest
 
@@ -178,7 +204,10 @@ def _strongest_period(strength: Floats, compressed: bool) -> float:
 
     compressed: without those of JPEG's blocks of eight, seen through tiles.
     """
-    power, cycles = np.abs(np.fft.rfft(strength)) ** 2, TILE_PX * np.fft.rfftfreq(len(strength))
+    power, cycles = (
+        np.abs(np.fft.rfft(strength)) ** 2,
+        TILE_PX * np.fft.rfftfreq(len(strength)),
+    )
     kept = cycles > 0.1 * TILE_PX
     if compressed:
         kept &= np.abs(cycles - np.round(cycles)) > 0.15
@@ -199,12 +228,16 @@ def _overshoot_along_rows(plane: Floats) -> float:
     steps = np.abs(profiles[:, 2:] - profiles[:, :-2])[:, far - HALO_PX : far + HALO_PX - 1]
     before, after = profiles[:, : far - near + 1], profiles[:, near - far - 1 :]
     contrast = after.mean(axis=1) - before.mean(axis=1)
-    flat = np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1)) < 0.25 * np.abs(contrast)
+    flat = np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1)) < 0.25 * np.abs(
+        contrast
+    )
     middle = steps.argmax(axis=1) == HALO_PX - 1  # the edge stands where it is steepest
     chosen = flat & middle & (np.abs(contrast) > 0.4 * (high - low))
     if np.count_nonzero(chosen) < LEAST_PROFILES:
         return 0.0
-    mean = np.where(contrast[chosen, None] > 0, profiles[chosen], profiles[chosen, ::-1]).mean(axis=0)
+    mean = np.where(
+        contrast[chosen, None] > 0, profiles[chosen], profiles[chosen, ::-1]
+    ).mean(axis=0)
     # a bright side may be clipped, so that only the dark one shows it
     return max(_overshoot_of(mean), _overshoot_of(-mean[::-1]))
 

@@ -17,7 +17,11 @@ def captured_stderr() -> Iterator[list[str]]:
     lines: list[str] = []
     kept = os.dup(2)
     # in memory where the system has that: TMPDIR may be full
-    with open(os.memfd_create("stderr"), "w+b") if hasattr(os, "memfd_create") else tempfile.TemporaryFile() as sink:
+    with (
+        open(os.memfd_create("stderr"), "w+b")
+        if hasattr(os, "memfd_create")
+        else tempfile.TemporaryFile() as sink
+    ):
         os.dup2(sink.fileno(), 2)
         try:
             yield lines

@@ -27,7 +27,11 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
     no photograph, or states otherwise than `sensor`.
     """
     try:
-        mosaic = _read_recognised(path, sensor) if sensor.headerless_px is None else _read_headerless(path, sensor)
+        mosaic = (
+            _read_recognised(path, sensor)
+            if sensor.headerless_px is None
+            else _read_headerless(path, sensor)
+        )
         _refuse_contradiction(mosaic, sensor)
     except RawError as error:
         raise RawError(f"{path}: {error}") from error.__cause__
@@ -46,11 +50,18 @@ def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
 def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
     """A file of bare 16-bit numbers, the lower byte first, row by row: nothing in it says what it is, so the plan must."""
     assert sensor.headerless_px is not None
-    (rows, cols), size = sensor.headerless_px, path.stat().st_size if path.is_file() else None
+    (rows, cols), size = (
+        sensor.headerless_px,
+        path.stat().st_size if path.is_file() else None,
+    )
     if size != 2 * rows * cols:
         have = "there is no such file" if size is None else f"it has {size}"
-        raise RawError(f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}")
-    return _bare_mosaic(np.fromfile(path, dtype="<u2").reshape(rows, cols), Container("headerless"), sensor)
+        raise RawError(
+            f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}"
+        )
+    return _bare_mosaic(
+        np.fromfile(path, dtype="<u2").reshape(rows, cols), Container("headerless"), sensor
+    )
 
 
 def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
@@ -69,14 +80,20 @@ def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosai
         "black_level": "the count of no light",
         "white_level": "the count of saturation",
     }
-    if missing := [f"{key} ({words})" for key, words in needed.items() if getattr(sensor, key) is None]:
-        raise RawError(f"a {container.kind.upper()} file does not state these; add to [sensor]: {', '.join(missing)}")
+    if missing := [
+        f"{key} ({words})" for key, words in needed.items() if getattr(sensor, key) is None
+    ]:
+        raise RawError(
+            f"a {container.kind.upper()} file does not state these; add to [sensor]: {', '.join(missing)}"
+        )
     assert sensor.cfa_pattern is not None
     assert sensor.black_level is not None
     assert sensor.white_level is not None
     full_scale = np.iinfo(counts.dtype).max
     if sensor.white_level > full_scale:
-        raise RawError(f"holds numbers up to {full_scale}, but sensor.white_level = {sensor.white_level:g} in the plan")
+        raise RawError(
+            f"holds numbers up to {full_scale}, but sensor.white_level = {sensor.white_level:g} in the plan"
+        )
     return Mosaic(
         counts=counts.astype(np.uint16),
         black=np.full((2, 2), sensor.black_level),
@@ -90,7 +107,11 @@ def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosai
 
 def _refuse_contradiction(mosaic: Mosaic, sensor: Sensor) -> None:
     """Raise RawError where the file and the plan both state something, and not the same."""
-    file = {"cfa_pattern": {mosaic.cfa}, "black_level": {*mosaic.black.ravel()}, "white_level": {mosaic.white}}
+    file = {
+        "cfa_pattern": {mosaic.cfa},
+        "black_level": {*mosaic.black.ravel()},
+        "white_level": {mosaic.white},
+    }
     wrong = [
         f"sensor.{key} = {getattr(sensor, key)} but the file has {', '.join(str(value) for value in sorted(values))}"
         for key, values in file.items()

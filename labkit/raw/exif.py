@@ -66,9 +66,13 @@ def of_tags(tags: Mapping[int, Any]) -> Exif:
     """Of EXIF tags by their numbers."""
     unit = UNIT_UM.get(_whole(tags.get(Base.FocalPlaneResolutionUnit)) or 2)
     resolution = _positive(tags.get(Base.FocalPlaneXResolution))
-    rows, cols = _whole(tags.get(Base.ExifImageHeight)), _whole(tags.get(Base.ExifImageWidth))
+    rows, cols = (
+        _whole(tags.get(Base.ExifImageHeight)),
+        _whole(tags.get(Base.ExifImageWidth)),
+    )
     return Exif(
-        camera=_joined(tags, Base.Make, Base.Model) or _text(tags.get(Base.UniqueCameraModel)),
+        camera=_joined(tags, Base.Make, Base.Model)
+        or _text(tags.get(Base.UniqueCameraModel)),
         camera_serial=_text(tags.get(Base.BodySerialNumber)),
         lens=_joined(tags, Base.LensMake, Base.LensModel),
         lens_serial=_text(tags.get(Base.LensSerialNumber)),
@@ -87,7 +91,9 @@ def _tags(file: BinaryIO) -> dict[int, Any]:
     """The first directory of a TIFF structure and the Exif directory that it names; nothing of a damaged one."""
     exif = Image.Exif()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Pillow warns of each tag that it cannot read: it is not stated then
+        warnings.simplefilter(
+            "ignore"
+        )  # Pillow warns of each tag that it cannot read: it is not stated then
         try:
             exif.load_from_fp(file)
             return {**exif, **exif.get_ifd(IFD.Exif)}
@@ -130,11 +136,23 @@ def _whole(value: Any) -> int | None:
 
 
 def _text(value: Any) -> str:
-    text = value.decode("ascii", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
-    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+    text = (
+        value.decode("ascii", "replace")
+        if isinstance(value, bytes)
+        else value
+        if isinstance(value, str)
+        else ""
+    )
+    return " ".join(
+        "".join(letter if letter.isprintable() else " " for letter in text).split()
+    )
 
 
 def _joined(tags: Mapping[int, Any], maker: int, model: int) -> str:
     """A maker before a model, unless the model's name begins with it."""
     made, name = _text(tags.get(maker)), _text(tags.get(model))
-    return name if made and name.lower().startswith(made.split()[0].lower()) else f"{made} {name}".strip()
+    return (
+        name
+        if made and name.lower().startswith(made.split()[0].lower())
+        else f"{made} {name}".strip()
+    )

@@ -22,7 +22,8 @@ OTHER_RAW = re.compile(
     re.DOTALL,
 )
 RAW_SUFFIXES = re.compile(
-    r"\.(3fr|ar[iw]|cr[23w]|dcr|dng|erf|fff|iiq|kdc|mos|mrw|n[er][fw]|orf|pef|ra[fw]|rw2|sr[2fw]|x3f)", re.IGNORECASE
+    r"\.(3fr|ar[iw]|cr[23w]|dcr|dng|erf|fff|iiq|kdc|mos|mrw|n[er][fw]|orf|pef|ra[fw]|rw2|sr[2fw]|x3f)",
+    re.IGNORECASE,
 )
 """What cameras' raw files are called."""
 
@@ -65,7 +66,9 @@ def recognise(path: Path) -> Container:
     if not head:
         raise RawError("is empty")
     # LibRaw would go by the file's size alone here, and once took a 14 bit crop for a photograph of another shape
-    raise RawError("is no photograph: allowed are raw files, JPEG, and 8 or 16 bit TIFF, PNG and PGM")
+    raise RawError(
+        "is no photograph: allowed are raw files, JPEG, and 8 or 16 bit TIFF, PNG and PGM"
+    )
 
 
 def _recognise_tiff(path: Path) -> Container:
@@ -74,13 +77,21 @@ def _recognise_tiff(path: Path) -> Container:
         with tifffile.TiffFile(path) as tiff:
             first = tiff.pages.first
             tags = {
-                code: tag.value for code in (MAKE, MODEL, EXPOSURE_S, ISO, DNG_MODEL) if (tag := first.tags.get(code))
+                code: tag.value
+                for code in (MAKE, MODEL, EXPOSURE_S, ISO, DNG_MODEL)
+                if (tag := first.tags.get(code))
             }
             check_strips(tiff, path.stat().st_size)
-            plain = DNG_VERSION not in first.tags and first.photometric in (MIN_IS_WHITE, MIN_IS_BLACK, RGB)
+            plain = DNG_VERSION not in first.tags and first.photometric in (
+                MIN_IS_WHITE,
+                MIN_IS_BLACK,
+                RGB,
+            )
     except InputError as error:
         raise RawError(str(error)) from error
-    except Exception as error:  # tifffile lets through whatever a damaged tag happens to break
+    except (
+        Exception
+    ) as error:  # tifffile lets through whatever a damaged tag happens to break
         raise RawError(f"is truncated or damaged ({shown(str(error))})") from error
     named = path.suffix.lower() in (".tif", ".tiff")
     return Container(

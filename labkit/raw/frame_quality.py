@@ -51,7 +51,9 @@ def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
     return None
 
 
-def exposure_problem(mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]) -> str | None:
+def exposure_problem(
+    mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]
+) -> str | None:
     """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
         for plane in mosaic.planes(name):
@@ -61,7 +63,11 @@ def exposure_problem(mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]) -
 
 
 def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut) -> str | None:
-    plane, black, white = np.ascontiguousarray(mosaic.counts[where]), mosaic.black_of(where), mosaic.white
+    plane, black, white = (
+        np.ascontiguousarray(mosaic.counts[where]),
+        mosaic.black_of(where),
+        mosaic.white,
+    )
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None
@@ -73,7 +79,9 @@ def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut) -> str | None:
         return f"is overexposed: {percent:.2g} % of its pixels, and most of its bright ones, are full ({white:g})"
     signal, noise = float(smooth.max()) - black, pixel_noise(plane)
     if signal < SIGNAL_SIGMAS * noise:
-        noise = min(noise, aperiodic_noise(plane))  # the stripes of a panel close by differ as much as their light
+        noise = min(
+            noise, aperiodic_noise(plane)
+        )  # the stripes of a panel close by differ as much as their light
     if signal < max(SIGNAL_SIGMAS * noise, SIGNAL_SHARE * (white - black)):
         return f"is black: {signal:.3g} counts of light at most, where the noise of a pixel is {noise:.2g}"
     return None
@@ -95,11 +103,17 @@ def aperiodic_noise(plane: Counts) -> float:
     levels = []
     for tile in _tiles(plane.astype(np.float32)):
         window = np.outer(*(np.hanning(n + 2)[1:-1] for n in tile.shape))
-        power = np.abs(scipy.fft.rfft2((tile - tile.mean()) * window)) ** 2 / np.sum(window**2)
+        power = np.abs(scipy.fft.rfft2((tile - tile.mean()) * window)) ** 2 / np.sum(
+            window**2
+        )
         levels.append(float(np.quantile(power, 0.25)) / -np.log(0.75))
     return float(max(np.sqrt(np.quantile(levels, 0.1)), ROUNDING))
 
 
 def _tiles(values: Floats | Floats32) -> list[Floats | Floats32]:
     rows, cols = (max(1, min(TILES, size // TILE_PX)) for size in values.shape)
-    return [part for band in np.array_split(values, rows) for part in np.array_split(band, cols, axis=1)]
+    return [
+        part
+        for band in np.array_split(values, rows)
+        for part in np.array_split(band, cols, axis=1)
+    ]

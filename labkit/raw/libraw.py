@@ -33,8 +33,16 @@ def read_libraw(path: Path, container: Container) -> Mosaic:
             with opened_raw(path) as raw:
                 mosaic = _mosaic_of(raw, container)
         except rawpy.LibRawError as error:
-            reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-            cause = "is truncated or damaged" if isinstance(error, rawpy.LibRawIOError) else "is no raw photograph"
+            reason = (
+                error.args[0].decode()
+                if error.args and isinstance(error.args[0], bytes)
+                else str(error)
+            )
+            cause = (
+                "is truncated or damaged"
+                if isinstance(error, rawpy.LibRawIOError)
+                else "is no raw photograph"
+            )
             raise RawError(f"{cause} ({reason})") from error
     if any(words in line for words in DAMAGE for line in chatter):
         raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
@@ -42,8 +50,14 @@ def read_libraw(path: Path, container: Container) -> Mosaic:
 
 
 def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
-    if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible is None or raw.raw_image_visible.ndim != 2:
-        raise RawError("holds colours already mixed (demosaiced or layered); labkit needs the mosaic itself")
+    if (
+        raw.raw_type != rawpy.RawType.Flat
+        or raw.raw_image_visible is None
+        or raw.raw_image_visible.ndim != 2
+    ):
+        raise RawError(
+            "holds colours already mixed (demosaiced or layered); labkit needs the mosaic itself"
+        )
     counts = np.array(raw.raw_image_visible)
     if counts.dtype != np.uint16:
         raise RawError(f"holds {counts.dtype} numbers; labkit needs 8 to 16 bit integers")
@@ -56,7 +70,9 @@ def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
         pattern = tuple("".join(colours[index] for index in row) for row in raw.raw_pattern)
         black = levels[raw.raw_pattern]
     else:
-        raise RawError("has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet")
+        raise RawError(
+            "has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet"
+        )
     return Mosaic(
         counts=counts,
         black=black,

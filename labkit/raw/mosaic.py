@@ -94,7 +94,11 @@ class Mosaic:
         """Slices of counts for a colour in a cut of pixels: of a picture in colours its plane, else all of the cut."""
         if self.pattern != IN_COLOURS:
             return cut
-        (_, col), (rows, cols), wide = places_of(self.pattern, name)[0], cut, len(IN_COLOURS[0])
+        (_, col), (rows, cols), wide = (
+            places_of(self.pattern, name)[0],
+            cut,
+            len(IN_COLOURS[0]),
+        )
         stop = None if cols.stop is None else wide * cols.stop
         return rows, slice(wide * (cols.start or 0) + col, stop, wide)
 
@@ -107,5 +111,8 @@ class Mosaic:
         if self.pattern != IN_COLOURS:
             return replace(self, counts=counts)
         plane = places_of(self.pattern, name)[0][1]
-        black, tone = np.full((2, 2), self.black[0, plane]), self.tone.of(plane) if self.tone else None
+        black, tone = (
+            np.full((2, 2), self.black[0, plane]),
+            self.tone.of(plane) if self.tone else None,
+        )
         return replace(self, counts=counts, black=black, pattern=MONO, tone=tone)

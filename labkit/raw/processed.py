@@ -39,10 +39,16 @@ def read_file(path: Path, container: Container) -> tuple[Picture, bool]:
 
 def is_processed(picture: Picture, container: Container, sensor: Sensor) -> bool:
     """Whether a picture is no mosaic of bare linear numbers."""
-    return picture.numbers.ndim == 3 or container.kind == "jpeg" or sensor.tone_curve not in ("file", "linear")
+    return (
+        picture.numbers.ndim == 3
+        or container.kind == "jpeg"
+        or sensor.tone_curve not in ("file", "linear")
+    )
 
 
-def processed_mosaic(path: Path, container: Container, picture: Picture, coarse: bool, sensor: Sensor) -> Mosaic:
+def processed_mosaic(
+    path: Path, container: Container, picture: Picture, coarse: bool, sensor: Sensor
+) -> Mosaic:
     """A processed picture, in counts that are proportional to light. coarse: as `read_file` says.
 
     Raises RawError where the plan declares it raw, where nothing says what its tone curve is, or for a profile that
@@ -88,7 +94,9 @@ def _refuse_raw(container: Container, in_colours: bool, sensor: Sensor) -> None:
     )
 
 
-def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -> ToneCurve | None:
+def _curve(
+    path: Path, container: Container, picture: Picture, sensor: Sensor
+) -> ToneCurve | None:
     """What is to be undone; None for numbers that are linear."""
     if sensor.tone_curve == "linear":
         return None
@@ -98,7 +106,9 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
     if isinstance(sensor.tone_curve, MeasuredTone):
         measured = sensor.tone_curve
         if len(measured.numbers) not in (1, colours):
-            raise InputError(f"has {colours} colours, but sensor.tone_curve in the plan has {len(measured.numbers)}")
+            raise InputError(
+                f"has {colours} colours, but sensor.tone_curve in the plan has {len(measured.numbers)}"
+            )
         return measured_curve(measured.light, measured.numbers, picture.white)
     encoding = read_encoding(path)
     if picture.bits == 16 and not encoding.stated:
@@ -108,13 +118,26 @@ def _curve(path: Path, container: Container, picture: Picture, sensor: Sensor) -
         )
     curve = stated_curve(encoding, picture.white)
     if len(curve.levels) not in (1, colours):
-        raise InputError("has an ICC profile of other colours than its own: give sensor.tone_curve")
+        raise InputError(
+            "has an ICC profile of other colours than its own: give sensor.tone_curve"
+        )
     return curve
 
 
-def _notes(container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None) -> Iterator[Finding]:
+def _notes(
+    container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None
+) -> Iterator[Finding]:
     """What to know of how the numbers came about."""
-    undone = "taken as linear, as the plan states" if curve is None else f"tone curve undone by {curve.name}"
-    yield found("picture-processed", file_format=container.kind.upper(), bits=picture.bits, tone_curve=undone)
+    undone = (
+        "taken as linear, as the plan states"
+        if curve is None
+        else f"tone curve undone by {curve.name}"
+    )
+    yield found(
+        "picture-processed",
+        file_format=container.kind.upper(),
+        bits=picture.bits,
+        tone_curve=undone,
+    )
     if coarse:
         yield found("colours-at-half-resolution")

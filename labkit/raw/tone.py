@@ -25,15 +25,21 @@ class ToneCurve:
     levels: Floats
 
     def __post_init__(self) -> None:
-        if not np.all(np.diff(self.levels) >= 0) or not np.all(self.levels[:, -1] > self.levels[:, 0]):
+        if not np.all(np.diff(self.levels) >= 0) or not np.all(
+            self.levels[:, -1] > self.levels[:, 0]
+        ):
             raise RawError(f"has a tone curve that does not rise ({self.name})")
 
-    def linear(self, numbers: Counts | np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> Counts:
+    def linear(
+        self, numbers: Counts | np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+    ) -> Counts:
         """Counts proportional to light, of the numbers' shape; the last axis is the colours' where each has a curve."""
         tables = np.rint(self.levels).astype(np.uint16)
         if len(tables) == 1:
             return np.asarray(tables[0][numbers])
-        return np.stack([table[numbers[..., plane]] for plane, table in enumerate(tables)], axis=-1)
+        return np.stack(
+            [table[numbers[..., plane]] for plane, table in enumerate(tables)], axis=-1
+        )
 
     def of(self, plane: int) -> ToneCurve:
         """Of one colour alone."""
@@ -52,7 +58,9 @@ class ToneCurve:
 def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
     """Of numbers from 0 to white. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
     stored = np.linspace(0.0, 1.0, white + 1)
-    with np.errstate(all="ignore"):  # a damaged profile's numbers may do anything; what does not rise is refused
+    with np.errstate(
+        all="ignore"
+    ):  # a damaged profile's numbers may do anything; what does not rise is refused
         light = [np.asarray(curve(stored)) for curve in curves]
     return ToneCurve(name, FULL_COUNTS * np.clip(light, 0.0, 1.0))
 
@@ -61,14 +69,24 @@ def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
     """What a file states; sRGB where that is nothing. Raises InputError for a profile that cannot be used."""
     if encoding.icc:
         name = profile_name(encoding.icc)
-        return tone_curve(f"the file's ICC profile{f' ({name})' if name else ''}", profile_curves(encoding.icc), white)
+        return tone_curve(
+            f"the file's ICC profile{f' ({name})' if name else ''}",
+            profile_curves(encoding.icc),
+            white,
+        )
     if encoding.power is not None:
         power = encoding.power
-        return tone_curve(f"the file's gamma, {power:.3g}", [lambda stored: stored**power], white)
-    return tone_curve("sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], white)
+        return tone_curve(
+            f"the file's gamma, {power:.3g}", [lambda stored: stored**power], white
+        )
+    return tone_curve(
+        "sRGB" if encoding.srgb else "sRGB, for the file states none", [srgb], white
+    )
 
 
-def measured_curve(light: Sequence[float], numbers: Sequence[Sequence[float]], white: int) -> ToneCurve:
+def measured_curve(
+    light: Sequence[float], numbers: Sequence[Sequence[float]], white: int
+) -> ToneCurve:
     """Through measured points, of numbers from 0 to white.
 
     light: rising; numbers: rising, shares of full scale, for each colour. Smooth and never falling between the points
@@ -79,7 +97,9 @@ def measured_curve(light: Sequence[float], numbers: Sequence[Sequence[float]], w
     for points in numbers:
         (first, second), (last_but_one, last) = points[:2], points[-2:]
         below = light[0] + (stored - first) * (light[1] - light[0]) / (second - first)
-        above = light[-1] + (stored - last) * (light[-1] - light[-2]) / (last - last_but_one)
+        above = light[-1] + (stored - last) * (light[-1] - light[-2]) / (
+            last - last_but_one
+        )
         between = PchipInterpolator(points, light)(np.clip(stored, first, last))
         level = np.where(stored < first, below, np.where(stored > last, above, between))
         levels.append((level - level[0]) / (level[-1] - level[0]))

@@ -70,7 +70,10 @@ class BestFocus:
             mtf50={d: mtf50(fitted, d) for d in DIRECTIONS},
             camera_mtf50={d: mtf50(fitted, d, active_um=active_um) for d in DIRECTIONS},
             at_nyquist=optics,
-            camera_at_nyquist={d: Uncertain(pixel * one.value, pixel * one.std) for d, one in optics.items()},
+            camera_at_nyquist={
+                d: Uncertain(pixel * one.value, pixel * one.std)
+                for d, one in optics.items()
+            },
             energy_radius_um=radius_of_energy(fitted, SHARE),
             astigmatism=_pair(metrics.astigmatism, fitted, 5, 6),
             coma=_pair(metrics.coma, fitted, 7, 8),
@@ -78,11 +81,15 @@ class BestFocus:
         )
 
 
-def _pair(measure: Callable[[FittedWavefront], Directed], fitted: FittedWavefront, *modes: int) -> Directed | None:
+def _pair(
+    measure: Callable[[FittedWavefront], Directed], fitted: FittedWavefront, *modes: int
+) -> Directed | None:
     return measure(fitted) if set(modes) <= set(fitted.noll) else None
 
 
-def mtf_at(fitted: FittedWavefront, frequency_per_mm: float, direction: Direction) -> Uncertain:
+def mtf_at(
+    fitted: FittedWavefront, frequency_per_mm: float, direction: Direction
+) -> Uncertain:
     """MTF of the optics alone at one frequency."""
     curve = mtf(fitted, frequency_per_mm, direction)
     return Uncertain(float(curve.value), float(curve.std))
@@ -91,7 +98,10 @@ def mtf_at(fitted: FittedWavefront, frequency_per_mm: float, direction: Directio
 def at_best_focus(results: Results) -> list[BestFocus]:
     """For each channel, what its wavefront of least defocus is without it."""
     sensor = results.plan.sensor
-    return [BestFocus.of(min(results.of_channel(channel), key=_defocus), sensor) for channel in results.channels]
+    return [
+        BestFocus.of(min(results.of_channel(channel), key=_defocus), sensor)
+        for channel in results.channels
+    ]
 
 
 def _defocus(wavefront: Wavefront) -> float:

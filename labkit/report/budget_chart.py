@@ -32,14 +32,30 @@ def budget_chart(results: Results) -> Figure:
     left = np.zeros(len(numbers))
     for source, of_source in zip(SOURCES, shares.T, strict=True):
         colour, ink = COLOURS[source]
-        axes.barh(places, of_source, 0.72, left, color=colour, edgecolor="white", linewidth=0.8, label=source)
+        axes.barh(
+            places,
+            of_source,
+            0.72,
+            left,
+            color=colour,
+            edgecolor="white",
+            linewidth=0.8,
+            label=source,
+        )
         _label(axes, left, of_source, ink)
         left += of_source
     axes.set_yticks(places, [_label_of(key, budget) for key, budget in numbers])
-    axes.set(xlim=(0, 100), ylim=(len(numbers) - 0.4, -0.6), xlabel="share of the variance, %")
+    axes.set(
+        xlim=(0, 100), ylim=(len(numbers) - 0.4, -0.6), xlabel="share of the variance, %"
+    )
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)
-    figure.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=len(SOURCES), borderaxespad=0.1)
+    figure.legend(
+        *axes.get_legend_handles_labels(),
+        loc="upper center",
+        ncols=len(SOURCES),
+        borderaxespad=0.1,
+    )
     return figure
 
 
@@ -54,7 +70,13 @@ def _label(axes: Axes, left: Floats, width: Floats, ink: str) -> None:
     for place, (start, share) in enumerate(zip(left, width, strict=True)):
         if share >= LEAST_LABELLED:
             axes.text(
-                start + share / 2, place, f"{share:.0f}", ha="center", va="center_baseline", color=ink, fontsize=8
+                start + share / 2,
+                place,
+                f"{share:.0f}",
+                ha="center",
+                va="center_baseline",
+                color=ink,
+                fontsize=8,
             )
 
 

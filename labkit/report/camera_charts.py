@@ -18,16 +18,30 @@ def spectrum_chart(results: Results) -> Figure:
     axes.axhline(1, color=SOFT, lw=0.7)
     inks = channel_inks(results.channels)
     for channel in results.channels:
-        spectra = [w.residual_spectrum for w in results.of_channel(channel) if w.residual_spectrum is not None]
+        spectra = [
+            w.residual_spectrum
+            for w in results.of_channel(channel)
+            if w.residual_spectrum is not None
+        ]
         if not spectra:
             continue
         frequency, ink = spectra[0].cycles_per_px, inks[channel]
         power = np.mean([s.power for s in spectra], axis=0)
-        axes.plot(frequency, power, f"{ink.marker}-", color=ink.colour, lw=1.2, ms=3.5, label=channel)
+        axes.plot(
+            frequency,
+            power,
+            f"{ink.marker}-",
+            color=ink.colour,
+            lw=1.2,
+            ms=3.5,
+            label=channel,
+        )
         without = [s.without_parts for s in spectra if s.without_parts is not None]
         if without:
             axes.plot(frequency, np.mean(without, axis=0), "--", color=ink.colour, lw=1.2)
-    axes.set(xlabel="spatial frequency, cycles a pixel", ylabel="residuals over noise, power")
+    axes.set(
+        xlabel="spatial frequency, cycles a pixel", ylabel="residuals over noise, power"
+    )
     low, high = axes.get_ylim()
     if high > WIDE:
         axes.set(yscale="log", ylim=(0.5, high))

@@ -25,7 +25,12 @@ def part_table(results: Results) -> Table | None:
         name = _title(part) if part != before else ""
         rows.append(Row((name, of, number.unit, estimated(number)), first=bool(name)))
         before = part
-    columns = (Column("part", text=True), Column("", text=True), Column("", text=True), Column("fitted"))
+    columns = (
+        Column("part", text=True),
+        Column("", text=True),
+        Column("", text=True),
+        Column("fitted"),
+    )
     return Table(columns, tuple(rows), strong=3) if rows else None
 
 
@@ -39,8 +44,13 @@ def light_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
         photographed = [w.fitted for w in results.of_channel(best.channel)]
         most = max(psf_difference(fitted, fitted.in_light(nm)) for fitted in photographed)
         broad = best.fitted.in_light(nm)
-        apart = [fixed(100 * difference, 1) for difference in (psf_difference(best.fitted, broad), most)]
-        rows.append(Row((best.channel, fixed(nm, 0), estimated(strehl(broad), least=3), *apart)))
+        apart = [
+            fixed(100 * difference, 1)
+            for difference in (psf_difference(best.fitted, broad), most)
+        ]
+        rows.append(
+            Row((best.channel, fixed(nm, 0), estimated(strehl(broad), least=3), *apart))
+        )
     columns = (
         Column("channel", text=True),
         Column("standard deviation", "nm", why=BOUND),
@@ -53,12 +63,17 @@ def light_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
 
 def missing_words(results: Results) -> str:
     """What the data call for that the model lacks, in words; nothing where it lacks nothing."""
-    return ", ".join(_title(name) for name in dict.fromkeys(name for w in results for name in w.missing))
+    return ", ".join(
+        _title(name) for name in dict.fromkeys(name for w in results for name in w.missing)
+    )
 
 
 def tried_table(results: Results) -> Table:
     """Parts that the photographs were tested for: what each would gain, and whether it was taken in."""
-    rows = [Row((_title(p.name), fixed(p.gain, 1), "taken in" if p.adopted else "")) for p in results.parts_tried]
+    rows = [
+        Row((_title(p.name), fixed(p.gain, 1), "taken in" if p.adopted else ""))
+        for p in results.parts_tried
+    ]
     columns = (
         Column("part", text=True),
         Column("gain", why="a log-likelihood, a test's statistic"),

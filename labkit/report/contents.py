@@ -14,7 +14,15 @@ from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.lens_table import SOURCES, budget_table, lens_table
 from labkit.report.mode_tables import DEFOCUS, difference_table, mode_table, path_table
 from labkit.report.photographs import Photographs, photograph_table, place_table
-from labkit.report.quantities import NO_ERROR, PLUS_MINUS, UNKNOWN, estimated, fixed, millimetres, when
+from labkit.report.quantities import (
+    NO_ERROR,
+    PLUS_MINUS,
+    UNKNOWN,
+    estimated,
+    fixed,
+    millimetres,
+    when,
+)
 from labkit.report.style import channel_inks
 from labkit.report.table import Table
 from labkit.results import Results
@@ -36,13 +44,17 @@ SECTIONS = {
 OPTIONAL = {"lens", "budget", "camera", "fits"}
 
 
-def contents(results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]) -> dict[str, Any]:
+def contents(
+    results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
+) -> dict[str, Any]:
     """What the template needs; drawn: the sections that have figures."""
     m, plan, focus, focused = results, results.plan, results.focus, [c.best for c in curves]
     reference_nm = m.reference_wavelength_nm
     tables = _tables(m, curves, photographs)
     shown = set(SECTIONS) - OPTIONAL | (drawn & OPTIONAL)
-    shown |= ({"lens"} if tables["lens_table"] or focus else set()) | ({"camera"} if m.parts_tried else set())
+    shown |= ({"lens"} if tables["lens_table"] or focus else set()) | (
+        {"camera"} if m.parts_tried else set()
+    )
     sections = [(name, label) for name, label in SECTIONS.items() if name in shown]
     if m.warnings:
         sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
@@ -55,7 +67,10 @@ def contents(results: Results, curves: Sequence[Curves], photographs: Photograph
         "reference": f"{reference_nm:g} nm",
         "best_focus": _best_focus(m),
         "strehl": [_card(b, b.strehl, least=3) for b in focused],
-        "rms": [_card(b, b.rms, least=4) | {"nm": estimated(b.rms, reference_nm)} for b in focused],
+        "rms": [
+            _card(b, b.rms, least=4) | {"nm": estimated(b.rms, reference_nm)}
+            for b in focused
+        ],
         "magnification": estimated(focus.pupil_magnification) if focus else "",
         "missing": missing_words(m),
         "sources": SOURCES,
@@ -64,7 +79,9 @@ def contents(results: Results, curves: Sequence[Curves], photographs: Photograph
     } | tables
 
 
-def _tables(m: Results, curves: Sequence[Curves], photographs: Photographs) -> dict[str, Table | None]:
+def _tables(
+    m: Results, curves: Sequence[Curves], photographs: Photographs
+) -> dict[str, Table | None]:
     """Every table, by its name in the template."""
     focused, reference_nm = [c.best for c in curves], m.reference_wavelength_nm
     return {
@@ -112,7 +129,10 @@ def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:
 
 
 def _card(best: BestFocus, number: Uncertain, *, least: int) -> dict[str, str]:
-    return {"channel": best.channel, "range": millimetres(best.photographed.range_mm)} | _split(number, least=least)
+    return {
+        "channel": best.channel,
+        "range": millimetres(best.photographed.range_mm),
+    } | _split(number, least=least)
 
 
 def _split(number: Uncertain, least: int = 0) -> dict[str, str]:
@@ -125,7 +145,10 @@ def _split(number: Uncertain, least: int = 0) -> dict[str, str]:
 def _best_focus(m: Results) -> list[dict[str, str]]:
     wavelengths = {w.channel: f"{w.wavelength_nm:g} nm" for w in m.wavefronts}
     best = m.focus.best_focus_mm if m.focus else {}
-    return [{"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e) for c, e in best.items()]
+    return [
+        {"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e)
+        for c, e in best.items()
+    ]
 
 
 def _checks(m: Results) -> list[dict[str, Any]]:
@@ -143,13 +166,16 @@ def _checks(m: Results) -> list[dict[str, Any]]:
     unexplained = [w for w in tested if w.test and not w.test.explains]
     if unexplained:
         names = ", ".join(f"{millimetres(w.range_mm)} {w.channel}" for w in unexplained)
-        text = (
-            f"the model does not explain the pixels of {len(unexplained)} of {len(tested)} fits to their noise: {names}"
-        )
+        text = f"the model does not explain the pixels of {len(unexplained)} of {len(tested)} fits to their noise: {names}"
         checks.append({"good": False, "text": text})
     untested = len(m.wavefronts) - len(tested)
     if untested:
-        checks.append({"good": False, "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested"})
+        checks.append(
+            {
+                "good": False,
+                "text": f"{untested} optim{'um' if untested == 1 else 'a'} untested",
+            }
+        )
     chi2 = [w.chi2_per_pixel for w in m.wavefronts if np.isfinite(w.chi2_per_pixel)]
     if chi2:
         good = min(chi2) > CHI2_USUAL[0] and max(chi2) < CHI2_USUAL[1]
@@ -191,14 +217,32 @@ def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
         ("Results made", when(m.created)),
         ("Results folder", UNKNOWN if m.folder is None else str(m.folder.resolve())),
         ("Plan, SHA-256", m.plan_sha256),
-        ("Lens", f"focal length {plan.lens.focal_length_mm:g} mm, f/{plan.lens.f_number:g}, as the plan states it"),
-        ("Sensor", f"{sensor.pixel_pitch_um:g} µm pitch, fill factor {sensor.fill_factor:g}"),
-        ("Target", f"{target.kind}{order}, {target.size_mm:g} mm, {target.surround} around it"),
+        (
+            "Lens",
+            f"focal length {plan.lens.focal_length_mm:g} mm, f/{plan.lens.f_number:g}, as the plan states it",
+        ),
+        (
+            "Sensor",
+            f"{sensor.pixel_pitch_um:g} µm pitch, fill factor {sensor.fill_factor:g}",
+        ),
+        (
+            "Target",
+            f"{target.kind}{order}, {target.size_mm:g} mm, {target.surround} around it",
+        ),
         ("Reference wavelength", f"{m.reference_wavelength_nm:g} nm"),
         ("Focus convention", conventions.get(plan.fit.convention, plan.fit.convention)),
-        ("Zernike modes", "Noll's order, unit RMS over the pupil; piston, tip and tilt belong to the pose"),
-        ("Pupil axes", "x to the right along the sensor's rows, y down its columns; angles run from x towards y"),
-        ("Best focus", "zero Noll defocus, the focus of least RMS; no depth of field or through-focus curve enters it"),
+        (
+            "Zernike modes",
+            "Noll's order, unit RMS over the pupil; piston, tip and tilt belong to the pose",
+        ),
+        (
+            "Pupil axes",
+            "x to the right along the sensor's rows, y down its columns; angles run from x towards y",
+        ),
+        (
+            "Best focus",
+            "zero Noll defocus, the focus of least RMS; no depth of field or through-focus curve enters it",
+        ),
         (
             "Signs",
             "optical path difference; positive defocus: the target lies beyond best focus. A wavefront and its twin, "

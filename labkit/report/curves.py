@@ -68,24 +68,34 @@ class Curves:
     def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
         """A defocus as a place: its error, that of the cone, and that of best focus, where ranges are counted from."""
         step, w = 1e-3, self.best.fitted
-        slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (2 * step)
+        slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (
+            2 * step
+        )
         std = np.hypot(defocus.std, w.cone_error * defocus.value)
         return Uncertain(self.place(defocus.value), float(np.hypot(slope * std, focus_std)))
 
 
 def last_frequency_per_mm(results: Results) -> float:
     """Where axes of frequency end: at the highest cutoff, or three times Nyquist's frequency."""
-    return min(3 * full_nyquist_per_mm(results.plan.sensor), max(w.fitted.cutoff_per_mm for w in results))
+    return min(
+        3 * full_nyquist_per_mm(results.plan.sensor),
+        max(w.fitted.cutoff_per_mm for w in results),
+    )
 
 
 def curves_of(results: Results, focused: list[BestFocus]) -> list[Curves]:
     """Of each channel; axes of one kind end alike for all."""
     last_per_mm = last_frequency_per_mm(results)
-    last_um = max(max(1.9 * b.energy_radius_um.value, 3 * b.fitted.wavelength_um * b.fitted.f_number) for b in focused)
+    last_um = max(
+        max(1.9 * b.energy_radius_um.value, 3 * b.fitted.wavelength_um * b.fitted.f_number)
+        for b in focused
+    )
     return [_of_channel(results, best, last_per_mm, last_um) for best in focused]
 
 
-def _of_channel(results: Results, best: BestFocus, last_per_mm: float, last_um: float) -> Curves:
+def _of_channel(
+    results: Results, best: BestFocus, last_per_mm: float, last_um: float
+) -> Curves:
     fitted = best.fitted
     frequency, radius = np.linspace(0, last_per_mm, POINTS), np.linspace(0, last_um, POINTS)
     through = full_nyquist_per_mm(results.plan.sensor) / 2
@@ -124,12 +134,19 @@ def _range_of(results: Results, channel: str) -> Place | None:
         return None
 
     def defocus(true_mm: float) -> float:
-        return float(defocus_waves(lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention))
+        return float(
+            defocus_waves(
+                lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention
+            )
+        )
 
     def place(waves: float) -> float:
         if not defocus(nearest_mm) < waves < defocus(furthest_mm):
             return float("nan")
         # ranges as diopters, in which defocus is nearly linear
-        return 1 / brentq(lambda d: defocus(1 / d) - waves, 1 / furthest_mm, 1 / nearest_mm) - zero_mm
+        return (
+            1 / brentq(lambda d: defocus(1 / d) - waves, 1 / furthest_mm, 1 / nearest_mm)
+            - zero_mm
+        )
 
     return place

@@ -40,7 +40,12 @@ def downloads_of(results: Results, curves: Sequence[Curves]) -> list[Download]:
     """All that the charts show, at full precision, with standard errors."""
     raw = json.dumps(results.as_json(), indent=1, allow_nan=False).encode()
     return [
-        Download("results.json", "application/json", raw, "everything, as labkit keeps it, with covariances"),
+        Download(
+            "results.json",
+            "application/json",
+            raw,
+            "everything, as labkit keeps it, with covariances",
+        ),
         _table("zernike.csv", _zernike(results), "coefficients of all ranges and channels"),
         _table("mtf.csv", _mtf(curves), "MTF at best focus"),
         _table("through_focus.csv", _through(curves), "Strehl ratio and MTF through focus"),
@@ -65,18 +70,54 @@ def _written(cell: Cell) -> Cell:
 
 
 def _zernike(results: Results) -> Iterable[Sequence[Cell]]:
-    yield "range_mm", "channel", "wavelength_nm", "noll", "mode", "waves_rms", "std_waves_rms", "nm_rms", "std_nm_rms"
+    yield (
+        "range_mm",
+        "channel",
+        "wavelength_nm",
+        "noll",
+        "mode",
+        "waves_rms",
+        "std_waves_rms",
+        "nm_rms",
+        "std_nm_rms",
+    )
     nm = results.reference_wavelength_nm
     for w in results:
         for j, value, std in zip(w.noll, w.waves.tolist(), w.std.tolist(), strict=True):
-            yield w.range_mm, w.channel, w.wavelength_nm, j, mode_name(j), value, std, value * nm, std * nm
+            yield (
+                w.range_mm,
+                w.channel,
+                w.wavelength_nm,
+                j,
+                mode_name(j),
+                value,
+                std,
+                value * nm,
+                std * nm,
+            )
 
 
 def _mtf(curves: Sequence[Curves]) -> Iterable[Sequence[Cell]]:
-    yield "channel", "direction", "cycles_per_mm", "mtf", "std", "diffraction_limit", "pixel", "mtf_with_pixel"
+    yield (
+        "channel",
+        "direction",
+        "cycles_per_mm",
+        "mtf",
+        "std",
+        "diffraction_limit",
+        "pixel",
+        "mtf_with_pixel",
+    )
     for c in curves:
         for direction, curve in c.mtf.items():
-            columns = (curve.frequency_per_mm, curve.value, curve.std, c.perfect, c.pixel, curve.value * c.pixel)
+            columns = (
+                curve.frequency_per_mm,
+                curve.value,
+                curve.std,
+                c.perfect,
+                c.pixel,
+                curve.value * c.pixel,
+            )
             for row in np.column_stack(columns).tolist():
                 yield c.channel, direction, *row
 

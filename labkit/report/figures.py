@@ -22,12 +22,18 @@ from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 
 
-def draw_figures(results: Results, curves: Sequence[Curves], photographs: Photographs) -> dict[str, list[Plate]]:
+def draw_figures(
+    results: Results, curves: Sequence[Curves], photographs: Photographs
+) -> dict[str, list[Plate]]:
     """All plates, by the section of the report they belong to; a section without any is left out."""
     focused = [c.best for c in curves]
     with styled():
         sections = {
-            "best-focus": [_mtfs(results, curves), _psfs(focused), _energy(results, curves)],
+            "best-focus": [
+                _mtfs(results, curves),
+                _psfs(focused),
+                _energy(results, curves),
+            ],
             "focus": [*_focus(results)],
             "depth": [_through(results, curves)],
             "maps": [_maps(results, focused), _maps_photographed(results)],
@@ -45,22 +51,35 @@ def draw_figures(results: Results, curves: Sequence[Curves], photographs: Photog
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
     inks, panels = channel_inks(results.channels), []
     for c in curves:
-        halves = ", ".join(f"{estimated(half)} along {d}" for d, half in c.best.mtf50.items())
+        halves = ", ".join(
+            f"{estimated(half)} along {d}" for d, half in c.best.mtf50.items()
+        )
         alt = f"MTF of channel {c.channel} at best focus. MTF50, cycles/mm: {halves}."
-        panels.append(drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt))
-    full, plane = full_nyquist_per_mm(results.plan.sensor), min(c.best.nyquist_per_mm for c in curves)
+        panels.append(
+            drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt)
+        )
+    full, plane = (
+        full_nyquist_per_mm(results.plan.sensor),
+        min(c.best.nyquist_per_mm for c in curves),
+    )
     caption = (
         "MTF at best focus. Solid: along x, right on the sensor; dashed: along y, down; shaded: one standard error, where "
         "it is wider than the line. Dotted: the diffraction limit of this f-number and light. Pale: with the pixel's "
         f"aperture. Grey, upright: Nyquist's frequency of all pixels, {full:.0f} cycles/mm"
     )
-    caption += f", and dashed that of the pixels of one colour, {plane:.0f}." if plane < full else "."
+    caption += (
+        f", and dashed that of the pixels of one colour, {plane:.0f}."
+        if plane < full
+        else "."
+    )
     return Plate(tuple(panels), caption, 3)
 
 
 def _psfs(focused: Sequence[BestFocus]) -> Plate:
     inks = channel_inks(best.channel for best in focused)
-    width = pictures.FOCUSED_HALF_WIDTH_AIRY * max(b.fitted.wavelength_um * b.fitted.f_number for b in focused)
+    width = pictures.FOCUSED_HALF_WIDTH_AIRY * max(
+        b.fitted.wavelength_um * b.fitted.f_number for b in focused
+    )
     panels = []
     for best in focused:
         alt = f"Point-spread function of channel {best.channel} at best focus; Strehl ratio {estimated(best.strehl)}."
@@ -81,7 +100,16 @@ def _energy(results: Results, curves: Sequence[Curves]) -> Plate:
         "Share of all light within circles about the image's centroid, its halo included, at best focus; optics alone. "
         "Dotted: the diffraction limit. Shaded: one standard error, where it is wider than the line."
     )
-    return Plate((drawing("encircled_energy", energy_chart(curves, channel_inks(results.channels)), alt),), caption)
+    return Plate(
+        (
+            drawing(
+                "encircled_energy",
+                energy_chart(curves, channel_inks(results.channels)),
+                alt,
+            ),
+        ),
+        caption,
+    )
 
 
 def _focus(results: Results) -> Iterator[Plate]:
@@ -95,7 +123,9 @@ def _focus(results: Results) -> Iterator[Plate]:
         assert focus is not None
         best_mm = focus.best_focus_mm[channel].value + zero_mm
         true_mm = np.asarray(ranges_mm, float) + zero_mm
-        return defocus_waves(lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention)
+        return defocus_waves(
+            lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention
+        )
 
     shortest_mm = NEAREST * lens.focal_length_mm
     figure = defocus_chart(results, focus, curve, shortest_mm)
@@ -103,7 +133,9 @@ def _focus(results: Results) -> Iterator[Plate]:
         panel = drawing("focus", figure, "Defocus against range.")
         yield Plate((panel,), "Defocus of each fit. No focus fit was made.")
         return
-    best = "; ".join(f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_focus_mm.items())
+    best = "; ".join(
+        f"{c} {plus_minus(e.value, e.std)} mm" for c, e in focus.best_focus_mm.items()
+    )
     caption = (
         "Defocus (points), the law of the lens as it was estimated (curves), and best focus (dashed, with one standard "
         "error shaded). Positive: the target lies beyond best focus. "
@@ -116,18 +148,24 @@ def _focus(results: Results) -> Iterator[Plate]:
     )
     alt = f"Defocus against range, with fitted curves. Best focus: {best}."
     rest = drawing(
-        "focus_residuals", residual_chart(results, focus, shortest_mm), "What the focus fit leaves, by range."
+        "focus_residuals",
+        residual_chart(results, focus, shortest_mm),
+        "What the focus fit leaves, by range.",
     )
     yield Plate((drawing("focus", figure, alt), rest), caption)
 
 
 def _through(results: Results, curves: Sequence[Curves]) -> Plate:
     inks = channel_inks(results.channels)
-    highest = ", ".join(f"{c.channel} {fixed(float(c.strehl.value.max()), 3)}" for c in curves)
+    highest = ", ".join(
+        f"{c.channel} {fixed(float(c.strehl.value.max()), 3)}" for c in curves
+    )
     where = "range" if curves[0].in_ranges else "shift of the sensor"
     panels = (
         drawing(
-            "strehl_through_focus", strehl_chart(curves, inks), f"Strehl ratio against {where}; highest: {highest}."
+            "strehl_through_focus",
+            strehl_chart(curves, inks),
+            f"Strehl ratio against {where}; highest: {highest}.",
         ),
         drawing(
             "mtf_through_focus",
@@ -147,9 +185,13 @@ def _maps(results: Results, focused: Sequence[BestFocus]) -> Plate:
     limit = pictures.map_limit([best.fitted for best in focused])
     panels = []
     for best in focused:
-        rms, span = (estimated(number, least=3) for number in (best.rms, best.peak_to_valley))
+        rms, span = (
+            estimated(number, least=3) for number in (best.rms, best.peak_to_valley)
+        )
         alt = f"Path difference of channel {best.channel} without defocus: RMS {rms}, P–V {span} waves."
-        figure = pictures.opd_picture({best.channel: best.fitted}, limit, results.reference_wavelength_nm)
+        figure = pictures.opd_picture(
+            {best.channel: best.fitted}, limit, results.reference_wavelength_nm
+        )
         panels.append(picture(f"opd_{best.channel}", figure, alt))
     caption = (
         f"Path difference over the exit pupil without defocus, in waves at {results.reference_wavelength_nm:g} nm and in nm, "
@@ -166,18 +208,29 @@ def _maps_photographed(results: Results) -> Plate:
         rms = ", ".join(f"{w.channel} {estimated(w.rms(), least=4)}" for w in fits)
         alt = f"Path difference as photographed at {millimetres(range_mm)}, defocus included. RMS, waves: {rms}."
         figure = pictures.opd_picture(
-            {w.channel: w.fitted for w in fits}, limit, results.reference_wavelength_nm, millimetres(range_mm)
+            {w.channel: w.fitted for w in fits},
+            limit,
+            results.reference_wavelength_nm,
+            millimetres(range_mm),
         )
         panels.append(picture(f"opd_photographed_{_place_name(range_mm)}", figure, alt))
-    return Plate(tuple(panels), "The same as photographed at each range, defocus included; another scale.", 3)
+    return Plate(
+        tuple(panels),
+        "The same as photographed at each range, defocus included; another scale.",
+        3,
+    )
 
 
 def _modes(results: Results, focused: Sequence[BestFocus]) -> Iterator[Plate]:
-    figure = charts.zernike_chart(focused, results.reference_wavelength_nm, channel_inks(results.channels))
+    figure = charts.zernike_chart(
+        focused, results.reference_wavelength_nm, channel_inks(results.channels)
+    )
     if figure is not None:
         rms = "; ".join(f"{best.channel} {estimated(best.rms)}" for best in focused)
         alt = f"Zernike coefficients without defocus. RMS, waves: {rms}."
-        caption = "Zernike modes at best focus, by Noll's numbers. Black: one standard error."
+        caption = (
+            "Zernike modes at best focus, by Noll's numbers. Black: one standard error."
+        )
         yield Plate((drawing("zernike", figure, alt),), caption)
 
 
@@ -186,12 +239,12 @@ def _camera(results: Results) -> Iterator[Plate]:
     if not spectra or not results.parts_tried:
         return
     now = float(np.mean([s.power.max() for s in spectra]))
-    alt = (
-        f"What is left of the data, by spatial frequency: {fixed(now, 2)} times the noise where it is most, on average."
-    )
+    alt = f"What is left of the data, by spatial frequency: {fixed(now, 2)} times the noise where it is most, on average."
     before = [s.without_parts.max() for s in spectra if s.without_parts is not None]
     if before:
-        alt += f" Without the parts that were found: {fixed(float(np.mean(before)), 2)} times."
+        alt += (
+            f" Without the parts that were found: {fixed(float(np.mean(before)), 2)} times."
+        )
     caption = (
         "What the model leaves of the data, over the noise, by spatial frequency in the raw's pixels; each line is the mean "
         "of a channel's fits. Noise alone leaves 1."
@@ -204,7 +257,9 @@ def _budget(results: Results) -> Iterator[Plate]:
         return
     each = "; ".join(
         f"{budget_name(key)[0]} "
-        + ", ".join(f"{share:.0f} % {source}" for source, share in zip(SOURCES, shares, strict=True))
+        + ", ".join(
+            f"{share:.0f} % {source}" for source, share in zip(SOURCES, shares, strict=True)
+        )
         for key, budget in results.budget.items()
         for shares in [variance_shares(budget)]
     )
@@ -212,7 +267,10 @@ def _budget(results: Results) -> Iterator[Plate]:
         "Of each number the share of its variance by source. Squares of standard errors add up: a source of half the whole "
         "error makes a quarter of the variance."
     )
-    yield Plate((drawing("budget", budget_chart(results), f"Shares of the variance: {each}."),), caption)
+    yield Plate(
+        (drawing("budget", budget_chart(results), f"Shares of the variance: {each}."),),
+        caption,
+    )
 
 
 def _place(results: Results, photographs: Photographs) -> Iterator[Plate]:
@@ -225,7 +283,10 @@ def _place(results: Results, photographs: Photographs) -> Iterator[Plate]:
 
 
 def _psfs_photographed(results: Results) -> Plate:
-    inks, width = channel_inks(results.channels), pictures.psf_half_width_um(results.wavefronts)
+    inks, width = (
+        channel_inks(results.channels),
+        pictures.psf_half_width_um(results.wavefronts),
+    )
     panels = []
     for range_mm in results.ranges_mm:
         fits = {w.channel: w.fitted for w in results.at_range(range_mm)}
@@ -242,7 +303,10 @@ def _psfs_photographed(results: Results) -> Plate:
 def _fits(results: Results) -> Iterator[Plate]:
     panels = [_fit(w, w.residuals) for w in results if w.residuals is not None]
     if panels:
-        yield Plate(tuple(panels), "Each from left to right: raw counts; the model, on the same scale; the residual.")
+        yield Plate(
+            tuple(panels),
+            "Each from left to right: raw counts; the model, on the same scale; the residual.",
+        )
 
 
 def _fit(fit: Wavefront, residuals: Residuals) -> Panel:
@@ -251,13 +315,22 @@ def _fit(fit: Wavefront, residuals: Residuals) -> Panel:
     frames, planes, rows, cols = residuals.data.shape
     z = residuals.normalised
     each = ", ".join(f"{_rms(z[f, p]):.3f}" for f in range(frames) for p in range(planes))
-    counted = [f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((frames, "frame"), (planes, "plane")) if n > 1]
+    counted = [
+        f"{n} {word}{'s' if n > 1 else ''}"
+        for n, word in ((frames, "frame"), (planes, "plane"))
+        if n > 1
+    ]
     first = f"; the first of {' of '.join(counted)}" if counted else ""
     heading = (
         f"{where}: {rows} × {cols} pixels{first}. Black {low:.0f}, white {high:.0f} counts. Residual, σ RMS "
         f"(1 is noise): {each}."
     )
-    return chip(f"fit_{fit.key}", content, f"Raw chip, model and normalised residual: {where}.", heading)
+    return chip(
+        f"fit_{fit.key}",
+        content,
+        f"Raw chip, model and normalised residual: {where}.",
+        heading,
+    )
 
 
 def _rms(z: Floats) -> float:
@@ -270,7 +343,13 @@ def _quantiles(results: Results) -> Iterator[Plate]:
     panels = []
     for range_mm in ranges:
         alt = f"Q-Q plot of the normalised residuals at {millimetres(range_mm)}."
-        panels.append(drawing(f"residuals_{_place_name(range_mm)}", charts.quantile_chart(results, range_mm), alt))
+        panels.append(
+            drawing(
+                f"residuals_{_place_name(range_mm)}",
+                charts.quantile_chart(results, range_mm),
+                alt,
+            )
+        )
     caption = (
         "Normalised residuals of all pixels against the normal law, thinned in the middle and complete in the tails. "
         "On the line: the noise is as the model has it. Shaded: where each point falls in 99 of 100 cases."

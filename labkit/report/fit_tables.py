@@ -23,13 +23,20 @@ def fit_table(results: Results) -> Table:
         Column("χ²/pixel", why=TEST),
         Column("optimum", text=True),
     ]
-    rows = [Row(_fit_cells(w, blur=bool(results.lens)), first=first) for first, w in _in_order(results)]
+    rows = [
+        Row(_fit_cells(w, blur=bool(results.lens)), first=first)
+        for first, w in _in_order(results)
+    ]
     return Table(tuple(columns), tuple(rows), channels=1)
 
 
 def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
     verdict = (
-        "not tested" if w.test is None else "no sign of a wrong one" if w.test.accepted else "signs of a wrong one"
+        "not tested"
+        if w.test is None
+        else "no sign of a wrong one"
+        if w.test.accepted
+        else "signs of a wrong one"
     )
     between = [estimated(w.blur, least=2)] if blur else []
     defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
@@ -70,11 +77,20 @@ def residual_table(results: Results, focus: Focus) -> Table:
         Column("channel", text=True),
         Column("best focus", "mm"),
         Column(
-            "residual of each defocus, by range", "milliwaves", text=True, why="what the fit leaves, beside its noise"
+            "residual of each defocus, by range",
+            "milliwaves",
+            text=True,
+            why="what the fit leaves, beside its noise",
         ),
     )
     rows = [
-        Row((channel, plus_minus(best.value, best.std), _residuals(focus.residual_waves.get(channel, ()))))
+        Row(
+            (
+                channel,
+                plus_minus(best.value, best.std),
+                _residuals(focus.residual_waves.get(channel, ())),
+            )
+        )
         for channel, best in focus.best_focus_mm.items()
     ]
     return Table(columns, tuple(rows), channels=0)
@@ -85,7 +101,11 @@ def _residuals(waves: tuple[float, ...]) -> str:
 
 
 def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:
-    return [(k == 0, w) for range_mm in results.ranges_mm for k, w in enumerate(results.at_range(range_mm))]
+    return [
+        (k == 0, w)
+        for range_mm in results.ranges_mm
+        for k, w in enumerate(results.at_range(range_mm))
+    ]
 
 
 def _range(w: Wavefront) -> str:
@@ -97,7 +117,11 @@ def _test(verdict: OptimumTest | None) -> str:
         return "none"
     words = [verdict.name or "unnamed"]
     words += [f"p = {verdict.p_value:.2g}"] if np.isfinite(verdict.p_value) else []
-    words += [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"] if verdict.starts is not None else []
+    words += (
+        [f"{verdict.starts} start{'' if verdict.starts == 1 else 's'}"]
+        if verdict.starts is not None
+        else []
+    )
     if np.isfinite(verdict.next_below):
         words += [f"next optimum {verdict.next_below:.0f} lower in log-likelihood"]
     return ", ".join(words)

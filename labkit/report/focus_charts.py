@@ -9,7 +9,17 @@ from matplotlib.figure import Figure
 from labkit.report.best_focus import SHARE
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated, plus_minus
-from labkit.report.style import DOTTED, HALF_IN, INK, SOFT, Ink, banded, channel_inks, chart, scaling
+from labkit.report.style import (
+    DOTTED,
+    HALF_IN,
+    INK,
+    SOFT,
+    Ink,
+    banded,
+    channel_inks,
+    chart,
+    scaling,
+)
 from labkit.results import Focus, Results, Wavefront
 from labkit.types import Floats
 
@@ -17,7 +27,9 @@ Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
 HEIGHT_IN = 3.5
 
 
-def defocus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_mm: float) -> Figure:
+def defocus_chart(
+    results: Results, focus: Focus | None, curve: Curve, shortest_mm: float
+) -> Figure:
     """Defocus against range with the fitted curves and best focus.
 
     curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
@@ -36,7 +48,9 @@ def defocus_chart(results: Results, focus: Focus | None, curve: Curve, shortest_
             _mark_focus(axes, best.value, best.std, ink)
         x = np.array([w.measured_range_mm for w in fits], float)
         y = np.array([w.defocus.value for w in fits if w.defocus])
-        _points(axes, x, y, np.array([w.defocus.std for w in fits if w.defocus]), ink, label)
+        _points(
+            axes, x, y, np.array([w.defocus.std for w in fits if w.defocus]), ink, label
+        )
     axes.set(xlim=bounds, xlabel="range of the target, mm")
     axes.set_ylabel(f"defocus, waves RMS at {results.reference_wavelength_nm:g} nm")
     axes.legend(loc="lower right", borderaxespad=0.2, handletextpad=0.2)
@@ -50,50 +64,86 @@ def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure
     figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, top=0.12)
     bounds = _range_bounds(results, focus, shortest_mm)
     for k, channel in enumerate(results.channels):
-        fits, rest = _with_range(results, channel), np.array(focus.residual_waves.get(channel, ()))
+        fits, rest = (
+            _with_range(results, channel),
+            np.array(focus.residual_waves.get(channel, ())),
+        )
         if rest.size != len(fits):
             continue
         dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
         x = np.array([w.measured_range_mm for w in fits], float) + dodge
         error = np.array([w.defocus.std for w in fits if w.defocus])
         # errors of a session's estimate are those of the points, not of what one fit measured alone
-        _points(axes, x, 1e3 * rest, 0 * error if results.lens else 1e3 * error, inks[channel], channel)
+        _points(
+            axes,
+            x,
+            1e3 * rest,
+            0 * error if results.lens else 1e3 * error,
+            inks[channel],
+            channel,
+        )
     axes.axhline(0, color=SOFT, lw=0.7)
     axes.margins(y=0.25)
-    axes.set(xlim=bounds, xlabel="range of the target, mm", ylabel="left of each defocus, milliwaves")
-    axes.legend(loc="upper right", ncols=len(results.channels), borderaxespad=0.2, handletextpad=0.2)
+    axes.set(
+        xlim=bounds,
+        xlabel="range of the target, mm",
+        ylabel="left of each defocus, milliwaves",
+    )
+    axes.legend(
+        loc="upper right", ncols=len(results.channels), borderaxespad=0.2, handletextpad=0.2
+    )
     return figure
 
 
 def _with_range(results: Results, channel: str) -> list[Wavefront]:
-    return [w for w in results.of_channel(channel) if w.defocus and w.measured_range_mm is not None]
+    return [
+        w
+        for w in results.of_channel(channel)
+        if w.defocus and w.measured_range_mm is not None
+    ]
 
 
 def _blur_axis(axes: Axes, results: Results) -> None:
     """Defocus as blur on the right; the channels' cones differ by less than a line is wide."""
-    ratios = [w.blur.value / w.defocus.value for w in results if w.blur and w.defocus and w.defocus.value]
+    ratios = [
+        w.blur.value / w.defocus.value
+        for w in results
+        if w.blur and w.defocus and w.defocus.value
+    ]
     if ratios:
         blur = axes.secondary_yaxis("right", functions=scaling(float(np.median(ratios))))
         blur.set_ylabel("blur on the sensor, µm")
 
 
-def _range_bounds(results: Results, focus: Focus | None, shortest_mm: float) -> tuple[float, float]:
+def _range_bounds(
+    results: Results, focus: Focus | None, shortest_mm: float
+) -> tuple[float, float]:
     ranges = [w.measured_range_mm for w in results if w.measured_range_mm is not None]
-    ranges += [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)] if focus else []
+    ranges += (
+        [best.value for best in focus.best_focus_mm.values() if np.isfinite(best.value)]
+        if focus
+        else []
+    )
     low, high = min(ranges), max(ranges)
     margin = 0.06 * (high - low) or 0.01 * high
     return max(low - margin, shortest_mm), high + margin
 
 
-def _points(axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None) -> None:
-    axes.errorbar(x, y, np.nan_to_num(error), fmt="none", ecolor=ink.colour, elinewidth=1.2, capsize=2)
+def _points(
+    axes: Axes, x: Floats, y: Floats, error: Floats, ink: Ink, label: str | None
+) -> None:
+    axes.errorbar(
+        x, y, np.nan_to_num(error), fmt="none", ecolor=ink.colour, elinewidth=1.2, capsize=2
+    )
     axes.plot(x, y, ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
 
 
 def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
     axes.axvline(value_mm, color=ink.colour, lw=0.8, ls=(0, (4, 3)))
     if np.isfinite(std_mm):
-        axes.axvspan(value_mm - std_mm, value_mm + std_mm, color=ink.colour, alpha=0.25, lw=0)
+        axes.axvspan(
+            value_mm - std_mm, value_mm + std_mm, color=ink.colour, alpha=0.25, lw=0
+        )
     axes.plot([value_mm], [0], marker="|", ms=12, mew=1.6, color=ink.colour)
 
 
@@ -103,12 +153,28 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     for each in curves:
         ink, at, energy = inks[each.channel], each.best.energy_radius_um, each.energy
         banded(axes, energy.radius_um, energy.value, energy.std, ink.colour)
-        axes.plot(energy.radius_um, each.perfect_energy, color=ink.colour, lw=0.8, ls=DOTTED)
+        axes.plot(
+            energy.radius_um, each.perfect_energy, color=ink.colour, lw=0.8, ls=DOTTED
+        )
         label = f"{each.channel}: {100 * SHARE:.0f} % within {estimated(at)} µm"
-        axes.plot([at.value], [SHARE], ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
+        axes.plot(
+            [at.value],
+            [SHARE],
+            ink.marker,
+            color=ink.colour,
+            ms=5.5,
+            mec="white",
+            mew=0.6,
+            label=label,
+        )
     axes.plot([], [], color=INK, lw=0.8, ls=DOTTED, label="diffraction limit")
     axes.axhline(SHARE, color=SOFT, lw=0.5, ls=(0, (1, 3)))
     last = curves[0].energy.radius_um[-1]
-    axes.set(xlim=(0, last), ylim=(0, 1.0), xlabel="radius on the sensor, µm", ylabel="share of the light")
+    axes.set(
+        xlim=(0, last),
+        ylim=(0, 1.0),
+        xlabel="radius on the sensor, µm",
+        ylabel="share of the light",
+    )
     axes.legend(loc="lower right")
     return figure

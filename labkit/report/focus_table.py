@@ -30,7 +30,13 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
         return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
     rows = (
-        row("From the photographs at", "", lambda b: millimetres(b.photographed.range_mm), why=EXACT, beside=True),
+        row(
+            "From the photographs at",
+            "",
+            lambda b: millimetres(b.photographed.range_mm),
+            why=EXACT,
+            beside=True,
+        ),
         row("Strehl ratio", "", lambda b: estimated(b.strehl, least=3), first=True),
         row("RMS", "waves", lambda b: estimated(b.rms, least=4), first=True),
         row("", "nm", lambda b: estimated(b.rms, reference_nm), beside=True),
@@ -42,19 +48,55 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
         row("at", "degrees", lambda b: _angle(b.coma), beside=True),
         row("Trefoil", "waves RMS", lambda b: _magnitude(b.trefoil)),
         row("at", "degrees", lambda b: _angle(b.trefoil), beside=True),
-        row("MTF50 of the optics along x", "cycles/mm", lambda b: estimated(b.mtf50["x"]), first=True),
+        row(
+            "MTF50 of the optics along x",
+            "cycles/mm",
+            lambda b: estimated(b.mtf50["x"]),
+            first=True,
+        ),
         row("along y", "cycles/mm", lambda b: estimated(b.mtf50["y"])),
-        row("of a perfect lens", "cycles/mm", lambda b: _ideal(mtf50(b.perfect, "x")), beside=True),
-        row("MTF50 with the pixel along x", "cycles/mm", lambda b: estimated(b.camera_mtf50["x"])),
+        row(
+            "of a perfect lens",
+            "cycles/mm",
+            lambda b: _ideal(mtf50(b.perfect, "x")),
+            beside=True,
+        ),
+        row(
+            "MTF50 with the pixel along x",
+            "cycles/mm",
+            lambda b: estimated(b.camera_mtf50["x"]),
+        ),
         row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50["y"])),
-        row("Nyquist of its own pixels", "cycles/mm", lambda b: fixed(b.nyquist_per_mm, 1), why=PITCH, first=True),
-        row("MTF there, optics along x", "", lambda b: estimated(b.at_nyquist["x"], least=3)),
+        row(
+            "Nyquist of its own pixels",
+            "cycles/mm",
+            lambda b: fixed(b.nyquist_per_mm, 1),
+            why=PITCH,
+            first=True,
+        ),
+        row(
+            "MTF there, optics along x", "", lambda b: estimated(b.at_nyquist["x"], least=3)
+        ),
         row("along y", "", lambda b: estimated(b.at_nyquist["y"], least=3)),
-        row("of a perfect lens", "", lambda b: _ideal(mtf_at(b.perfect, b.nyquist_per_mm, "x")), beside=True),
-        row("MTF there, with the pixel along x", "", lambda b: estimated(b.camera_at_nyquist["x"], least=3)),
+        row(
+            "of a perfect lens",
+            "",
+            lambda b: _ideal(mtf_at(b.perfect, b.nyquist_per_mm, "x")),
+            beside=True,
+        ),
+        row(
+            "MTF there, with the pixel along x",
+            "",
+            lambda b: estimated(b.camera_at_nyquist["x"], least=3),
+        ),
         row("along y", "", lambda b: estimated(b.camera_at_nyquist["y"], least=3)),
         row(within, "µm radius", lambda b: estimated(b.energy_radius_um), first=True),
-        row("of a perfect lens", "µm radius", lambda b: _ideal(radius_of_energy(b.perfect, SHARE)), beside=True),
+        row(
+            "of a perfect lens",
+            "µm radius",
+            lambda b: _ideal(radius_of_energy(b.perfect, SHARE)),
+            beside=True,
+        ),
     )
     return Table((*NAMED, *channel_columns([b.channel for b in focused])), rows)
 
@@ -84,7 +126,12 @@ def depth_table(curves: Sequence[Curves], results: Results) -> Table:
         row("on the sensor", "µm", _on_sensor),
     )
     return Table(
-        (Column(f"Strehl ratio ≥ {DEPTH:g} of its highest", text=True), Column("", text=True), *_channels(curves)), rows
+        (
+            Column(f"Strehl ratio ≥ {DEPTH:g} of its highest", text=True),
+            Column("", text=True),
+            *_channels(curves),
+        ),
+        rows,
     )
 
 

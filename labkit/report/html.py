@@ -34,15 +34,21 @@ def write_report(results: Results | Path | str) -> Path:
     if not isinstance(results, Results):
         results = Results.load(results)
     if results.folder is None:
-        raise ValueError("these results lie in no folder: Results.write them first, and load them from there")
+        raise ValueError(
+            "these results lie in no folder: Results.write them first, and load them from there"
+        )
     curves = curves_of(results, at_best_focus(results))
-    photographs = photographs_of(results, min((c.best.photographed for c in curves), key=_defocus))
+    photographs = photographs_of(
+        results, min((c.best.photographed for c in curves), key=_defocus)
+    )
     drawn = draw_figures(results, curves, photographs)
     _write_figures(results.folder, drawn)
     words = contents(results, curves, photographs, set(drawn))
     html = _render(words, drawn, downloads_of(results, curves))
     path = results.folder / "report.html"
-    write_atomically(path, html.encode(errors="replace"))  # the folder may have a name of any bytes
+    write_atomically(
+        path, html.encode(errors="replace")
+    )  # the folder may have a name of any bytes
     return path
 
 
@@ -56,7 +62,12 @@ def _write_figures(folder: Path, drawn: dict[str, list[Plate]]) -> None:
         figures.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {figures}: {error.strerror}") from error
-    files = {panel.file: panel.content for plates in drawn.values() for plate in plates for panel in plate.panels}
+    files = {
+        panel.file: panel.content
+        for plates in drawn.values()
+        for plate in plates
+        for panel in plate.panels
+    }
     for name, content in files.items():
         write_atomically(figures / name, content)
     for old in figures.glob("*.[ps][nv]g"):
@@ -64,7 +75,9 @@ def _write_figures(folder: Path, drawn: dict[str, list[Plate]]) -> None:
             old.unlink()
 
 
-def _render(words: dict[str, Any], drawn: dict[str, list[Plate]], downloads: list[Download]) -> str:
+def _render(
+    words: dict[str, Any], drawn: dict[str, list[Plate]], downloads: list[Download]
+) -> str:
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,

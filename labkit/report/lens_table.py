@@ -43,7 +43,12 @@ def lens_table(results: Results) -> Table | None:
         *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
         *_rows_by_channel("f-number at the sensor", cones),
     )
-    columns = (Column("quantity", text=True), Column("", text=True), Column("measured"), Column("stated"))
+    columns = (
+        Column("quantity", text=True),
+        Column("", text=True),
+        Column("measured"),
+        Column("stated"),
+    )
     return Table(columns, rows, strong=2, channels=1)
 
 
@@ -90,9 +95,14 @@ def whole_std(shares: dict[str, float]) -> float:
 
 def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
     """One row for each channel; only the first has the name."""
-    rows = [_row("" if k else name, channel, number) for k, (channel, number) in enumerate(measured.items())]
+    rows = [
+        _row("" if k else name, channel, number)
+        for k, (channel, number) in enumerate(measured.items())
+    ]
     return [Row(row.cells, first=k == 0) for k, row in enumerate(rows)]
 
 
 def _row(name: str, unit: str, measured: Uncertain, stated: Uncertain | None = None) -> Row:
-    return Row((name, unit, estimated(measured), UNKNOWN if stated is None else estimated(stated)))
+    return Row(
+        (name, unit, estimated(measured), UNKNOWN if stated is None else estimated(stated))
+    )

@@ -42,7 +42,10 @@ def _path_cells(w: Wavefront, without: tuple[int, ...]) -> tuple[str, ...]:
     cells = ["none" if w.range_mm is None else f"{w.range_mm:g}", w.channel]
     for measure, least in ((metrics.rms, 4), (metrics.peak_to_valley, 3)):
         number = measure(w.fitted, without)
-        cells += [estimated(number, least=least), estimated(number, w.reference_wavelength_nm)]
+        cells += [
+            estimated(number, least=least),
+            estimated(number, w.reference_wavelength_nm),
+        ]
     return tuple(cells)
 
 
@@ -60,7 +63,9 @@ def mode_table(focused: Sequence[BestFocus], unit: str, factor: float = 1.0) -> 
     for j in modes:
         cells = [str(j), str(noll_to_osa(j)), str(noll_to_fringe(j)), mode_name(j)]
         numbers = [_coefficient(best.photographed, j) for best in focused]
-        cells += [estimated(number, factor, least=4 if factor == 1 else 1) for number in numbers]
+        cells += [
+            estimated(number, factor, least=4 if factor == 1 else 1) for number in numbers
+        ]
         rows.append(Row(tuple(cells)))
     return Table(tuple(columns), tuple(rows))
 
@@ -99,7 +104,13 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
         difference = Uncertain(two.value - one.value, float(np.hypot(one.std, two.std)))
         where = "none" if other.range_mm is None else f"{other.range_mm:g}"
         ratio = difference.value / difference.std if difference.std > 0 else float("nan")
-        cells = (here.channel, where, f"{j}, {mode_name(j)}", estimated(difference, least=4), f"{ratio:+.1f}")
+        cells = (
+            here.channel,
+            where,
+            f"{j}, {mode_name(j)}",
+            estimated(difference, least=4),
+            f"{ratio:+.1f}",
+        )
         rows.append(Row(cells, first=not rows))
     return rows
 

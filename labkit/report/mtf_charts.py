@@ -22,15 +22,25 @@ def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
         axes.axvline(plane, color=SOFT, lw=0.7, ls=SPARSE, zorder=1)
     for direction, curve in curves.mtf.items():
         x, line = curve.frequency_per_mm, LINE_OF[direction]
-        axes.plot(x, curve.value * curves.pixel, color=ink.colour, ls=line, lw=1.0, alpha=PALE)
+        axes.plot(
+            x, curve.value * curves.pixel, color=ink.colour, ls=line, lw=1.0, alpha=PALE
+        )
         banded(axes, x, curve.value, curve.std, ink.colour, line)
         axes.plot(x, curves.perfect, color=ink.colour, lw=0.8, ls=DOTTED)
     axes.axhline(0.5, color=SOFT, lw=0.5, ls=(0, (1, 3)))
     keys = [
-        Line2D([], [], color=ink.colour, ls=LINE_OF[d], label=f"{d}: MTF50 {estimated(half)}")
+        Line2D(
+            [], [], color=ink.colour, ls=LINE_OF[d], label=f"{d}: MTF50 {estimated(half)}"
+        )
         for d, half in curves.best.mtf50.items()
     ]
-    axes.legend(handles=keys, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, labelspacing=0.3)
+    axes.legend(
+        handles=keys,
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        borderaxespad=0,
+        labelspacing=0.3,
+    )
     axes.set_title(curves.channel)
     axes.set(xlim=(0, x[-1]), ylim=(0, 1.0), xlabel="cycles/mm on the sensor", ylabel="MTF")
     return figure

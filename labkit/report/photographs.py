@@ -56,30 +56,56 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
     except (LabkitError, OSError, IndexError):
         return Photographs()
     used = sorted({name for w in results for name in w.frames if name in frames})
-    exifs = [exif for name in used[:MOST_READ] if (exif := _exif(frames[name].path)) is not None]
-    events = {event["event"]: event for event in session.events if event["event"] in ("camera", "began", "preflight")}
+    exifs = [
+        exif for name in used[:MOST_READ] if (exif := _exif(frames[name].path)) is not None
+    ]
+    events = {
+        event["event"]: event
+        for event in session.events
+        if event["event"] in ("camera", "began", "preflight")
+    }
     body = events.get("camera", {})
     camera = _one(exifs, lambda e: e.camera) or str(body.get("model", ""))
     taken = sorted(e.taken for e in exifs if e.taken)
     times = sorted(frames[name].time for name in used)
     rows = [
         ("Camera", camera, FILES),
-        _either("Camera's serial number", _one(exifs, lambda e: e.camera_serial), str(body.get("serial", ""))),
+        _either(
+            "Camera's serial number",
+            _one(exifs, lambda e: e.camera_serial),
+            str(body.get("serial", "")),
+        ),
         ("Lens", _one(exifs, lambda e: e.lens), FILES),
         ("Lens's serial number", _one(exifs, lambda e: e.lens_serial), FILES),
-        ("Focal length set", _one(exifs, lambda e: e.focal_length_mm and f"{e.focal_length_mm:g} mm"), FILES),
+        (
+            "Focal length set",
+            _one(exifs, lambda e: e.focal_length_mm and f"{e.focal_length_mm:g} mm"),
+            FILES,
+        ),
         ("Aperture set", _one(exifs, lambda e: e.f_number and f"f/{e.f_number:g}"), FILES),
-        _either("Exposure", _one(exifs, lambda e: e.exposure_s and _seconds(e.exposure_s)), _journal_s(frames, used)),
+        _either(
+            "Exposure",
+            _one(exifs, lambda e: e.exposure_s and _seconds(e.exposure_s)),
+            _journal_s(frames, used),
+        ),
         ("ISO", _one(exifs, lambda e: e.iso and str(e.iso)), FILES),
         ("Taken", _span([_exif_time(t) for t in taken]), FILES),
         ("Added to the session", _span([when(t) for t in times]), JOURNAL),
         ("Photographs", in_words(session.frames), JOURNAL),
-        ("Target as drawn", _drawn(events.get("began", {}), results.plan.target.size_mm), JOURNAL),
+        (
+            "Target as drawn",
+            _drawn(events.get("began", {}), results.plan.target.size_mm),
+            JOURNAL,
+        ),
     ]
     known = tuple((name, value, why) for name, value, why in rows if value)
     shown = next((frames[name].path for name in nearest.frames if name in frames), None)
     first = (
-        f"photographed {_day(_exif_time(taken[0]))}" if taken else f"imported {_day(when(times[0]))}" if times else ""
+        f"photographed {_day(_exif_time(taken[0]))}"
+        if taken
+        else f"imported {_day(when(times[0]))}"
+        if times
+        else ""
     )
     return Photographs(known, camera, first, **_preview(shown, results))
 
@@ -146,11 +172,15 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
         return {}
     rows, cols = mosaic.shape
     counts = (
-        mosaic.counts if mosaic.counts.shape == mosaic.shape else mosaic.counts.reshape(rows, cols, -1).mean(axis=2)
+        mosaic.counts
+        if mosaic.counts.shape == mosaic.shape
+        else mosaic.counts.reshape(rows, cols, -1).mean(axis=2)
     )
     block = max(2, 2 * -(-max(rows, cols) // (2 * PREVIEW_PX)))
     cut = counts[: rows // block * block, : cols // block * block].astype(np.float32)
-    small = cut.reshape(cut.shape[0] // block, block, cut.shape[1] // block, block).mean(axis=(1, 3))
+    small = cut.reshape(cut.shape[0] // block, block, cut.shape[1] // block, block).mean(
+        axis=(1, 3)
+    )
     low, high = np.quantile(small, [0.002, 0.998])
     shown = np.clip((small - low) / max(high - low, 1e-9), 0, 1) ** (1 / 2.2)
     return {"preview": shown, "preview_px": block, "size_px": (rows, cols)}
@@ -159,7 +189,9 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
 def photograph_table(photographs: Photographs) -> Table:
     """Camera, lens, settings, dates."""
     columns = (Column("", text=True), Column("", text=True))
-    return Table(columns, tuple(Row((name, value), why=why) for name, value, why in photographs.rows))
+    return Table(
+        columns, tuple(Row((name, value), why=why) for name, value, why in photographs.rows)
+    )
 
 
 def place_table(results: Results, photographs: Photographs) -> Table:
@@ -175,7 +207,9 @@ def place_table(results: Results, photographs: Photographs) -> Table:
     )
     rows = []
     for range_mm in results.ranges_mm:
-        placed = [w.placement for w in results.at_range(range_mm) if w.placement is not None]
+        placed = [
+            w.placement for w in results.at_range(range_mm) if w.placement is not None
+        ]
         if not placed:
             continue
         corners = placed[0].corners_px[0]
@@ -186,6 +220,9 @@ def place_table(results: Results, photographs: Photographs) -> Table:
             middle = (np.array(photographs.size_px) - 1) / 2
             away = fixed(float(np.hypot(*(centre - middle))) * pitch_mm, 2)
         turned = float(np.degrees(np.arctan2(top[0], top[1])))
-        cells = (*(fixed(float(x), 1) for x in (*centre, median(np.hypot(*side.T)))), fixed(turned, 1))
+        cells = (
+            *(fixed(float(x), 1) for x in (*centre, median(np.hypot(*side.T)))),
+            fixed(turned, 1),
+        )
         rows.append(Row(("none" if range_mm is None else f"{range_mm:g}", *cells, away)))
     return Table(columns, tuple(rows))

@@ -25,42 +25,77 @@ from labkit.types import Floats
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
 MAP_SAMPLES = 161  # across the pupil
-LEAST_PER_AIRY, MOST_PER_AIRY = 3.0, 16.0  # samples to lambda N: Nyquist has two, and more show no pixels
+LEAST_PER_AIRY, MOST_PER_AIRY = (
+    3.0,
+    16.0,
+)  # samples to lambda N: Nyquist has two, and more show no pixels
 HALF_SAMPLES = 100
 MOST_HALF_WIDTH_AIRY = 32.0  # lambda N: 0.6 % of the light lies beyond
 FOCUSED_HALF_WIDTH_AIRY = 6.0
-MASKED = (143, 206, 170)  # a pixel left out: neither a grey nor a colour of the residual's scale
+MASKED = (
+    143,
+    206,
+    170,
+)  # a pixel left out: neither a grey nor a colour of the residual's scale
 GREYS, SHADES, GAP = 128, 127, 3  # of a chip's palette; pixels between its parts
 LIMIT_MARGIN = 0.01  # waves: of a scale, where a wavefront is flat
 
 
 def map_limit(wavefronts: Sequence[FittedWavefront]) -> float:
     """Of a colour scale that is even about zero: the greatest path difference of all, waves."""
-    return max((float(np.nanmax(np.abs(opd_map(w, 41).value))) for w in wavefronts), default=0.0) or LIMIT_MARGIN
+    return (
+        max(
+            (float(np.nanmax(np.abs(opd_map(w, 41).value))) for w in wavefronts),
+            default=0.0,
+        )
+        or LIMIT_MARGIN
+    )
 
 
-def opd_picture(wavefronts: dict[str, FittedWavefront], limit: float, reference_nm: float, title: str = "") -> Figure:
+def opd_picture(
+    wavefronts: dict[str, FittedWavefront],
+    limit: float,
+    reference_nm: float,
+    title: str = "",
+) -> Figure:
     """Path difference over the pupil of channels side by side, one colour scale, in waves and nanometres."""
     count = len(wavefronts)
     side = (THIRD_IN - 0.1) / count
     height = side + (0.85 if title else 0.7)
     figure = Figure(figsize=(THIRD_IN, height))
     if title:
-        figure.text(0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center")
+        figure.text(
+            0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center"
+        )
     for k, (channel, w) in enumerate(wavefronts.items()):
-        axes = figure.add_axes(((0.05 + k * side) / THIRD_IN, 0.47 / height, 0.96 * side / THIRD_IN, side / height))
+        axes = figure.add_axes(
+            (
+                (0.05 + k * side) / THIRD_IN,
+                0.47 / height,
+                0.96 * side / THIRD_IN,
+                side / height,
+            )
+        )
         axes.set_axis_off()
         path = opd_map(w, MAP_SAMPLES).value
-        image = axes.imshow(path, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
-        axes.text(0.02, 0.98, channel, fontweight="bold", va="top", transform=axes.transAxes)
+        image = axes.imshow(
+            path, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest"
+        )
+        axes.text(
+            0.02, 0.98, channel, fontweight="bold", va="top", transform=axes.transAxes
+        )
     _colour_bar(figure, image, height, reference_nm)
     return figure
 
 
-def _colour_bar(figure: Figure, image: AxesImage, height: float, reference_nm: float) -> None:
+def _colour_bar(
+    figure: Figure, image: AxesImage, height: float, reference_nm: float
+) -> None:
     """Below the maps: waves under it, nanometres above."""
     bar = figure.colorbar(
-        image, cax=figure.add_axes((0.2, 0.24 / height, 0.6, 0.07 / height)), orientation="horizontal"
+        image,
+        cax=figure.add_axes((0.2, 0.24 / height, 0.6, 0.07 / height)),
+        orientation="horizontal",
     )
     bar.ax.tick_params(labelsize=7, pad=1)
     nanometres = bar.ax.secondary_xaxis("top", functions=scaling(reference_nm))
@@ -76,13 +111,18 @@ def psf_half_width_um(wavefronts: Sequence[Wavefront]) -> float:
     for w in wavefronts:
         airy_um = w.wavelength_nm * 1e-3 * w.f_number
         waves = 0.0 if w.defocus is None else abs(w.defocus.value)
-        radius_um = waves * blur_per_wave_um(w.f_number, w.reference_wavelength_nm * 1e-3) / 2
+        radius_um = (
+            waves * blur_per_wave_um(w.f_number, w.reference_wavelength_nm * 1e-3) / 2
+        )
         widths.append(min(1.25 * radius_um + 6 * airy_um, MOST_HALF_WIDTH_AIRY * airy_um))
     return max(widths)
 
 
 def psf_picture(
-    wavefronts: dict[str, FittedWavefront], half_width_um: float, inks: dict[str, Ink], title: str
+    wavefronts: dict[str, FittedWavefront],
+    half_width_um: float,
+    inks: dict[str, Ink],
+    title: str,
 ) -> Figure:
     """PSFs of channels side by side, all of one extent; each stretched to its own peak; the first has a scale."""
     count = len(wavefronts)
@@ -91,14 +131,23 @@ def psf_picture(
     height = side + top + 0.05
     figure.text(0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center")
     for k, (channel, w) in enumerate(wavefronts.items()):
-        axes = figure.add_axes(((0.05 + k * side) / THIRD_IN, 0.05 / height, 0.96 * side / THIRD_IN, side / height))
+        axes = figure.add_axes(
+            (
+                (0.05 + k * side) / THIRD_IN,
+                0.05 / height,
+                0.96 * side / THIRD_IN,
+                side / height,
+            )
+        )
         axes.set(xticks=[], yticks=[])
         axes.grid(False)
         for spine in axes.spines.values():
             spine.set(visible=True, color="#c4c8cc")
         _psf(axes, w, half_width_um, inks[channel])
         if count > 1:
-            axes.text(0.03, 0.97, channel, fontweight="bold", va="top", transform=axes.transAxes)
+            axes.text(
+                0.03, 0.97, channel, fontweight="bold", va="top", transform=axes.transAxes
+            )
         if k == 0:
             _scale_bar(axes, half_width_um)
     return figure
@@ -107,7 +156,11 @@ def psf_picture(
 def _psf(axes: Axes, w: FittedWavefront, half_width_um: float, ink: Ink) -> None:
     airy_um = w.wavelength_um * w.f_number
     # of a wide picture each sample is less than a pixel of the screen at Nyquist's spacing
-    spacing_um = float(np.clip(half_width_um / HALF_SAMPLES, airy_um / MOST_PER_AIRY, airy_um / LEAST_PER_AIRY))
+    spacing_um = float(
+        np.clip(
+            half_width_um / HALF_SAMPLES, airy_um / MOST_PER_AIRY, airy_um / LEAST_PER_AIRY
+        )
+    )
     psf = psf_value(w, spacing_um, 2 * ceil(half_width_um / spacing_um) + 1)
     edge = psf.shape[0] / 2 * spacing_um
     axes.imshow(
@@ -117,7 +170,9 @@ def _psf(axes: Axes, w: FittedWavefront, half_width_um: float, ink: Ink) -> None
         interpolation="nearest",
         extent=(-edge, edge, edge, -edge),
     )
-    axes.add_patch(Circle((0, 0), 1.2197 * airy_um, fill=False, ec=INK, lw=0.5, ls=(0, (3, 2))))
+    axes.add_patch(
+        Circle((0, 0), 1.2197 * airy_um, fill=False, ec=INK, lw=0.5, ls=(0, (3, 2)))
+    )
     axes.set(xlim=(-half_width_um, half_width_um), ylim=(half_width_um, -half_width_um))
 
 
@@ -135,11 +190,21 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
     placed = [(w.range_mm, w.placement) for w in results if w.placement is not None]
     if not placed:
         return None
-    rows, cols = photographs.size_px or np.max([np.add(p.origin_px, p.shape_px) for _, p in placed], axis=0)
+    rows, cols = photographs.size_px or np.max(
+        [np.add(p.origin_px, p.shape_px) for _, p in placed], axis=0
+    )
     height = float(np.clip((HALF_IN - 0.2) * rows / cols, 1.5, 5.0))
     figure = Figure(figsize=(HALF_IN, height + 0.2))
-    axes = figure.add_axes((0.1 / HALF_IN, 0.1 / (height + 0.2), 1 - 0.2 / HALF_IN, height / (height + 0.2)))
-    axes.set(xticks=[], yticks=[], xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
+    axes = figure.add_axes(
+        (0.1 / HALF_IN, 0.1 / (height + 0.2), 1 - 0.2 / HALF_IN, height / (height + 0.2))
+    )
+    axes.set(
+        xticks=[],
+        yticks=[],
+        xlim=(-0.5, cols - 0.5),
+        ylim=(rows - 0.5, -0.5),
+        aspect="equal",
+    )
     axes.grid(False)
     for spine in axes.spines.values():
         spine.set(visible=True)
@@ -150,14 +215,22 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
     axes.plot([(cols - 1) / 2], [(rows - 1) / 2], "+", color="#e69f00", ms=9, mew=1)
     ranges = sorted({r for r, _ in placed if r is not None})
     for range_mm, placement in reversed(placed):
-        shade = ranges.index(range_mm) / max(len(ranges) - 1, 1) if range_mm is not None else 0.0
+        shade = (
+            ranges.index(range_mm) / max(len(ranges) - 1, 1)
+            if range_mm is not None
+            else 0.0
+        )
         outline = placement.corners_px[0][[0, 1, 2, 3, 0]]
         colour = colormaps["viridis"](0.35 + 0.6 * shade)
-        axes.plot(outline[:, 1], outline[:, 0], color=colour, lw=1.1, label=millimetres(range_mm))
+        axes.plot(
+            outline[:, 1], outline[:, 0], color=colour, lw=1.1, label=millimetres(range_mm)
+        )
     return figure
 
 
-def chip_image(residuals: Residuals, frame: int = 0, plane: int = 0) -> tuple[bytes, float, float]:
+def chip_image(
+    residuals: Residuals, frame: int = 0, plane: int = 0
+) -> tuple[bytes, float, float]:
     """Raw chip, model on the same scale, and normalised residual side by side, as a PNG of one pixel each; and that scale.
 
     A palette of greys for counts and of red and blue for the residual, from -4 to +4 standard deviations.

@@ -6,7 +6,9 @@ from math import isfinite, isinf
 from labkit.uncertain import Uncertain, decimals
 
 MINUS = "\N{MINUS SIGN}"
-NAMES = "January February March April May June July August September October November December"
+NAMES = (
+    "January February March April May June July August September October November December"
+)
 MONTHS = tuple(NAMES.split())  # not by the locale: the page is in English
 UNKNOWN = "\N{EM DASH}"
 MOST_PLACES = 9
@@ -40,7 +42,11 @@ def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) 
         return UNKNOWN
     value, std = number.value * factor, number.std * abs(factor)
     known = isfinite(std) and std > 0
-    return plus_minus(value, std, max(least, decimals(std)) if known else max(least, 1 if abs(value) >= 10 else 3))
+    return plus_minus(
+        value,
+        std,
+        max(least, decimals(std)) if known else max(least, 1 if abs(value) >= 10 else 3),
+    )
 
 
 def when(iso: str) -> str:
@@ -49,7 +55,13 @@ def when(iso: str) -> str:
         at = datetime.fromisoformat(iso)
     except ValueError:
         return iso
-    zone = "" if at.tzinfo is None else " UTC" if at.utcoffset() == timedelta(0) else f" UTC{at.isoformat()[-6:]}"
+    zone = (
+        ""
+        if at.tzinfo is None
+        else " UTC"
+        if at.utcoffset() == timedelta(0)
+        else f" UTC{at.isoformat()[-6:]}"
+    )
     return f"{at.day} {MONTHS[at.month - 1]} {at.year}, {at:%H:%M}{zone}"
 
 

@@ -65,12 +65,19 @@ class Ink:
     @property
     def ramp(self) -> LinearSegmentedColormap:
         """White, through the colour, to nearly black."""
-        return LinearSegmentedColormap.from_list("ramp", ["#ffffff", self.colour, "#101214"])
+        return LinearSegmentedColormap.from_list(
+            "ramp", ["#ffffff", self.colour, "#101214"]
+        )
 
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
 NAMED = {"R": Ink("#d55e00", "o"), "G": Ink("#009e73", "s"), "B": Ink("#0072b2", "^")}
-OTHERS = (Ink("#444a50", "D"), Ink("#cc79a7", "v"), Ink("#e69f00", "P"), Ink("#56b4e9", "X"))
+OTHERS = (
+    Ink("#444a50", "D"),
+    Ink("#cc79a7", "v"),
+    Ink("#e69f00", "P"),
+    Ink("#56b4e9", "X"),
+)
 
 
 def channel_inks(channels: Iterable[str]) -> dict[str, Ink]:
@@ -95,11 +102,18 @@ def chart(
 ) -> tuple[Figure, Axes]:
     """A figure of one pair of axes with margins in inches: a layout engine would draw each figure twice to find them."""
     figure = Figure(figsize=(width_in, height_in))
-    box = (left / width_in, bottom / height_in, 1 - (left + right) / width_in, 1 - (bottom + top) / height_in)
+    box = (
+        left / width_in,
+        bottom / height_in,
+        1 - (left + right) / width_in,
+        1 - (bottom + top) / height_in,
+    )
     return figure, figure.add_axes(box)
 
 
-def panels(count: int, columns: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
+def panels(
+    count: int, columns: int, height_in: float, **shared: Any
+) -> tuple[Figure, list[Axes]]:
     """A figure of panels of one size, row by row."""
     rows = -(-count // columns)
     figure = Figure(figsize=(WIDTH_IN, rows * height_in), layout="constrained")
@@ -114,7 +128,9 @@ def scaling(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     return lambda waves: waves * factor, lambda nm: nm / factor
 
 
-def banded(axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line: Any = SOLID) -> None:
+def banded(
+    axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line: Any = SOLID
+) -> None:
     """A curve with a band of one standard error."""
     axes.plot(x, value, color=colour, ls=line)
     axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)

@@ -47,12 +47,17 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row.cells) != len(self.columns):
-                raise ValueError(f"a row of {len(row.cells)} cells in a table of {len(self.columns)} columns: {row}")
+                raise ValueError(
+                    f"a row of {len(row.cells)} cells in a table of {len(self.columns)} columns: {row}"
+                )
 
     @property
     def notes(self) -> dict[str, str]:
         """The letter of each reason, in the order they come in."""
-        reasons = dict.fromkeys([c.why for c in self.columns if c.why] + [row.why for row in self.rows if row.why])
+        reasons = dict.fromkeys(
+            [c.why for c in self.columns if c.why]
+            + [row.why for row in self.rows if row.why]
+        )
         return {why: ascii_lowercase[k] for k, why in enumerate(reasons)}
 
     @property

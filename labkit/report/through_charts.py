@@ -25,11 +25,24 @@ def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
             ends = [each.place(end.value) for end in (each.depth.near, each.depth.far)]
             level = 0.035 + 0.035 * k
             axes.plot(ends, [level, level], color=ink.colour, lw=3, solid_capstyle="butt")
-            axes.plot([each.place(each.depth.highest.value)], [level], "|", color="white", ms=5, mew=1.2)
+            axes.plot(
+                [each.place(each.depth.highest.value)],
+                [level],
+                "|",
+                color="white",
+                ms=5,
+                mew=1.2,
+            )
     axes.axhline(DEPTH, color=SOFT, lw=0.5, ls=(0, (1, 3)))
     _frame(axes, curves)
     axes.set_ylabel("Strehl ratio")
-    axes.legend(loc="upper right", ncols=len(curves), borderaxespad=0, handlelength=1.2, bbox_to_anchor=(1, 1.12))
+    axes.legend(
+        loc="upper right",
+        ncols=len(curves),
+        borderaxespad=0,
+        handlelength=1.2,
+        bbox_to_anchor=(1, 1.12),
+    )
     return figure
 
 
@@ -38,15 +51,31 @@ def modulation_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     figure, axes = chart(HALF_IN, HEIGHT_IN)
     for each in curves:
         for line, curve in zip((SOLID, DASHED), each.modulation.values(), strict=True):
-            banded(axes, each.places, curve.value, curve.std, inks[each.channel].colour, line)
+            banded(
+                axes, each.places, curve.value, curve.std, inks[each.channel].colour, line
+            )
     _frame(axes, curves)
     axes.set_ylabel(f"MTF at {curves[0].through_per_mm:.3g} cycles/mm")
-    keys = [Line2D([], [], color=SOFT, ls=line, label=label) for line, label in ((SOLID, "x"), (DASHED, "y"))]
-    axes.legend(handles=keys, loc="upper right", ncols=2, borderaxespad=0, handlelength=2.2, bbox_to_anchor=(1, 1.12))
+    keys = [
+        Line2D([], [], color=SOFT, ls=line, label=label)
+        for line, label in ((SOLID, "x"), (DASHED, "y"))
+    ]
+    axes.legend(
+        handles=keys,
+        loc="upper right",
+        ncols=2,
+        borderaxespad=0,
+        handlelength=2.2,
+        bbox_to_anchor=(1, 1.12),
+    )
     return figure
 
 
 def _frame(axes: Axes, curves: Sequence[Curves]) -> None:
     places = np.concatenate([each.places for each in curves])
-    label = "range of the target, mm" if curves[0].in_ranges else "shift of the sensor from best focus, µm"
+    label = (
+        "range of the target, mm"
+        if curves[0].in_ranges
+        else "shift of the sensor from best focus, µm"
+    )
     axes.set(xlim=(places.min(), places.max()), ylim=(0, 1.0), xlabel=label)

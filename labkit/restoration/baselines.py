@@ -39,7 +39,12 @@ def baseline(job: Job, method: Method) -> Floats32:
     for k in range(len(job.colours)):
         blurred, white = interpolated(job, k), _white(job, k)
         scenes.append(
-            white * _framed(partial(restored, psf=psf_of(job, k)), blurred / white, job.guard_px * job.samples)
+            white
+            * _framed(
+                partial(restored, psf=psf_of(job, k)),
+                blurred / white,
+                job.guard_px * job.samples,
+            )
         )
     return np.asarray(scenes, np.float32)
 
@@ -51,25 +56,38 @@ def interpolated(job: Job, component: int) -> Floats:
     total = np.zeros(tuple(side.size for side in fine))
     for row, column in colour.places:
         plane = slice(row, None, job.period), slice(column, None, job.period)
-        counts = _filled(photograph.counts[plane] / photograph.light[plane], photograph.used[plane])
-        at = np.meshgrid((fine[0] - row) / job.period, (fine[1] - column) / job.period, indexing="ij")
+        counts = _filled(
+            photograph.counts[plane] / photograph.light[plane], photograph.used[plane]
+        )
+        at = np.meshgrid(
+            (fine[0] - row) / job.period, (fine[1] - column) / job.period, indexing="ij"
+        )
         total += ndimage.map_coordinates(counts, at, order=3, mode="nearest")
     return total / len(colour.places)
 
 
 def psf_of(job: Job, component: int) -> Floats:
     """(n, n) of lens and pixel on the scene's samples, n odd, unit sum."""
-    colour, side = job.colours[component], 2 * job.period * (2 * job.guard_px // job.period // 2 + 2)
+    colour, side = (
+        job.colours[component],
+        2 * job.period * (2 * job.guard_px // job.period // 2 + 2),
+    )
     grid = SceneGrid((side, side), 0, job.pitch_um, job.samples, job.period)
     whole = np.fft.fftshift(grid.image(transfer_on(grid, colour.optics, colour.waves)))
     middle, reach = [n // 2 for n in whole.shape], job.guard_px * job.samples
-    psf = whole[middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1].clip(0)
+    psf = whole[
+        middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1
+    ].clip(0)
     return np.asarray(psf / psf.sum(), float)
 
 
 def richardson_lucy(blurred: Floats, psf: Floats, steps: int = RL_STEPS) -> Floats:
     """W. Richardson, J. Opt. Soc. Am. 62, 55 (1972)."""
-    return np.asarray(_skimage("restoration").richardson_lucy(blurred.clip(LEAST), psf, num_iter=steps, clip=False))
+    return np.asarray(
+        _skimage("restoration").richardson_lucy(
+            blurred.clip(LEAST), psf, num_iter=steps, clip=False
+        )
+    )
 
 
 def blind(blurred: Floats, psf: Floats, rounds: int = BLIND_ROUNDS) -> Floats:
@@ -85,7 +103,10 @@ def blind(blurred: Floats, psf: Floats, rounds: int = BLIND_ROUNDS) -> Floats:
         ratio = data / np.maximum(fftconvolve(picture, guess, mode="same"), LEAST) - 1
         turned = fftconvolve(ratio, picture[::-1, ::-1], mode="same") / picture.sum()
         middle, reach = [n // 2 for n in turned.shape], len(psf) // 2
-        shown = turned[middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1]
+        shown = turned[
+            middle[0] - reach : middle[0] + reach + 1,
+            middle[1] - reach : middle[1] + reach + 1,
+        ]
         guess = guess * (1 + shown).clip(0)
         guess /= guess.sum()
     return picture
@@ -105,7 +126,11 @@ def total_variation(blurred: Floats, psf: Floats, weight: float = TV_WEIGHT) -> 
     scene, ahead, pace = blurred.copy(), blurred.copy(), 1.0
     for _ in range(TV_STEPS):
         apart = fftconvolve(ahead, psf, mode="same") - blurred
-        moved = denoise(ahead - fftconvolve(apart, psf[::-1, ::-1], mode="same"), weight=weight, max_num_iter=30)
+        moved = denoise(
+            ahead - fftconvolve(apart, psf[::-1, ::-1], mode="same"),
+            weight=weight,
+            max_num_iter=30,
+        )
         moved, faster = np.asarray(moved).clip(0), 0.5 * (1 + np.sqrt(1 + 4 * pace**2))
         ahead = moved + (pace - 1) / faster * (moved - scene)
         scene, pace = moved, faster
@@ -131,7 +156,9 @@ def _filled(counts: Floats, used: np.ndarray[Any, np.dtype[np.bool_]]) -> Floats
     """Counts, those not used taken from the nearest that are."""
     if used.all():
         return counts.astype(float)
-    nearest = ndimage.distance_transform_edt(~used, return_distances=False, return_indices=True)
+    nearest = ndimage.distance_transform_edt(
+        ~used, return_distances=False, return_indices=True
+    )
     return np.asarray(counts[tuple(nearest)], float)
 
 
@@ -146,5 +173,7 @@ def _skimage(part: str) -> Any:
     try:
         import skimage
     except ImportError as error:
-        raise InputError("other methods than labkit's own need scikit-image: pip install 'labkit[study]'") from error
+        raise InputError(
+            "other methods than labkit's own need scikit-image: pip install 'labkit[study]'"
+        ) from error
     return getattr(skimage, part)

@@ -11,8 +11,15 @@ from labkit.restoration.job import Job
 from labkit.restoration.tiles import CHOSEN_ON, areas_of
 from labkit.types import Floats, Progress, no_progress
 
-SPAN_WAVES, COARSE = 1.6, 0.1  # of the search, from best focus on; its step, then a quarter of it
-PARTS, LEAST_PARTS, PART_PX = 6, 3, 32  # whose likelihoods are multiplied: the richest in contrast
+SPAN_WAVES, COARSE = (
+    1.6,
+    0.1,
+)  # of the search, from best focus on; its step, then a quarter of it
+PARTS, LEAST_PARTS, PART_PX = (
+    6,
+    3,
+    32,
+)  # whose likelihoods are multiplied: the richest in contrast
 SURE = 3.0  # standard errors from best focus
 # waves, by which scenes' own blur, depth and spectra make it err: 0.22 RMS of three pictures of the study at 0, 0.3 and 1.07,
 # and once 0.7, of a real one (docs/decisions.md)
@@ -37,8 +44,12 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Def
     Raises ValueError where mode 4 is none of the modes.
     """
     if any(4 not in colour.optics.noll for colour in job.colours):
-        raise ValueError("the session's wavefronts have no mode 4: their defocus cannot be fitted")
-    own = float(np.mean([colour.waves[colour.optics.noll.index(4)] for colour in job.colours]))
+        raise ValueError(
+            "the session's wavefronts have no mode 4: their defocus cannot be fitted"
+        )
+    own = float(
+        np.mean([colour.waves[colour.optics.noll.index(4)] for colour in job.colours])
+    )
     coarse = np.arange(0, SPAN_WAVES + COARSE / 2, COARSE)
     fine = np.arange(-0.75, 0.76, 0.25) * COARSE
     total = len(coarse) + len(fine)
@@ -53,7 +64,10 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Def
 
     rough = scored(coarse, 0)
     near = np.abs(coarse[np.argmin(rough.sum(axis=1))] + fine)
-    places, scores = np.concatenate([coarse, near]), np.concatenate([rough, scored(near, len(coarse))])
+    places, scores = (
+        np.concatenate([coarse, near]),
+        np.concatenate([rough, scored(near, len(coarse))]),
+    )
     size, std = _jackknifed(places, scores)
     told = size > SURE * std
     waves = float(np.copysign(size, own))
@@ -74,7 +88,9 @@ def _unlikely(job: Job) -> Floats:
     """(parts,) of a job."""
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
     views = [coarse.views(area) for area in areas_of(job, PART_PX)[:PARTS]]
-    return np.array([unlikeliness(view, job.coupling) for view in views if view is not None])
+    return np.array(
+        [unlikeliness(view, job.coupling) for view in views if view is not None]
+    )
 
 
 def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:

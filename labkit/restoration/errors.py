@@ -20,7 +20,9 @@ from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
 LEVELS = 6
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
-NEAR_CELLS = 1.0  # standard deviation, cells, of the neighbourhood whose counts a sample hangs on
+NEAR_CELLS = (
+    1.0  # standard deviation, cells, of the neighbourhood whose counts a sample hangs on
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +43,29 @@ def standard_errors(
     small: the same planes through the same lenses on a torus that is only as large as the PSF; stiffness: as `Strength` has it;
     means: of each plane of `views`.
     """
-    weights = [view.light**2 * view.weight(mean) for view, mean in zip(views, means, strict=True)]
+    weights = [
+        view.light**2 * view.weight(mean) for view, mean in zip(views, means, strict=True)
+    ]
     typical = [float(np.median(weight[weight > 0])) for weight in weights]
-    near = np.mean([_near(weight / usual) for weight, usual in zip(weights, typical, strict=True)], axis=0)
+    near = np.mean(
+        [_near(weight / usual) for weight, usual in zip(weights, typical, strict=True)],
+        axis=0,
+    )
     level = np.log(np.maximum(near, FAINTEST))
-    at = np.linspace(level.min(), level.max(), LEVELS) if np.ptp(level) > 1e-6 else np.array([level.mean()])
-    every = [_even(small, coupling, stiffness, [usual * np.exp(one) for usual in typical]) for one in at]
+    at = (
+        np.linspace(level.min(), level.max(), LEVELS)
+        if np.ptp(level) > 1e-6
+        else np.array([level.mean()])
+    )
+    every = [
+        _even(small, coupling, stiffness, [usual * np.exp(one) for usual in typical])
+        for one in at
+    ]
     variance, share = (np.array([pair[k] for pair in every]) for k in (0, 1))
     step = views.grid.cells.oversampling
-    std, by_penalty = (_spread_out(np.log(values), at, level, step) for values in (variance, share))
+    std, by_penalty = (
+        _spread_out(np.log(values), at, level, step) for values in (variance, share)
+    )
     return ErrorMap(np.exp(0.5 * std), np.exp(by_penalty))
 
 
@@ -58,23 +74,37 @@ def _near(weight: Floats) -> Floats:
     return ndimage.gaussian_filter(weight, NEAR_CELLS, mode="constant")
 
 
-def _even(small: Views, coupling: Floats, stiffness: float, weights: Sequence[float]) -> tuple[Floats, Floats]:
+def _even(
+    small: Views, coupling: Floats, stiffness: float, weights: Sequence[float]
+) -> tuple[Floats, Floats]:
     """(components, step, step) variance of a cell's samples, and the penalty's share of it, where weights are even."""
     grid = small.grid
     longest = max(side / grid.samples for side in grid.shape)
     rough = stiffness / grid.samples**2
     solid = Stiffness(grid, coupling, rough, rough * (2 * np.pi / longest) ** 2)
-    full = [np.full(view.counts.shape, weight) for view, weight in zip(small, weights, strict=True)]
+    full = [
+        np.full(view.counts.shape, weight)
+        for view, weight in zip(small, weights, strict=True)
+    ]
     inverse = _whole_plane(Kriging(small, solid, full).nearly, grid.cells.pixels)
     half = grid.shape[0] // 2 + 1
     variances, shares = [], []
     for component in range(small.components):
-        before = float(np.sum(grid.share * solid.between(component, component), dtype=np.float64))
+        before = float(
+            np.sum(grid.share * solid.between(component, component), dtype=np.float64)
+        )
         kernels: list[Complexes] = [
-            np.multiply(np.conj(view.transfer), solid.between(component, view.component), dtype=complex)
+            np.multiply(
+                np.conj(view.transfer),
+                solid.between(component, view.component),
+                dtype=complex,
+            )
             for view in small
         ]
-        taken, noise = np.zeros(2 * (grid.cells.oversampling,)), np.zeros(2 * (grid.cells.oversampling,))
+        taken, noise = (
+            np.zeros(2 * (grid.cells.oversampling,)),
+            np.zeros(2 * (grid.cells.oversampling,)),
+        )
         for j, kernel in enumerate(kernels):
             answer: Complexes = np.zeros(kernel.shape, complex)
             for i, other in enumerate(kernels):
@@ -101,7 +131,9 @@ def _repeated(cells: Complexes, half: int, times: int) -> Complexes:
 def _over_cells(kernel: AnyFloats, step: int) -> Floats:
     """(step, step) a kernel summed over its places in all cells."""
     rows, columns = (side // step for side in kernel.shape)
-    return np.asarray(kernel.reshape(rows, step, columns, step).sum(axis=(0, 2), dtype=np.float64))
+    return np.asarray(
+        kernel.reshape(rows, step, columns, step).sum(axis=(0, 2), dtype=np.float64)
+    )
 
 
 def _spread_out(values: Floats, at: Floats, level: Floats, step: int) -> Floats32:

@@ -12,7 +12,11 @@ from labkit.restoration.strength import Trial
 from labkit.restoration.views import Views
 from labkit.types import Floats
 
-POWERS = (1.0, 1.5, 2.0)  # of w^2 that a scene's spectrum falls with: many edges, few edges, none
+POWERS = (
+    1.0,
+    1.5,
+    2.0,
+)  # of w^2 that a scene's spectrum falls with: many edges, few edges, none
 CONTRAST = 2.0  # standard deviation over mean of a scene, at most: what is nowhere below 0 has little more
 BEGIN, STEP, MOST = -3.0, 0.5, 1.0  # decades of the stiffness about the unit of `Trial`
 
@@ -23,7 +27,9 @@ def unlikeliness(views: Views, coupling: Floats) -> float:
     Not more contrasty than light can be: any blur of a few tens of pixels looks likely where scenes may be a thousand times as
     contrasty as their pictures.
     """
-    return min(_least(Trial(views, coupling, np.random.default_rng(1), power)) for power in POWERS)
+    return min(
+        _least(Trial(views, coupling, np.random.default_rng(1), power)) for power in POWERS
+    )
 
 
 def _least(trial: Trial) -> float:

@@ -9,7 +9,15 @@ import numpy as np
 import scipy.fft
 
 from labkit.imaging.grid import Torus
-from labkit.types import AnyComplexes, AnyFloats, Bools, Complexes, Complexes64, Floats, Floats32
+from labkit.types import (
+    AnyComplexes,
+    AnyFloats,
+    Bools,
+    Complexes,
+    Complexes64,
+    Floats,
+    Floats32,
+)
 
 
 @dataclass(frozen=True)
@@ -33,21 +41,31 @@ class SceneGrid:
     cells: Torus = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.samples < 1 or any(side % self.period or side < self.period for side in self.frame):
+        if self.samples < 1 or any(
+            side % self.period or side < self.period for side in self.frame
+        ):
             raise ValueError(
                 f"a frame of {self.frame} pixels and {self.samples} samples to a pixel: whole cells of "
                 f"{self.period} pixels and a sample or more are needed"
             )
         guard = -(-self.guard_px // self.period)
         frame = (self.frame[0] // self.period, self.frame[1] // self.period)
-        rows, columns = (scipy.fft.next_fast_len(side + 2 * guard, real=True) for side in frame)
+        rows, columns = (
+            scipy.fft.next_fast_len(side + 2 * guard, real=True) for side in frame
+        )
         margin = ((rows - frame[0]) // 2, (columns - frame[1]) // 2)
         step, limit = self.period * self.samples, self.samples / (2 * self.pitch_um)
         object.__setattr__(
-            self, "cells", Torus((rows, columns), margin, frame, step, self.period * self.pitch_um, limit)
+            self,
+            "cells",
+            Torus((rows, columns), margin, frame, step, self.period * self.pitch_um, limit),
         )
-        wide, at = ((self.period * a, self.period * b) for a, b in ((rows, columns), margin))
-        object.__setattr__(self, "pixels", Torus(wide, at, self.frame, self.samples, self.pitch_um, limit))
+        wide, at = (
+            (self.period * a, self.period * b) for a, b in ((rows, columns), margin)
+        )
+        object.__setattr__(
+            self, "pixels", Torus(wide, at, self.frame, self.samples, self.pitch_um, limit)
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -58,7 +76,8 @@ class SceneGrid:
     def inner(self) -> tuple[slice, slice]:
         """The fine samples of the frame: those within its pixels, the first of each in its centre."""
         rows, columns = (
-            slice(m * self.samples, (m + f) * self.samples) for m, f in zip(self.pixels.margin, self.frame, strict=True)
+            slice(m * self.samples, (m + f) * self.samples)
+            for m, f in zip(self.pixels.margin, self.frame, strict=True)
         )
         return rows, columns
 
@@ -67,7 +86,9 @@ class SceneGrid:
         """Along rows (half, 1) and columns (1, columns), cycles a pixel."""
         rows, columns = self.shape
         step = 1 / self.samples
-        return scipy.fft.rfftfreq(rows, step)[:, None], scipy.fft.fftfreq(columns, step)[None, :]
+        return scipy.fft.rfftfreq(rows, step)[:, None], scipy.fft.fftfreq(columns, step)[
+            None, :
+        ]
 
     @cached_property
     def squared_frequency(self) -> Floats32:
@@ -94,7 +115,8 @@ class SceneGrid:
     def shifted(self, transfer: Complexes64, shift_px: tuple[float, float]) -> Complexes64:
         """The same where a picture stands shifted, pixels down and right."""
         down, right = (
-            np.exp(-2j * np.pi * by * w).astype(np.complex64) for by, w in zip(shift_px, self.frequencies, strict=True)
+            np.exp(-2j * np.pi * by * w).astype(np.complex64)
+            for by, w in zip(shift_px, self.frequencies, strict=True)
         )
         return np.asarray(transfer * down * right)
 
@@ -117,7 +139,9 @@ class SceneGrid:
         folded = scipy.fft.fft2(cells).astype(np.complex64)[:, None, :]
         (rows, columns), result = self.cells.pixels, np.conj(transfer)
         for first in range(0, len(result), rows):  # the spectrum of samples repeats itself
-            block = result[first : first + rows].reshape(-1, self.cells.oversampling, columns)
+            block = result[first : first + rows].reshape(
+                -1, self.cells.oversampling, columns
+            )
             block *= folded[: len(block)]
         return np.asarray(result)
 
@@ -137,7 +161,10 @@ class SceneGrid:
     @property
     def at_frame(self) -> tuple[slice, slice]:
         """The frame among the torus's cells."""
-        rows, columns = (slice(m, m + f) for m, f in zip(self.cells.margin, self.cells.frame, strict=True))
+        rows, columns = (
+            slice(m, m + f)
+            for m, f in zip(self.cells.margin, self.cells.frame, strict=True)
+        )
         return rows, columns
 
     def kernel(self, spectrum: AnyComplexes) -> Complexes:

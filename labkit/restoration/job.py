@@ -113,12 +113,24 @@ class Job:
         """A part of it, with the lens and the motion of its place."""
         origin = np.array([area[0].start, area[1].start], float)
         photographs = tuple(
-            replace(p, counts=p.counts[area], used=p.used[area], light=p.light[area], motion=_from(p.motion, origin))
+            replace(
+                p,
+                counts=p.counts[area],
+                used=p.used[area],
+                light=p.light[area],
+                motion=_from(p.motion, origin),
+            )
             for p in self.photographs
         )
-        place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
+        place = (
+            (area[0].start + area[0].stop - 1) / 2,
+            (area[1].start + area[1].stop - 1) / 2,
+        )
         colours = tuple(
-            replace(c, waves=c.waves_near(place), waves_at=None, motion=_from(c.motion, origin)) for c in self.colours
+            replace(
+                c, waves=c.waves_near(place), waves_at=None, motion=_from(c.motion, origin)
+            )
+            for c in self.colours
         )
         return replace(self, photographs=photographs, colours=colours)
 
@@ -126,7 +138,10 @@ class Job:
         """Of the scene in an area of whole cells; None where no count of it can be used."""
         frame = (area[0].stop - area[0].start, area[1].stop - area[1].start)
         grid = SceneGrid(frame, self.guard_px, self.pitch_um, self.samples, self.period)
-        place = ((area[0].start + area[0].stop - 1) / 2, (area[1].start + area[1].stop - 1) / 2)
+        place = (
+            (area[0].start + area[0].stop - 1) / 2,
+            (area[1].start + area[1].stop - 1) / 2,
+        )
         found: list[View] = []
         for component, colour in enumerate(self.colours):
             transfer = transfer_on(grid, colour.optics, colour.waves_near(place))
@@ -134,15 +149,24 @@ class Job:
                 down, right = (photograph.motion + colour.motion) @ np.array([*place, 1.0])
                 by = (float(down), float(right))
                 found += self._planes(photograph, area, component, grid, transfer, by)
-        return Views(grid, tuple(found), len(self.colours)) if self._complete(found) else None
+        return (
+            Views(grid, tuple(found), len(self.colours)) if self._complete(found) else None
+        )
 
     def small(self, place: tuple[float, float], cells: int) -> Views:
         """The same planes on a torus of a few cells, all counts there: what errors of even noise are computed on."""
         side = cells * self.period
         one, none = np.ones((side, side)), np.zeros((side, side))
-        photographs = tuple(replace(p, counts=none, used=one > 0, light=one) for p in self.photographs)
+        photographs = tuple(
+            replace(p, counts=none, used=one > 0, light=one) for p in self.photographs
+        )
         job = replace(self, photographs=photographs, guard_px=0)
-        views = replace(job, colours=tuple(replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours))
+        views = replace(
+            job,
+            colours=tuple(
+                replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours
+            ),
+        )
         found = views.views((slice(0, side), slice(0, side)))
         assert found is not None
         return found
@@ -199,6 +223,13 @@ def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
     size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
     size = min(size, min(torus.fine) * finer)
-    pupil = Pupil(optics.wavelength_um, optics.reference_um, optics.f_number, spacing_um, size, optics.noll)
+    pupil = Pupil(
+        optics.wavelength_um,
+        optics.reference_um,
+        optics.f_number,
+        spacing_um,
+        size,
+        optics.noll,
+    )
     blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
     return grid.whole(blur.transfer(waves))

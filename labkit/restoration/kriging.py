@@ -41,10 +41,14 @@ class Stiffness:
 
     def __post_init__(self) -> None:
         if not (self.rough > 0 and self.pull > 0):
-            raise ValueError(f"rough {self.rough:g}, pull {self.pull:g}: numbers above 0 are needed")
+            raise ValueError(
+                f"rough {self.rough:g}, pull {self.pull:g}: numbers above 0 are needed"
+            )
         weights, turn = np.linalg.eigh(self.coupling)
         squared = self.grid.squared_frequency.astype(np.float64) ** self.power
-        give = np.array([1 / (self.rough * weight * squared + self.pull) for weight in weights])
+        give = np.array(
+            [1 / (self.rough * weight * squared + self.pull) for weight in weights]
+        )
         object.__setattr__(self, "turn", turn)
         object.__setattr__(self, "give", give)
         object.__setattr__(self, "_give", give.astype(np.float32))
@@ -65,7 +69,9 @@ class Stiffness:
 class Kriging:
     """The scene of a quadratic penalty, given data with noise: `weights` (rows, columns) of each view's, 0 where not used."""
 
-    def __init__(self, views: Views, stiffness: Stiffness, weights: Sequence[Floats]) -> None:
+    def __init__(
+        self, views: Views, stiffness: Stiffness, weights: Sequence[Floats]
+    ) -> None:
         self.views, self.stiffness, self.grid = views, stiffness, views.grid
         self.light = np.array([view.light for view in views])
         self._between = self._kernels()
@@ -81,23 +87,38 @@ class Kriging:
         """What `apply` does, inverted, were all counts there and equally good."""
         blocks = self._blocks()
         self.nearly: Complexes = np.asarray(
-            np.moveaxis(np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks, (2, 3), (0, 1)), complex
+            np.moveaxis(
+                np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks,
+                (2, 3),
+                (0, 1),
+            ),
+            complex,
         )
-        self._roughly = self.nearly.astype(np.complex64)  # a preconditioner need be no more exact
+        self._roughly = self.nearly.astype(
+            np.complex64
+        )  # a preconditioner need be no more exact
 
     def _blocks(self) -> Complexes:
         """(rows, columns // 2 + 1, views, views) of what `apply` does by frequency, were all counts as good as the median."""
-        return np.asarray(np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(self._typical()))
+        return np.asarray(
+            np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(self._typical())
+        )
 
     def _typical(self) -> Floats:
         """(views,) median variances."""
-        return np.array([np.median(v[u]) for v, u in zip(self.variance, self.used, strict=True)])
+        return np.array(
+            [np.median(v[u]) for v, u in zip(self.variance, self.used, strict=True)]
+        )
 
     def log_determinant(self) -> float:
         """Of what `apply` does over that of the variances alone: all frequencies', as many as there are used counts."""
         logs, columns = np.linalg.slogdet(self._blocks())[1], self.grid.cells.pixels[1]
-        twice = np.where((np.arange(logs.shape[1]) * 2) % columns == 0, 1.0, 2.0)  # half a plane stands for all of it
-        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs))) - float(np.sum(np.log(self._typical())))
+        twice = np.where(
+            (np.arange(logs.shape[1]) * 2) % columns == 0, 1.0, 2.0
+        )  # half a plane stands for all of it
+        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs))) - float(
+            np.sum(np.log(self._typical()))
+        )
         return mean * float(self.used.sum()) / len(self.views)
 
     def stiffer(self, factor: float) -> Kriging:
@@ -107,7 +128,9 @@ class Kriging:
         other._invert()
         return other
 
-    def solve(self, data: Floats, start: Floats | None = None, tolerance: float = TOLERANCE) -> Floats:
+    def solve(
+        self, data: Floats, start: Floats | None = None, tolerance: float = TOLERANCE
+    ) -> Floats:
         """(views, rows, columns) u of (W^-1 + H K^-1 H^T) u = data at used counts, 0 elsewhere; conjugate gradients."""
         solution = np.zeros_like(data) if start is None else start.copy()
         wanted = np.where(self.used, data, 0.0)
@@ -133,7 +156,9 @@ class Kriging:
 
     def data_part(self, planes: Floats) -> Floats:
         """H K^-1 H^T of planes, at used counts."""
-        return np.where(self.used, self.light * self._convolved(self._between, self.light * planes), 0.0)
+        return np.where(
+            self.used, self.light * self._convolved(self._between, self.light * planes), 0.0
+        )
 
     def scene(self, planes: Floats) -> AnyComplexes:
         """Half planes of K^-1 H^T u."""
@@ -146,7 +171,9 @@ class Kriging:
         for i, one in enumerate(self.views):
             for j, other in enumerate(self.views.views[: i + 1]):
                 give = self.stiffness.between(one.component, other.component)
-                between[j, i] = self.grid.kernel(give * np.conj(one.transfer) * other.transfer)
+                between[j, i] = self.grid.kernel(
+                    give * np.conj(one.transfer) * other.transfer
+                )
                 between[i, j] = np.conj(between[j, i])
         return between
 
@@ -159,5 +186,11 @@ class Kriging:
         cells = np.zeros((len(planes), *self.grid.cells.pixels), kernels.real.dtype)
         cells[:, *self.grid.at_frame] = planes
         spectra = scipy.fft.rfft2(cells)
-        mixed = kernels[0] * spectra if len(planes) == 1 else np.einsum("ijrc,jrc->irc", kernels, spectra)
-        return np.asarray(scipy.fft.irfft2(mixed, s=self.grid.cells.pixels)[:, *self.grid.at_frame])
+        mixed = (
+            kernels[0] * spectra
+            if len(planes) == 1
+            else np.einsum("ijrc,jrc->irc", kernels, spectra)
+        )
+        return np.asarray(
+            scipy.fft.irfft2(mixed, s=self.grid.cells.pixels)[:, *self.grid.at_frame]
+        )

@@ -13,26 +13,35 @@ from scipy.special import chdtri
 from labkit.restoration.job import Colour, Photograph
 from labkit.types import Bools, Floats
 
-STRIDE, SIDE = 3, 4  # between differences that share no count, and differences to a square's side
+STRIDE, SIDE = (
+    3,
+    4,
+)  # between differences that share no count, and differences to a square's side
 QUIET = 0.1  # share of a brightness's squares that show noise alone
 LEVELS, LEAST_SQUARES = 12, 100
 LEAST_VARIANCE = 1 / 12  # of rounding
 ROUNDS = 5
 
 
-def own_noise(photograph: Photograph, colour: Colour, period: int) -> tuple[float, float] | None:
+def own_noise(
+    photograph: Photograph, colour: Colour, period: int
+) -> tuple[float, float] | None:
     """(gain in counts an electron, read variance in counts squared) of a colour; None where the picture is too small or dark
     to tell. An upper bound where a scene is rough everywhere: what it adds is taken for noise."""
     squares = [
         _squares(photograph.counts[plane].astype(float), photograph.used[plane])
-        for plane in ((slice(r, None, period), slice(c, None, period)) for r, c in colour.places)
+        for plane in (
+            (slice(r, None, period), slice(c, None, period)) for r, c in colour.places
+        )
     ]
     level, variance = np.concatenate(squares, axis=1)
     if level.size < LEAST_SQUARES:
         return None
     order = np.argsort(level)
     groups = [group for group in np.array_split(order, LEVELS) if level[group].mean() > 0]
-    usual = float(chdtri(SIDE**2, 1 - QUIET)) / SIDE**2  # of noise alone that quantile, over its mean
+    usual = (
+        float(chdtri(SIDE**2, 1 - QUIET)) / SIDE**2
+    )  # of noise alone that quantile, over its mean
     at = np.array([level[group].mean() for group in groups])
     found = np.array([np.quantile(variance[group], QUIET) for group in groups]) / usual
     gain, floor = _line(at, np.maximum(found, LEAST_VARIANCE))
@@ -48,7 +57,9 @@ def _squares(counts: Floats, used: Bools) -> Floats:
     apart = np.einsum("iajb,ab->ij", counts[cut].reshape(cells), kernel)
     whole = (rows // SIDE, SIDE, columns // SIDE, SIDE)
     level = counts[cut].reshape(cells).mean(axis=(1, 3)).reshape(whole).mean(axis=(1, 3))
-    there = np.all(np.all(used[cut].reshape(cells), axis=(1, 3)).reshape(whole), axis=(1, 3))
+    there = np.all(
+        np.all(used[cut].reshape(cells), axis=(1, 3)).reshape(whole), axis=(1, 3)
+    )
     return np.array([level[there], (apart**2).reshape(whole).mean(axis=(1, 3))[there]])
 
 
@@ -56,6 +67,9 @@ def _line(level: Floats, variance: Floats) -> tuple[float, float]:
     """Slope and floor, neither below 0, of relative least squares: a square's variance errs by a share of itself."""
     expected = variance
     for _ in range(ROUNDS):
-        slope, floor = nnls(np.column_stack([level, np.ones(level.size)]) / expected[:, None], variance / expected)[0]
+        slope, floor = nnls(
+            np.column_stack([level, np.ones(level.size)]) / expected[:, None],
+            variance / expected,
+        )[0]
         expected = np.maximum(slope * level + floor, LEAST_VARIANCE)
     return float(slope), float(floor)

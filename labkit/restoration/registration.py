@@ -24,7 +24,10 @@ MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that
 
 
 def registered(
-    first: Photograph, other: Photograph, period: int, places: Sequence[tuple[int, int]] | None = None
+    first: Photograph,
+    other: Photograph,
+    period: int,
+    places: Sequence[tuple[int, int]] | None = None,
 ) -> Floats:
     """(2, 3) motion of a photograph beside the first, as `Photograph.motion` has it: a shift, by correlation of grey cells.
 
@@ -35,13 +38,19 @@ def registered(
     places = places or [(row, column) for row in range(period) for column in range(period)]
     one, two = _grey(first, period, places), _grey(other, period, places)
     begin, whole = np.eye(2, 3, dtype=np.float32), np.ones(two.shape, np.uint8)
-    shift, _ = cv2.phaseCorrelate(one, two, cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F))
+    shift, _ = cv2.phaseCorrelate(
+        one, two, cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
+    )
     begin[:, 2] = shift
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_STEPS, ENOUGH)
     try:
-        _, warp = cv2.findTransformECC(one, two, begin, cv2.MOTION_TRANSLATION, criteria, whole, SMOOTH_CELLS)
+        _, warp = cv2.findTransformECC(
+            one, two, begin, cv2.MOTION_TRANSLATION, criteria, whole, SMOOTH_CELLS
+        )
     except cv2.error:
-        raise DataError("two photographs do not show the same scene: restore them apart") from None
+        raise DataError(
+            "two photographs do not show the same scene: restore them apart"
+        ) from None
     turned = np.asarray(warp, float)[::-1, [1, 0, 2]]  # rows before columns
     motion = turned - np.eye(2, 3)
     return np.asarray(motion * period)
@@ -62,7 +71,10 @@ def refined(job: Job) -> Job:
         if views is None:
             return job
         scene = _scene(views, coarse)
-        moved = [replace(p, motion=p.motion + _step(coarse, p, area, scene)) for p in coarse.photographs[1:]]
+        moved = [
+            replace(p, motion=p.motion + _step(coarse, p, area, scene))
+            for p in coarse.photographs[1:]
+        ]
         coarse = replace(coarse, photographs=(coarse.photographs[0], *moved))
     for photograph in coarse.photographs:
         if (turn := float(np.abs(photograph.motion[:, :2]).max())) > MOST_TURN:
@@ -79,10 +91,16 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
     weights = views.weights(means)
     density = sum(float(w.mean()) for w in weights) / len(job.photographs) / job.period**2
     rough = SOFT * density / (np.pi / 2) ** 2 / job.samples**2
-    kriging = Kriging(views, Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2), weights)
+    kriging = Kriging(
+        views,
+        Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2),
+        weights,
+    )
     apart = np.array([view.counts - mean for view, mean in zip(views, means, strict=True)])
     spectra = kriging.scene(kriging.solve(apart))
-    spectra[:, 0, 0] += (levels * views.grid.shape[0] * views.grid.shape[1]).astype(np.float32)
+    spectra[:, 0, 0] += (levels * views.grid.shape[0] * views.grid.shape[1]).astype(
+        np.float32
+    )
     return spectra
 
 
@@ -97,20 +115,35 @@ def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> 
     right = -normal @ (half * photograph.motion).ravel()
     for view, mean in zip(views, views.means(scene), strict=True):
         slopes = [
-            view.light * grid.sample((-2j * np.pi * w).astype(np.complex64) * scene[view.component] * view.transfer)
+            view.light
+            * grid.sample(
+                (-2j * np.pi * w).astype(np.complex64)
+                * scene[view.component]
+                * view.transfer
+            )
             for w in grid.frequencies
         ]
         rows, columns = (
             (np.arange(n) * grid.period + p + part.start - c) / half
-            for n, p, part, c in zip(view.counts.shape, view.place, area, centre, strict=True)
+            for n, p, part, c in zip(
+                view.counts.shape, view.place, area, centre, strict=True
+            )
         )
-        places = [rows[:, None] + 0 * columns, columns[None, :] + 0 * rows[:, None], np.ones(view.counts.shape)]
+        places = [
+            rows[:, None] + 0 * columns,
+            columns[None, :] + 0 * rows[:, None],
+            np.ones(view.counts.shape),
+        ]
         design = np.array([slope * place for slope in slopes for place in places])
         apart, near = view.counts - mean, view.used
-        weight = np.where(near, 1 / (view.expected(mean).variance + float(np.mean(apart[near] ** 2))), 0.0)
+        weight = np.where(
+            near, 1 / (view.expected(mean).variance + float(np.mean(apart[near] ** 2))), 0.0
+        )
         normal += np.einsum("irc,jrc,rc->ij", design, design, weight)
         right += np.einsum("irc,rc,rc->i", design, apart, weight)
-    change = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), right).reshape(2, 3)
+    change = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), right).reshape(
+        2, 3
+    )
     change[:, :2] /= half
     change[:, 2] -= change[:, :2] @ centre
     return np.asarray(change)
@@ -119,11 +152,16 @@ def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> 
 def _middle(job: Job) -> Area:
     """Of the photographs, in whole cells, as much as serves."""
     sides = [min(side, MIDDLE_PX) // job.period * job.period for side in job.shape]
-    rows, columns = ((side - part) // 2 // job.period * job.period for side, part in zip(job.shape, sides, strict=True))
+    rows, columns = (
+        (side - part) // 2 // job.period * job.period
+        for side, part in zip(job.shape, sides, strict=True)
+    )
     return slice(rows, rows + sides[0]), slice(columns, columns + sides[1])
 
 
-def _grey(photograph: Photograph, period: int, places: Sequence[tuple[int, int]]) -> Floats32:
+def _grey(
+    photograph: Photograph, period: int, places: Sequence[tuple[int, int]]
+) -> Floats32:
     """Means over cells, gaps filled from around, on a scale of 0 to 1."""
     rows, columns = (side // period for side in photograph.counts.shape)
     total, share = np.zeros((rows, columns)), np.zeros((rows, columns))
@@ -133,6 +171,8 @@ def _grey(photograph: Photograph, period: int, places: Sequence[tuple[int, int]]
         total = total + np.where(photograph.used[plane], light, 0.0)
         share = share + photograph.used[plane] / len(places)
     cells, known = total / len(places), share
-    around = ndimage.gaussian_filter(cells, 2.0) / np.maximum(ndimage.gaussian_filter(known, 2.0), 1e-3)
+    around = ndimage.gaussian_filter(cells, 2.0) / np.maximum(
+        ndimage.gaussian_filter(known, 2.0), 1e-3
+    )
     grey = np.where(known > 1 - 1e-9, cells, around)
     return np.asarray((grey - grey.min()) / max(np.ptp(grey), 1e-9), np.float32)

@@ -52,18 +52,28 @@ class Roughness:
             return self.strength * self.norm(scene, spectra).roughness
         apart = self._apart(scene, self.held.means)
         square = self._area * float(np.sum(apart * self._coupled(apart), dtype=np.float64))
-        return self.strength / self.held.square * (self._rough(spectra) - self.held.roughness * square)
+        return (
+            self.strength
+            / self.held.square
+            * (self._rough(spectra) - self.held.roughness * square)
+        )
 
-    def gradient(self, scene: AnyFloats, spectra: AnyComplexes) -> tuple[AnyComplexes, AnyFloats]:
+    def gradient(
+        self, scene: AnyFloats, spectra: AnyComplexes
+    ) -> tuple[AnyComplexes, AnyFloats]:
         """Thesis (K.19), in two parts: half planes, and what is to be added to their scene."""
         norm = self.held or self.norm(scene, spectra)
         factor = np.float32(self.stiffness(norm))
-        return self._weighed(spectra, factor), -factor * np.float32(norm.roughness) * self._coupled(
-            self._apart(scene, norm.means)
-        )
+        return self._weighed(spectra, factor), -factor * np.float32(
+            norm.roughness
+        ) * self._coupled(self._apart(scene, norm.means))
 
     def curvature(
-        self, scene: AnyFloats, spectra: AnyComplexes, step: AnyFloats, step_spectra: AnyComplexes
+        self,
+        scene: AnyFloats,
+        spectra: AnyComplexes,
+        step: AnyFloats,
+        step_spectra: AnyComplexes,
     ) -> tuple[AnyComplexes, AnyFloats]:
         """The second derivatives times a step (components, rows, columns), in the two parts of `gradient`."""
         norm = self.held or self.norm(scene, spectra)
@@ -75,13 +85,29 @@ class Roughness:
                 -factor * norm.roughness
             ) * self._coupled(apart)
         here = self._coupled(self._apart(scene, norm.means))
-        moved = self._coupled(self._apart(step, step[:, self.seen].mean(axis=1, dtype=np.float64)))
-        square_by = 2 * self._area * float(np.sum(here * step, dtype=np.float64))  # the norm's square along the step
-        rough_by = 2 * self._area * float(np.sum(self.grid.share * np.real(np.conj(spectra) * rough), dtype=np.float64))
+        moved = self._coupled(
+            self._apart(step, step[:, self.seen].mean(axis=1, dtype=np.float64))
+        )
+        square_by = (
+            2 * self._area * float(np.sum(here * step, dtype=np.float64))
+        )  # the norm's square along the step
+        rough_by = (
+            2
+            * self._area
+            * float(
+                np.sum(
+                    self.grid.share * np.real(np.conj(spectra) * rough), dtype=np.float64
+                )
+            )
+        )
         share = np.float32(square_by / norm.square)
         by_norm = (2 * norm.roughness * square_by - rough_by) / norm.square
-        spectral = self._weighed(np.asarray(step_spectra - share * spectra), np.float32(factor))
-        return spectral, np.float32(factor) * (np.float32(by_norm) * here - np.float32(norm.roughness) * moved)
+        spectral = self._weighed(
+            np.asarray(step_spectra - share * spectra), np.float32(factor)
+        )
+        return spectral, np.float32(factor) * (
+            np.float32(by_norm) * here - np.float32(norm.roughness) * moved
+        )
 
     def stiffness(self, norm: Norm) -> float:
         """What w^2 is multiplied by in a sample's second derivatives, the norm's own left out: 2 lambda / |f - mean|^2."""
@@ -94,7 +120,13 @@ class Roughness:
 
     def _apart(self, scene: AnyFloats, means: Floats) -> AnyFloats:
         """Seen samples less their means, the others 0."""
-        return np.asarray(np.where(self.seen, scene - means.astype(scene.dtype)[:, None, None], scene.dtype.type(0)))
+        return np.asarray(
+            np.where(
+                self.seen,
+                scene - means.astype(scene.dtype)[:, None, None],
+                scene.dtype.type(0),
+            )
+        )
 
     def _coupled(self, of_components: AnyFloats) -> AnyFloats:
         if len(of_components) == 1:
@@ -103,7 +135,11 @@ class Roughness:
 
     def _weighed(self, spectra: AnyComplexes, factor: np.float32 = ONE) -> AnyComplexes:
         """M Q f, times a factor."""
-        coupled = np.tensordot(self.coupling.astype(np.float32), spectra, 1) if len(spectra) > 1 else spectra
+        coupled = (
+            np.tensordot(self.coupling.astype(np.float32), spectra, 1)
+            if len(spectra) > 1
+            else spectra
+        )
         scale = np.float32(self.coupling[0, 0] if len(spectra) == 1 else 1.0)
         return coupled * (factor * scale * self.grid.squared_frequency)
 

@@ -23,9 +23,7 @@ PULL = 0.02  # of the data's curvature, for what is constant
 OVER = 1.6  # relaxation: between 1.5 and 1.8 is usual
 SAME_NORM = 0.01  # relative: lambda need be no more exact
 SETTLED = 0.05  # of a Newton step, RMS: the splitting's own error
-DECREASE = (
-    3e-3  # of the misfit, for each count: a restored sample is then within a few hundredths of its standard error
-)
+DECREASE = 3e-3  # of the misfit, for each count: a restored sample is then within a few hundredths of its standard error
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,9 @@ class Point:
         """At a scene."""
         spectra = views.grid.spectrum(scene)
         means = views.means(spectra)
-        return cls(scene, spectra, means, views.misfit(means) + penalty.value(scene, spectra))
+        return cls(
+            scene, spectra, means, views.misfit(means) + penalty.value(scene, spectra)
+        )
 
     def gradient(self, views: Views, penalty: Roughness) -> AnyFloats:
         """(components, rows, columns) of the penalised misfit."""
@@ -78,7 +78,12 @@ class Point:
     def curvature(self, views: Views, penalty: Roughness, step: AnyFloats) -> AnyFloats:
         """Its second derivatives, Fisher's, times a step."""
         spectra = views.grid.spectrum(step)
-        seen = [w * moved for w, moved in zip(views.weights(self.means), views.means(spectra), strict=True)]
+        seen = [
+            w * moved
+            for w, moved in zip(
+                views.weights(self.means), views.means(spectra), strict=True
+            )
+        ]
         rough, beside = penalty.curvature(self.scene, self.spectra, step, spectra)
         return views.grid.image(views.spread(seen) + rough) + beside
 
@@ -111,36 +116,60 @@ def restore(
         if gained < DECREASE * views.data:
             break
     norm = penalty.norm(point.scene, point.spectra)
-    return Restored(point.scene, solver.multiplier, tuple(point.means), norm, point.value, steps, solver.turns)
+    return Restored(
+        point.scene,
+        solver.multiplier,
+        tuple(point.means),
+        norm,
+        point.value,
+        steps,
+        solver.turns,
+    )
 
 
 class Solver:
     """The quadratic problems of Newton's steps, each begun where the last one ended."""
 
-    def __init__(self, views: Views, penalty: Roughness, norm: Norm, means: list[Floats]) -> None:
+    def __init__(
+        self, views: Views, penalty: Roughness, norm: Norm, means: list[Floats]
+    ) -> None:
         self.views, self.penalty, self.grid = views, penalty, views.grid
         cell = self.grid.cells.oversampling**2
         weights = views.weights(means)
-        self.pull = PULL * sum(float(np.median(w[w > 0])) for w in weights) / cell / views.components
+        self.pull = (
+            PULL
+            * sum(float(np.median(w[w > 0])) for w in weights)
+            / cell
+            / views.components
+        )
         self.kriging = self._kriging(norm, weights)
-        self.multiplier: Floats32 = np.zeros((views.components, *self.grid.shape), np.float32)
+        self.multiplier: Floats32 = np.zeros(
+            (views.components, *self.grid.shape), np.float32
+        )
         self.planes: Floats | None = None
         self.turns = 0
 
     def first(self, levels: Floats) -> Floats32:
         """The scene near one that is constant, levels (components,)."""
         means = [view.light * levels[view.component] for view in self.views]
-        apart = np.array([view.counts - mean for view, mean in zip(self.views, means, strict=True)])
+        apart = np.array(
+            [view.counts - mean for view, mean in zip(self.views, means, strict=True)]
+        )
         scene = self.grid.image(self.kriging.scene(self.kriging.solve(apart)))
         return np.asarray(scene + levels.astype(np.float32)[:, None, None], np.float32)
 
     def _kriging(self, norm: Norm, weights: list[Floats]) -> Kriging:
-        stiffness = Stiffness(self.grid, self.penalty.coupling, self.penalty.stiffness(norm), self.pull)
+        stiffness = Stiffness(
+            self.grid, self.penalty.coupling, self.penalty.stiffness(norm), self.pull
+        )
         return Kriging(self.views, stiffness, weights)
 
     def step(self, point: Point) -> Floats32:
         """Where the quadratic problem at a point has its least, about."""
-        weights, norm = self.views.weights(point.means), self.penalty.norm(point.scene, point.spectra)
+        weights, norm = (
+            self.views.weights(point.means),
+            self.penalty.norm(point.scene, point.spectra),
+        )
         if abs(self.penalty.stiffness(norm) / self.kriging.stiffness.rough - 1) > SAME_NORM:
             self.kriging = self._kriging(norm, weights)
         else:
@@ -158,7 +187,9 @@ class Solver:
         for _ in range(MOST_TURNS):
             called = self.grid.spectrum(pull * (kept - multiplier) - beside)
             free = self.kriging.stiffness.inverse(called)
-            self.planes = self.kriging.solve(data - np.array(self.views.means(free)), self.planes)
+            self.planes = self.kriging.solve(
+                data - np.array(self.views.means(free)), self.planes
+            )
             scene = self.grid.image(free + self.kriging.scene(self.planes))
             relaxed = np.float32(OVER) * scene + np.float32(1 - OVER) * kept
             before, kept = kept, np.maximum(relaxed + multiplier, 0)
@@ -176,7 +207,10 @@ def guessed_norm(views: Views, penalty: Roughness) -> tuple[Floats, Norm]:
     levels, squares = views.levels(), np.zeros(views.components)
     planes = np.bincount([view.component for view in views], minlength=views.components)
     for view in views:
-        counts, mean = view.counts[view.used], (view.light * levels[view.component])[view.used]
+        counts, mean = (
+            view.counts[view.used],
+            (view.light * levels[view.component])[view.used],
+        )
         noise = float(np.mean(view.expected(mean).variance))
         apart = max(float(np.mean((counts - mean) ** 2)) - noise, 0.01 * noise)
         squares[view.component] += apart / planes[view.component]

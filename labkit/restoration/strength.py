@@ -39,7 +39,9 @@ class Strength:
     chosen_by: str
 
 
-def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random.Generator) -> Strength:
+def choose(
+    parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random.Generator
+) -> Strength:
     """The strength that parts of a photograph call for together. rng: draws the signs that a trace is estimated with.
 
     "discrepancy": squared residuals over their variance sum to the number of counts less what the scene takes up of them
@@ -56,11 +58,19 @@ def choose(parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random
         while high - low > EXACT:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if excess(middle) < 0 else (low, middle)
-        return Strength(unit * 10 ** _cross_validated(trials, unit, 0.5 * (low + high)), how)
+        return Strength(
+            unit * 10 ** _cross_validated(trials, unit, 0.5 * (low + high)), how
+        )
     decades = np.linspace(LEAST, MOST, BENDS)
-    points = np.array([np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades])
+    points = np.array(
+        [np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades]
+    )
     likely = np.abs(np.log10(points[:, 0] / sum(trial.views.data for trial in trials))) < 1
-    decade = decades[likely][_bend(np.log(points[likely]))] if likely.sum() > 4 else decades[BENDS // 2]
+    decade = (
+        decades[likely][_bend(np.log(points[likely]))]
+        if likely.sum() > 4
+        else decades[BENDS // 2]
+    )
     return Strength(unit * 10 ** float(decade), how)
 
 
@@ -109,17 +119,23 @@ def _bend(points: Floats) -> int:
 class Trial:
     """One part of the photograph, solved for any stiffness. power: as `Stiffness` has it."""
 
-    def __init__(self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0) -> None:
+    def __init__(
+        self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0
+    ) -> None:
         self.views = views
         self.weights = [_weight(view) for view in views]
         self.levels = views.levels()
-        self.apart = np.array([view.counts - self.levels[view.component] * view.light for view in views])
+        self.apart = np.array(
+            [view.counts - self.levels[view.component] * view.light for view in views]
+        )
         self.signs = rng.choice([-1.0, 1.0], self.apart.shape)
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2
         soft = 1 / views.grid.samples**2
         pull = soft * (2 * np.pi / LONGEST_PX) ** (2 * power)
-        self.soft = Kriging(views, Stiffness(views.grid, coupling, soft, pull, power), self.weights)
+        self.soft = Kriging(
+            views, Stiffness(views.grid, coupling, soft, pull, power), self.weights
+        )
 
     def kriging(self, stiffness: float) -> Kriging:
         return self.soft.stiffer(stiffness)
@@ -147,7 +163,10 @@ class Trial:
         """Variance over squared mean of scenes whose penalty has a stiffness of 1: inversely as much of another."""
         grid, levels = self.views.grid, np.maximum(self.levels, 1.0)
         between = [self.soft.stiffness.between(c, c) for c in range(self.views.components)]
-        return max(float(np.sum(grid.share * b) / level**2) for b, level in zip(between, levels, strict=True))
+        return max(
+            float(np.sum(grid.share * b) / level**2)
+            for b, level in zip(between, levels, strict=True)
+        )
 
     def corner(self, stiffness: float) -> tuple[float, float]:
         """Squared residuals, and roughness: f^T K f is that of the planes by way of the scene."""
@@ -160,5 +179,7 @@ class Trial:
 def _weight(view: View) -> Floats:
     """Of counts by the smoothed counts' own variance."""
     share = ndimage.gaussian_filter(view.used.astype(float), SMOOTH)
-    mean = ndimage.gaussian_filter(np.where(view.used, view.counts, 0.0), SMOOTH) / np.maximum(share, 1e-6)
+    mean = ndimage.gaussian_filter(
+        np.where(view.used, view.counts, 0.0), SMOOTH
+    ) / np.maximum(share, 1e-6)
     return view.weight(np.maximum(mean, 0.0))

@@ -26,7 +26,10 @@ COARSE = 2  # samples to a pixel, on which the bound's active samples are found 
 CHOSEN_ON = 4  # samples to a pixel, at most, that a strength is chosen on
 PARTS, PART_PX = 3, 96  # what a strength is chosen by
 SEED = 1
-BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour, and for each plane
+BYTES_A_SAMPLE, BYTES_A_PLANE = (
+    130,
+    12,
+)  # of a tile's scene, for each colour, and for each plane
 LEAST_ROWS = 96
 USUAL_STEPS = 6  # of Newton, on both grids together
 REACH_CELLS = 1.5  # from a used count, beyond which nothing is said of the scene
@@ -91,7 +94,10 @@ def restore_job(
     else:
         chosen = Strength(2 * strength / square, "hand")
     by_hand = strength if isinstance(strength, int | float) else 0.0
-    tasks = [Task(job.cut(area), _at_origin(area), by_hand, chosen.stiffness, len(areas) == 1) for area, _ in areas]
+    tasks = [
+        Task(job.cut(area), _at_origin(area), by_hand, chosen.stiffness, len(areas) == 1)
+        for area, _ in areas
+    ]
     samples, colours = job.samples, len(job.colours)
     size = (colours, job.shape[0] * samples, job.shape[1] * samples)
     scene, std, by_penalty = (np.zeros(size, np.float32) for _ in range(3))
@@ -99,20 +105,42 @@ def restore_job(
     for index, part in _parts(tasks, workers, progress):
         done.append(part)
         (rows, columns), weight = _fine(areas[index][0], samples), areas[index][1]
-        weight = np.repeat(np.repeat(weight, samples, axis=0), samples, axis=1).astype(np.float32)
-        for whole, own in ((scene, part.scene), (std, part.std), (by_penalty, part.by_penalty)):
+        weight = np.repeat(np.repeat(weight, samples, axis=0), samples, axis=1).astype(
+            np.float32
+        )
+        for whole, own in (
+            (scene, part.scene),
+            (std, part.std),
+            (by_penalty, part.by_penalty),
+        ):
             whole[:, rows, columns] += weight * own
-        progress(len(done) if len(areas) > 1 else total, total, f"tile {len(done)} of {len(areas)}")
+        progress(
+            len(done) if len(areas) > 1 else total,
+            total,
+            f"tile {len(done)} of {len(areas)}",
+        )
     unknown = ~known(job)
     for whole in (scene, std, by_penalty):
         whole[np.repeat(np.repeat(unknown, samples, axis=1), samples, axis=2)] = np.nan
     norm = _together(done, float(np.mean(~unknown)) * job.shape[0] * job.shape[1])
     chi2 = sum(part.chi2 for part in done) / max(sum(part.counts for part in done), 1)
     found = 0.5 * chosen.stiffness * norm.square if by_hand == 0.0 else by_hand
-    return Picture(scene, std, by_penalty, found, chosen.stiffness, chosen.chosen_by, chi2, norm, len(areas))
+    return Picture(
+        scene,
+        std,
+        by_penalty,
+        found,
+        chosen.stiffness,
+        chosen.chosen_by,
+        chi2,
+        norm,
+        len(areas),
+    )
 
 
-def _parts(tasks: Sequence[Task], workers: int, progress: Progress) -> Iterator[tuple[int, Part]]:
+def _parts(
+    tasks: Sequence[Task], workers: int, progress: Progress
+) -> Iterator[tuple[int, Part]]:
     """Each tile's part with its number; the only one of a picture tells its steps meanwhile."""
     if len(tasks) > 1:
         yield from run_all(restore_tile, tasks, workers)
@@ -153,7 +181,14 @@ def restore_tile(task: Task, step: Callable[[], None] = lambda: None) -> Part:
 def _small_cells(job: Job) -> int:
     """Cells along a side that errors are computed on: as far as a count's light reaches, and enough, odd if that helps, that
     Nyquist's row, which no plane sees, is a small share."""
-    return max(24, 2 * -(-job.guard_px // job.period), -(-LEAST_ROWS // (job.period * job.samples))) | 1
+    return (
+        max(
+            24,
+            2 * -(-job.guard_px // job.period),
+            -(-LEAST_ROWS // (job.period * job.samples)),
+        )
+        | 1
+    )
 
 
 def _restored(job: Job, task: Task, step: Callable[[], None]) -> tuple[Views, Restored]:
@@ -175,14 +210,18 @@ def _restored(job: Job, task: Task, step: Callable[[], None]) -> tuple[Views, Re
     return views, replace(restored, norm=norm)
 
 
-def tiles(shape: tuple[int, int], tile_px: int, overlap_px: int, period: int) -> Iterator[tuple[Area, Floats]]:
+def tiles(
+    shape: tuple[int, int], tile_px: int, overlap_px: int, period: int
+) -> Iterator[tuple[Area, Floats]]:
     """Areas of whole cells, each with its overlap, and weights (rows, columns) of its pixels that sum to 1 over all areas."""
     for rows, by_row in _stretches(shape[0], tile_px, overlap_px, period):
         for columns, by_column in _stretches(shape[1], tile_px, overlap_px, period):
             yield (rows, columns), np.outer(by_row, by_column)
 
 
-def _stretches(length: int, tile: int, overlap: int, period: int) -> Iterator[tuple[slice, Floats]]:
+def _stretches(
+    length: int, tile: int, overlap: int, period: int
+) -> Iterator[tuple[slice, Floats]]:
     count = max(1, -(-length // tile))
     edges = [round(k * length / count / period) * period for k in range(count + 1)]
     half = -(-overlap // (2 * period)) * period
@@ -204,7 +243,9 @@ def parts_of(job: Job) -> list[Views]:
     """
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
     areas = areas_of(job, PART_PX // job.period * job.period)
-    chosen = dict.fromkeys(k * (len(areas) - 1) // (PARTS - 1) for k in range(min(PARTS, len(areas))))
+    chosen = dict.fromkeys(
+        k * (len(areas) - 1) // (PARTS - 1) for k in range(min(PARTS, len(areas)))
+    )
     views = [coarse.views(areas[k]) for k in chosen]
     if not (found := [view for view in views if view is not None]):
         raise ValueError("no part of the photograph has usable counts of every colour")
@@ -236,10 +277,19 @@ def guessed_square(job: Job) -> float:
     """The norm's square of the scene as its blurred picture has it, noise taken off: counts squared, pixels."""
     sizes, photograph = [], job.photographs[0]
     for colour in job.colours:
-        planes = [(slice(r, None, job.period), slice(c, None, job.period)) for r, c in colour.places]
+        planes = [
+            (slice(r, None, job.period), slice(c, None, job.period))
+            for r, c in colour.places
+        ]
         counts = np.concatenate([photograph.counts[p][photograph.used[p]] for p in planes])
-        noise = colour.gain * max(float(counts.mean()), 0.0) + colour.read_variance if counts.size else 1.0
-        sizes.append(np.sqrt(max(float(counts.var()) - noise, 0.01 * noise)) if counts.size else 0.0)
+        noise = (
+            colour.gain * max(float(counts.mean()), 0.0) + colour.read_variance
+            if counts.size
+            else 1.0
+        )
+        sizes.append(
+            np.sqrt(max(float(counts.var()) - noise, 0.01 * noise)) if counts.size else 0.0
+        )
     pixels = float(photograph.used.mean()) * job.shape[0] * job.shape[1]
     return pixels * float(np.array(sizes) @ job.coupling @ np.array(sizes))
 
@@ -261,14 +311,21 @@ def memory_bytes(job: Job, tile_px: int, overlap_px: int) -> int:
     """What a tile takes, about."""
     side = min(tile_px + 4 * overlap_px // 2, max(job.shape)) + 2 * job.guard_px
     planes = len(job.photographs) * sum(len(colour.places) for colour in job.colours)
-    return int((job.samples * side) ** 2 * (BYTES_A_SAMPLE * len(job.colours) + BYTES_A_PLANE * planes))
+    return int(
+        (job.samples * side) ** 2
+        * (BYTES_A_SAMPLE * len(job.colours) + BYTES_A_PLANE * planes)
+    )
 
 
 def _together(parts: Sequence[Part], shown: float) -> Norm:
     """The norm of all tiles' scenes: of as many pixels as are shown, overlaps counted once."""
     pixels = sum(part.pixels for part in parts)
-    means = np.sum([part.pixels * part.norm.means for part in parts], axis=0) / max(pixels, 1.0)
-    between = sum(part.pixels * float(np.sum((part.norm.means - means) ** 2)) for part in parts)
+    means = np.sum([part.pixels * part.norm.means for part in parts], axis=0) / max(
+        pixels, 1.0
+    )
+    between = sum(
+        part.pixels * float(np.sum((part.norm.means - means) ** 2)) for part in parts
+    )
     within = sum(part.norm.square for part in parts)
     rough = sum(part.norm.square * part.norm.roughness for part in parts)
     square = (within + between) * shown / max(pixels, 1.0)

@@ -34,7 +34,9 @@ class View:
 
     def __post_init__(self) -> None:
         if not (self.gain > 0 and self.read_variance > 0):
-            raise ValueError(f"gain {self.gain:g}, read variance {self.read_variance:g}: numbers above 0 are needed")
+            raise ValueError(
+                f"gain {self.gain:g}, read variance {self.read_variance:g}: numbers above 0 are needed"
+            )
         if not self.used.any():
             raise ValueError("a plane without a usable pixel")
 
@@ -80,8 +82,13 @@ class Views:
 
     def levels(self) -> Floats:
         """(components,) mean of the scene by all planes of a colour: each by its own would set shifted frames at odds."""
-        means = [(v.component, float(v.counts[v.used].mean() / v.light[v.used].mean())) for v in self]
-        return np.array([np.mean([mean for c, mean in means if c == k]) for k in range(self.components)])
+        means = [
+            (v.component, float(v.counts[v.used].mean() / v.light[v.used].mean()))
+            for v in self
+        ]
+        return np.array(
+            [np.mean([mean for c, mean in means if c == k]) for k in range(self.components)]
+        )
 
     def seen(self) -> Bools:
         """(rows, columns) fine samples of the frame where there are data."""
@@ -89,7 +96,10 @@ class Views:
 
     def means(self, spectra: AnyComplexes) -> list[Floats]:
         """Each plane's mean. spectra: (components, half, columns) of the scene."""
-        return [v.light * self.grid.sample(spectra[v.component] * v.transfer) for v in self.views]
+        return [
+            v.light * self.grid.sample(spectra[v.component] * v.transfer)
+            for v in self.views
+        ]
 
     def spread(self, planes: Sequence[Floats]) -> AnyComplexes:
         """`means`'s transpose: (components, half, columns)."""
@@ -113,4 +123,7 @@ class Views:
 
     def chi2_per_pixel(self, means: Sequence[Floats]) -> float:
         """Of all used counts."""
-        return sum(view.chi2(mean) for view, mean in zip(self.views, means, strict=True)) / self.data
+        return (
+            sum(view.chi2(mean) for view, mean in zip(self.views, means, strict=True))
+            / self.data
+        )

@@ -22,7 +22,10 @@ def nearest(results: Results, channel: str, range_mm: float | None) -> Wavefront
         )
     if range_mm is None:
         return every[0]
-    return min(every, key=lambda w: abs((w.range_mm if w.range_mm is not None else range_mm) - range_mm))
+    return min(
+        every,
+        key=lambda w: abs((w.range_mm if w.range_mm is not None else range_mm) - range_mm),
+    )
 
 
 def waves_at(results: Results, wavefront: Wavefront, range_mm: float | None) -> Floats:
@@ -31,7 +34,12 @@ def waves_at(results: Results, wavefront: Wavefront, range_mm: float | None) -> 
     Raises DataError where the session tells no law.
     """
     waves, at = wavefront.waves.copy(), wavefront.range_mm
-    if range_mm is None or at is None or abs(range_mm - at) < SAME_MM or 4 not in wavefront.noll:
+    if (
+        range_mm is None
+        or at is None
+        or abs(range_mm - at) < SAME_MM
+        or 4 not in wavefront.noll
+    ):
         return waves
     if results.focus is None or wavefront.channel not in results.focus.best_focus_mm:
         raise DataError(
@@ -41,7 +49,9 @@ def waves_at(results: Results, wavefront: Wavefront, range_mm: float | None) -> 
     lens = results.thin_lens
     zero = results.range_zero_mm
     if range_mm + zero <= 1.05 * lens.focal_length_mm:
-        raise DataError(f"--range {range_mm:g}: more than the focal length is needed, {lens.focal_length_mm:.4g} mm")
+        raise DataError(
+            f"--range {range_mm:g}: more than the focal length is needed, {lens.focal_length_mm:.4g} mm"
+        )
     focus = results.focus[wavefront.channel].value + zero
     law = defocus_waves(
         lens,

@@ -20,7 +20,11 @@ from labkit.restoration.job import Area, Photograph
 from labkit.session.frame import Frame
 from labkit.types import Floats
 
-SAME_APERTURE, SAME_FOCAL, SAME_PITCH = 0.06, 0.06, 0.03  # relative: a third of a stop is 0.12
+SAME_APERTURE, SAME_FOCAL, SAME_PITCH = (
+    0.06,
+    0.06,
+    0.03,
+)  # relative: a third of a stop is 0.12
 LEAST_PX = 16
 """Of a photograph's side, or a cut of it."""
 
@@ -44,14 +48,26 @@ def read_shot(path: Path, plan: Plan, area: Area | None) -> Shot:
     return Shot(photograph, mosaic, float(clipped.mean()))
 
 
-def read_frame(frame: Frame, plan: Plan, calibration: Calibration, names: Sequence[str], area: Area | None) -> Shot:
+def read_frame(
+    frame: Frame,
+    plan: Plan,
+    calibration: Calibration,
+    names: Sequence[str],
+    area: Area | None,
+) -> Shot:
     """A session's own photograph, with its darks and flats."""
     mosaic = _mosaic(frame.path, plan)
     cells = whole_cells(mosaic, area, frame.path)
-    counts, light = np.zeros(mosaic.counts.shape, np.float32), np.ones(mosaic.counts.shape, np.float32)
+    counts, light = (
+        np.zeros(mosaic.counts.shape, np.float32),
+        np.ones(mosaic.counts.shape, np.float32),
+    )
     used = np.zeros(mosaic.counts.shape, bool)
     for name in names:
-        data, here = channel_data(calibration, frame, mosaic, name), mosaic.channel_mask(name)
+        data, here = (
+            channel_data(calibration, frame, mosaic, name),
+            mosaic.channel_mask(name),
+        )
         counts[here], light[here] = data.counts[here], data.illumination[here]
         used |= data.mask
     clipped = float(saturated(mosaic)[cells].mean())
@@ -62,13 +78,22 @@ def whole_cells(mosaic: Mosaic, area: Area | None, path: Path) -> Area:
     """An area, or all, in whole cells of the filter array. Raises DataError for one outside the photograph, or too small."""
     rows, columns = mosaic.shape
     area = area or (slice(0, rows), slice(0, columns))
-    if not (0 <= area[0].start < area[0].stop <= rows and 0 <= area[1].start < area[1].stop <= columns):
+    if not (
+        0 <= area[0].start < area[0].stop <= rows
+        and 0 <= area[1].start < area[1].stop <= columns
+    ):
         given = f"{area[0].start},{area[1].start},{area[0].stop},{area[1].stop}"
-        raise DataError(f"--crop {given}: {path.name} has rows 0 to {rows} and columns 0 to {columns}")
+        raise DataError(
+            f"--crop {given}: {path.name} has rows 0 to {rows} and columns 0 to {columns}"
+        )
     period = period_of(mosaic)
-    first, last = ([-(-part.start // period) * period, part.stop // period * period] for part in area)
+    first, last = (
+        [-(-part.start // period) * period, part.stop // period * period] for part in area
+    )
     if min(first[1] - first[0], last[1] - last[0]) < LEAST_PX:
-        raise DataError(f"{path.name}: a part of {LEAST_PX} x {LEAST_PX} pixels at least is needed")
+        raise DataError(
+            f"{path.name}: a part of {LEAST_PX} x {LEAST_PX} pixels at least is needed"
+        )
     return slice(*first), slice(*last)
 
 
@@ -77,7 +102,9 @@ def period_of(mosaic: Mosaic) -> int:
     return 1 if mosaic.pattern == MONO else 2
 
 
-def refuse_other_camera(path: Path, mosaic: Mosaic, own: Exif, own_mosaic: Mosaic | None, plan: Plan) -> None:
+def refuse_other_camera(
+    path: Path, mosaic: Mosaic, own: Exif, own_mosaic: Mosaic | None, plan: Plan
+) -> None:
     """Raise DataError where a photograph's file says that another camera or aperture took it than the session's.
 
     own, own_mosaic: what a photograph of the session says, where there is one.
@@ -86,14 +113,30 @@ def refuse_other_camera(path: Path, mosaic: Mosaic, own: Exif, own_mosaic: Mosai
     camera = own.camera or (own_mosaic.camera if own_mosaic else "")
     if theirs.camera and camera and theirs.camera != camera:
         wrong.append(f"camera {theirs.camera}, the session's is {camera}")
-    if theirs.camera_serial and own.camera_serial and theirs.camera_serial != own.camera_serial:
-        wrong.append(f"camera number {theirs.camera_serial}, the session's is {own.camera_serial}")
+    if (
+        theirs.camera_serial
+        and own.camera_serial
+        and theirs.camera_serial != own.camera_serial
+    ):
+        wrong.append(
+            f"camera number {theirs.camera_serial}, the session's is {own.camera_serial}"
+        )
     if own_mosaic is not None and own_mosaic.cfa != mosaic.cfa:
         wrong.append(f"filter array {mosaic.cfa}, the session's is {own_mosaic.cfa}")
     for what, stated, usual, same in (
         ("aperture f/", theirs.f_number, own.f_number or plan.lens.f_number, SAME_APERTURE),
-        ("focal length in mm ", theirs.focal_length_mm, own.focal_length_mm or plan.lens.focal_length_mm, SAME_FOCAL),
-        ("pixel pitch in um ", theirs.pixel_pitch_um, plan.sensor.pixel_pitch_um, SAME_PITCH),
+        (
+            "focal length in mm ",
+            theirs.focal_length_mm,
+            own.focal_length_mm or plan.lens.focal_length_mm,
+            SAME_FOCAL,
+        ),
+        (
+            "pixel pitch in um ",
+            theirs.pixel_pitch_um,
+            plan.sensor.pixel_pitch_um,
+            SAME_PITCH,
+        ),
     ):
         if stated and abs(stated / usual - 1) > same:
             wrong.append(f"{what}{stated:g}, the session's is {usual:g}")
@@ -107,7 +150,9 @@ def refuse_other_camera(path: Path, mosaic: Mosaic, own: Exif, own_mosaic: Mosai
 def _mosaic(path: Path, plan: Plan) -> Mosaic:
     mosaic = read_raw(path, plan.sensor)
     if mosaic.pattern == IN_COLOURS:
-        raise DataError(f"{path.name} is demosaiced: to restore, give the raw file that it was made of")
+        raise DataError(
+            f"{path.name} is demosaiced: to restore, give the raw file that it was made of"
+        )
     return mosaic
 
 

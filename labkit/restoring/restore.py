@@ -41,7 +41,10 @@ from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress
 
 TILE_PX, LEAST_TILE_PX = 256, 64
-LEAST_GUARD_PX, GUARD_AIRY = 12, 24.0  # beyond the geometric blur: of pixels, and of lambda N, for diffraction
+LEAST_GUARD_PX, GUARD_AIRY = (
+    12,
+    24.0,
+)  # beyond the geometric blur: of pixels, and of lambda N, for diffraction
 ROUNDING = 1 / 12  # counts squared
 
 
@@ -115,13 +118,19 @@ def restore_session(
 ) -> Restoration:
     """Restore a session's own target frames of one range. Raises DataError where there are none."""
     output.refuse_full(out)
-    frames = [f for f in session.frames if f.kind == "target" and _same(f.range_mm, range_mm)]
+    frames = [
+        f for f in session.frames if f.kind == "target" and _same(f.range_mm, range_mm)
+    ]
     if not frames:
         known = ", ".join(f"{w.range_mm:g}" for w in results if w.range_mm is not None)
-        raise DataError(f"{session.folder}: no target frames at {range_mm} mm: there are some at {known}")
+        raise DataError(
+            f"{session.folder}: no target frames at {range_mm} mm: there are some at {known}"
+        )
     names = wanted.channels or results.channels
     calibration = calibrate(session.frames, results.plan)
-    shots = [read_frame(frame, results.plan, calibration, names, wanted.crop) for frame in frames]
+    shots = [
+        read_frame(frame, results.plan, calibration, names, wanted.crop) for frame in frames
+    ]
     return _restore(shots, results, range_mm, out, wanted, say, progress)
 
 
@@ -139,14 +148,19 @@ def _restore(
     colours = [_colour(shots[0], results, name, range_mm, wanted) for name in names]
     job = _job(shots, _with_lateral_colour(colours, results, range_mm), wanted, origin)
     if (clipped := max(shot.clipped for shot in shots)) > 0:
-        notes.append(f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them")
+        notes.append(
+            f"{100 * clipped:.2g} % of the pixels are clipped: the scene is restored from what is around them"
+        )
     if wanted.force:
         job = with_own_noise(job, notes)
     fitted: dict[str, Any] = {}
     if wanted.fit_defocus:
         job, defocus = fitted_defocus(job, progress)
         job = replace(job, guard_px=_guard(job.colours))
-        fitted = {"fitted_defocus_waves": defocus.waves, "fitted_defocus_std_waves": defocus.std}
+        fitted = {
+            "fitted_defocus_waves": defocus.waves,
+            "fitted_defocus_std_waves": defocus.std,
+        }
         notes += doubts(defocus)
     tile = _tile(job, wanted)
     workers = _workers(job, tile, wanted)
@@ -154,18 +168,30 @@ def _restore(
     white = shots[0].mosaic.white - float(np.mean(shots[0].mosaic.black))
     std: Floats32 | None = None
     if wanted.method == "model":
-        picture = restore_job(job, wanted.strength, tile, 2 * job.guard_px, workers, progress)
+        picture = restore_job(
+            job, wanted.strength, tile, 2 * job.guard_px, workers, progress
+        )
         scene, std, more = picture.scene, picture.std, _about(picture)
         notes += _remarks(picture)
     else:
-        scene, more = baseline(job, wanted.method), {"lambda": None, "method": wanted.method}
-    more |= {"seconds": round(perf_counter() - began, 2), "frames": len(shots), "white_counts": white, "notes": notes}
+        scene, more = (
+            baseline(job, wanted.method),
+            {"lambda": None, "method": wanted.method},
+        )
+    more |= {
+        "seconds": round(perf_counter() - began, 2),
+        "frames": len(shots),
+        "white_counts": white,
+        "notes": notes,
+    }
     about = _where(job, names, origin, range_mm) | fitted | more
     output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
 
 
-def _where(job: Job, names: Sequence[str], origin: tuple[int, int], range_mm: float | None) -> dict[str, Any]:
+def _where(
+    job: Job, names: Sequence[str], origin: tuple[int, int], range_mm: float | None
+) -> dict[str, Any]:
     """The contract's first part of restore.json."""
     return {
         "schema": 1,
@@ -195,7 +221,10 @@ def _about(picture: Picture) -> dict[str, Any]:
 
 
 def _remarks(picture: Picture) -> list[str]:
-    rules, unknown = float(np.nanmean(picture.by_penalty > 0.5)), float(np.mean(np.isnan(picture.scene)))
+    rules, unknown = (
+        float(np.nanmean(picture.by_penalty > 0.5)),
+        float(np.mean(np.isnan(picture.scene))),
+    )
     notes = []
     if rules > 0.01:
         notes.append(
@@ -203,7 +232,9 @@ def _remarks(picture: Picture) -> list[str]:
             "supposes of the scene, not noise"
         )
     if unknown > 0:
-        notes.append(f"{100 * unknown:.2g} % of the samples have no usable count near: they are not restored (nan)")
+        notes.append(
+            f"{100 * unknown:.2g} % of the samples have no usable count near: they are not restored (nan)"
+        )
     return notes
 
 
@@ -215,11 +246,15 @@ def _channels(shot: Shot, results: Results, wanted: Wanted) -> list[str]:
             nearest(results, name, None)
         shot.mosaic.pixels(name)  # of a colour that it has
     if shot.mosaic.pattern == MONO and len(names) > 1:
-        raise DataError(f"the photograph has one colour, the session {', '.join(names)}: say which with --channel")
+        raise DataError(
+            f"the photograph has one colour, the session {', '.join(names)}: say which with --channel"
+        )
     return names
 
 
-def _colour(shot: Shot, results: Results, name: str, range_mm: float | None, wanted: Wanted) -> Colour:
+def _colour(
+    shot: Shot, results: Results, name: str, range_mm: float | None, wanted: Wanted
+) -> Colour:
     taken = name if name in results.channels else results.channels[0]
     wavefront = nearest(results, taken, range_mm)
     return Colour(
@@ -232,14 +267,20 @@ def _colour(shot: Shot, results: Results, name: str, range_mm: float | None, wan
     )
 
 
-def _with_lateral_colour(colours: list[Colour], results: Results, range_mm: float | None) -> list[Colour]:
+def _with_lateral_colour(
+    colours: list[Colour], results: Results, range_mm: float | None
+) -> list[Colour]:
     """Each with its motion beside the first, by where the fits found the target's corners in each colour."""
     placed = [_corners(results, colour.name, range_mm) for colour in colours]
     if len(colours) == 1 or any(corners is None for corners in placed):
         return colours
     first = placed[0]
     assert first is not None
-    return [replace(c, motion=_affine(first, own)) for c, own in zip(colours, placed, strict=True) if own is not None]
+    return [
+        replace(c, motion=_affine(first, own))
+        for c, own in zip(colours, placed, strict=True)
+        if own is not None
+    ]
 
 
 def _corners(results: Results, channel: str, range_mm: float | None) -> Floats | None:
@@ -255,7 +296,12 @@ def _affine(points: Floats, moved: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(at, moved - points, rcond=None)[0].T)
 
 
-def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted, origin: tuple[int, int]) -> Job:
+def _job(
+    shots: Sequence[Shot],
+    colours: Sequence[Colour],
+    wanted: Wanted,
+    origin: tuple[int, int],
+) -> Job:
     period = period_of(shots[0].mosaic)
     first = shots[0].photograph
     if any(shot.photograph.counts.shape != first.counts.shape for shot in shots):
@@ -285,7 +331,9 @@ def _guard(colours: Sequence[Colour], least_waves: float = 0.0) -> int:
         optics = colour.optics
         waves = max(float(np.linalg.norm(colour.waves)), least_waves)
         blur_um = waves * blur_per_wave_um(optics.f_number, optics.reference_um)
-        reach = max(reach, (blur_um / 2 + GUARD_AIRY * optics.airy_um / 2) / optics.pitch_um)
+        reach = max(
+            reach, (blur_um / 2 + GUARD_AIRY * optics.airy_um / 2) / optics.pitch_um
+        )
     return max(LEAST_GUARD_PX, math.ceil(reach))
 
 
@@ -297,7 +345,9 @@ def _tile(job: Job, wanted: Wanted) -> int:
         return _whole_bytes(job, tile, 1) <= free
 
     sizes = [max(job.shape)] if max(job.shape) <= TILE_PX else []
-    sizes += [tile for tile in (TILE_PX, 192, 128, 96, LEAST_TILE_PX) if tile < max(job.shape)]
+    sizes += [
+        tile for tile in (TILE_PX, 192, 128, 96, LEAST_TILE_PX) if tile < max(job.shape)
+    ]
     best = next((tile for tile in sizes if fits(tile)), None)
     asked = wanted.tile_px
     needed = _whole_bytes(job, asked or sizes[-1], 1)
@@ -320,7 +370,9 @@ def _free_bytes(wanted: Wanted) -> float:
         return wanted.memory_gb * 1e9
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
-            return 0.8e3 * next(float(line.split()[1]) for line in file if line.startswith("MemAvailable"))
+            return 0.8e3 * next(
+                float(line.split()[1]) for line in file if line.startswith("MemAvailable")
+            )
     except (OSError, StopIteration):
         return 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
@@ -333,7 +385,14 @@ def _tiles(job: Job, tile: int) -> int:
 def _workers(job: Job, tile: int, wanted: Wanted) -> int:
     """As many as are wanted, have a tile, and memory allows: at least one."""
     most = min(wanted.workers, _tiles(job, tile))
-    return next((n for n in range(most, 1, -1) if _whole_bytes(job, tile, n) <= _free_bytes(wanted)), 1)
+    return next(
+        (
+            n
+            for n in range(most, 1, -1)
+            if _whole_bytes(job, tile, n) <= _free_bytes(wanted)
+        ),
+        1,
+    )
 
 
 def _whole_bytes(job: Job, tile: int, workers: int) -> float:
@@ -343,7 +402,11 @@ def _whole_bytes(job: Job, tile: int, workers: int) -> float:
 
 
 def _will_take(job: Job, tile: int, workers: int) -> str:
-    (rows, columns), count, memory = job.shape, _tiles(job, tile), _whole_bytes(job, tile, workers)
+    (rows, columns), count, memory = (
+        job.shape,
+        _tiles(job, tile),
+        _whole_bytes(job, tile, workers),
+    )
     plural = "one tile" if count == 1 else f"{count} tiles of {tile} pixels"
     return (
         f"{rows} x {columns} pixels, {job.samples} samples a pixel ({job.pitch_um / job.samples:.3g} um): {plural}, "
@@ -355,7 +418,9 @@ def _only_range(results: Results) -> float | None:
     ranges = results.ranges_mm
     if len(ranges) > 1:
         known = ", ".join(f"{r:g}" for r in ranges if r is not None)
-        raise DataError(f"from which range was it taken? Give --range (measured: {known} mm), or --fit-defocus")
+        raise DataError(
+            f"from which range was it taken? Give --range (measured: {known} mm), or --fit-defocus"
+        )
     return ranges[0]
 
 
@@ -377,4 +442,12 @@ def _same(one: float | None, other: float | None) -> bool:
     return one is other if one is None or other is None else abs(one - other) < 1e-6
 
 
-__all__ = ["Floats32", "Photograph", "Restoration", "Wanted", "Wavefront", "restore_images", "restore_session"]
+__all__ = [
+    "Floats32",
+    "Photograph",
+    "Restoration",
+    "Wanted",
+    "Wavefront",
+    "restore_images",
+    "restore_session",
+]

@@ -67,18 +67,28 @@ class ResidualSpectrum:
 
     def as_json(self) -> dict[str, list[float] | None]:
         """As results.json keeps it."""
-        without = None if self.without_parts is None else np.round(self.without_parts, 4).tolist()
+        without = (
+            None if self.without_parts is None else np.round(self.without_parts, 4).tolist()
+        )
         power = np.round(self.power, 4).tolist()
-        return {"cycles_per_px": self.cycles_per_px.tolist(), "power": power, "power_without_parts": without}
+        return {
+            "cycles_per_px": self.cycles_per_px.tolist(),
+            "power": power,
+            "power_without_parts": without,
+        }
 
     @classmethod
-    def from_json(cls, entry: dict[str, list[float] | None] | None) -> ResidualSpectrum | None:
+    def from_json(
+        cls, entry: dict[str, list[float] | None] | None
+    ) -> ResidualSpectrum | None:
         """As read from there; None where there is none."""
         if entry is None:
             return None
         without = entry.get("power_without_parts")
         return cls(
-            np.array(entry["cycles_per_px"]), np.array(entry["power"]), None if without is None else np.array(without)
+            np.array(entry["cycles_per_px"]),
+            np.array(entry["power"]),
+            None if without is None else np.array(without),
         )
 
 
@@ -170,7 +180,9 @@ class Wavefront:
     def __getitem__(self, mode: int) -> Uncertain:
         """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode that was not estimated."""
         if mode not in self.noll:
-            raise KeyError(f"Noll mode {mode}: estimated are {self.noll[0]} to {self.noll[-1]}")
+            raise KeyError(
+                f"Noll mode {mode}: estimated are {self.noll[0]} to {self.noll[-1]}"
+            )
         index = self.noll.index(mode)
         return Uncertain(float(self.waves[index]), float(self.std[index]), "waves")
 
@@ -202,10 +214,19 @@ class Wavefront:
     @property
     def fitted(self) -> FittedWavefront:
         """The same as `labkit.optics.metrics` takes it."""
-        wavelength_um, reference_um = self.wavelength_nm * 1e-3, self.reference_wavelength_nm * 1e-3
+        wavelength_um, reference_um = (
+            self.wavelength_nm * 1e-3,
+            self.reference_wavelength_nm * 1e-3,
+        )
         cone = (self.f_number, self.f_number_std if isfinite(self.f_number_std) else 0.0)
         return FittedWavefront(
-            self.noll, self.waves, self.covariance, wavelength_um, reference_um, *cone, self.spectrum
+            self.noll,
+            self.waves,
+            self.covariance,
+            wavelength_um,
+            reference_um,
+            *cone,
+            self.spectrum,
         )
 
     @property
@@ -254,7 +275,9 @@ class Lens:
     @property
     def thin(self) -> ThinLens:
         """The lens by its estimated numbers, without their errors."""
-        return ThinLens(self.focal_length.value, self.f_number.value, self.pupil_magnification.value)
+        return ThinLens(
+            self.focal_length.value, self.f_number.value, self.pupil_magnification.value
+        )
 
 
 @dataclass(frozen=True)
@@ -276,5 +299,7 @@ class Focus:
     def __getitem__(self, channel: str) -> Uncertain:
         """Best focus of a channel, mm. Raises KeyError for a channel that was not fitted."""
         if channel not in self.best_focus_mm:
-            raise KeyError(f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}")
+            raise KeyError(
+                f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}"
+            )
         return self.best_focus_mm[channel]

@@ -55,7 +55,9 @@ class Results:
     widest_light_nm: dict[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     unanswered: str | None = None
-    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    created: str = field(
+        default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds")
+    )
     labkit_version: str = __version__
     folder: Path | None = None
 
@@ -113,8 +115,12 @@ class Results:
         """
         of = self.of_channel(channel)
         if not of:
-            raise DataError(f"the session has no wavefront of channel {channel}: it has {', '.join(self.channels)}")
-        return min(of, key=lambda w: (not w.accepted, float(np.trace(w.at_focus().covariance))))
+            raise DataError(
+                f"the session has no wavefront of channel {channel}: it has {', '.join(self.channels)}"
+            )
+        return min(
+            of, key=lambda w: (not w.accepted, float(np.trace(w.at_focus().covariance)))
+        )
 
     @property
     def thin_lens(self) -> ThinLens:
@@ -123,7 +129,9 @@ class Results:
             return self.lens.thin
         stated = self.plan.lens
         pupils = 1.0 if self.focus is None else self.focus.pupil_magnification.value
-        return ThinLens(stated.focal_length_mm, stated.f_number, pupils if pupils > 0 else 1.0)
+        return ThinLens(
+            stated.focal_length_mm, stated.f_number, pupils if pupils > 0 else 1.0
+        )
 
     @property
     def range_zero_mm(self) -> float:
@@ -171,7 +179,9 @@ class Results:
             for w in self.wavefronts
             for mode, waves, std in zip(w.noll, w.waves, w.std, strict=True)
         ]
-        return pandas.DataFrame(rows, columns=["range_mm", "channel", "mode", "waves", "std"])
+        return pandas.DataFrame(
+            rows, columns=["range_mm", "channel", "mode", "waves", "std"]
+        )
 
     def _repr_html_(self) -> str:
         title = f"{self.folder or 'Results'}: {len(self)} wavefronts"

@@ -41,7 +41,9 @@ SCHEMA, READABLE = 3, (1, 2, 3)
 FIRST_WITH_FINDINGS = 3
 MOST_OTHERS = 5  # other optima that are kept, the likeliest
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
-PSF_HALF_WIDTH_AIRY = 32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
+PSF_HALF_WIDTH_AIRY = (
+    32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
+)
 REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
 
 Json = dict[str, Any]
@@ -77,7 +79,9 @@ def write(folder: Path, results: Results) -> Path:
 def read(folder: Path, name: str) -> dict[str, Any]:
     """The fields of results: of a session's folder those of that name, or those of a results folder. Raises DataError."""
     session = folder / "results"
-    place = session / name if session.is_dir() or not (folder / RESULTS).exists() else folder
+    place = (
+        session / name if session.is_dir() or not (folder / RESULTS).exists() else folder
+    )
     path = place / RESULTS
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))
@@ -88,7 +92,9 @@ def read(folder: Path, name: str) -> dict[str, Any]:
     schema = entry.get("schema") if isinstance(entry, dict) else None
     if schema not in READABLE:
         known = f"{READABLE[0]} to {READABLE[-1]}"
-        raise DataError(f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again")
+        raise DataError(
+            f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again"
+        )
     residuals = _arrays(place / RESIDUALS)
     try:
         return _fields(entry, residuals, place)
@@ -96,7 +102,9 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(f"{path}: {error}; fit the session again") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         detail = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise DataError(f"{path} is not as schema {schema} has it: {detail}; fit the session again") from None
+        raise DataError(
+            f"{path} is not as schema {schema} has it: {detail}; fit the session again"
+        ) from None
 
 
 def kept_keys(folder: Path) -> set[Key]:
@@ -125,7 +133,10 @@ def entry(results: Results) -> Json:
         "budget": {name: dict(shares) for name, shares in r.budget.items()},
         "joint": dict(r.joint),
         "model_parts": {name: number.as_json() for name, number in r.model_parts.items()},
-        "parts_tried": [{"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted} for p in r.parts_tried],
+        "parts_tried": [
+            {"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted}
+            for p in r.parts_tried
+        ],
         "widest_light_nm": {name: round(nm, 1) for name, nm in r.widest_light_nm.items()},
         "findings": [finding.as_json() for finding in r.findings],
         "warnings": list(r.warnings),
@@ -184,13 +195,24 @@ def _wavefront_json(w: Wavefront) -> Json:
         "optimum": None if w.test is None else _optimum_json(w.test),
         "model": None
         if w.test is None
-        else {"accepted": w.test.explains, "p_value": _number(w.test.p_value), "missing": list(w.missing)}
-        | ({} if w.residual_spectrum is None else {"residual_spectrum": w.residual_spectrum.as_json()}),
+        else {
+            "accepted": w.test.explains,
+            "p_value": _number(w.test.p_value),
+            "missing": list(w.missing),
+        }
+        | (
+            {}
+            if w.residual_spectrum is None
+            else {"residual_spectrum": w.residual_spectrum.as_json()}
+        ),
         "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
         "frames": list(w.frames),
     }
     if w.placement is not None:
-        entry["origin_px"], entry["shape_px"] = list(w.placement.origin_px), list(w.placement.shape_px)
+        entry["origin_px"], entry["shape_px"] = (
+            list(w.placement.origin_px),
+            list(w.placement.shape_px),
+        )
         entry["corners_px"] = _listed(w.placement.corners_px)
     return entry
 
@@ -203,14 +225,21 @@ def _test_json(test: OptimumTest) -> Json:
         "undetermined": list(test.undetermined),
         "starts": test.starts,
         "others": [
-            {"waves_rms": _listed(other.waves), "log_likelihood_below": round(other.log_likelihood_below, 1)}
+            {
+                "waves_rms": _listed(other.waves),
+                "log_likelihood_below": round(other.log_likelihood_below, 1),
+            }
             for other in test.others[:MOST_OTHERS]
         ],
     }
 
 
 def _optimum_json(test: OptimumTest) -> Json:
-    return {"accepted": test.accepted, "p_value": _number(test.p_value), "others": len(test.others)}
+    return {
+        "accepted": test.accepted,
+        "p_value": _number(test.p_value),
+        "others": len(test.others),
+    }
 
 
 def _lens_json(lens: Lens) -> Json:
@@ -219,9 +248,16 @@ def _lens_json(lens: Lens) -> Json:
 
 def _focus_json(focus: Focus) -> Json:
     return {
-        "best_focus_mm": {channel: best.as_json() for channel, best in focus.best_focus_mm.items()},
-        "pupil_magnification": {**focus.pupil_magnification.as_json(), "identifiable": focus.identifiable},
-        "residual_waves": {channel: list(rest) for channel, rest in focus.residual_waves.items()},
+        "best_focus_mm": {
+            channel: best.as_json() for channel, best in focus.best_focus_mm.items()
+        },
+        "pupil_magnification": {
+            **focus.pupil_magnification.as_json(),
+            "identifiable": focus.identifiable,
+        },
+        "residual_waves": {
+            channel: list(rest) for channel, rest in focus.residual_waves.items()
+        },
         "covariance": None if focus.covariance is None else _listed(focus.covariance),
         "chi2_per_freedom": focus.chi2_per_freedom,
     }
@@ -230,7 +266,11 @@ def _focus_json(focus: Focus) -> Json:
 def _listed(values: Floats) -> Any:
     """Nested lists of numbers, None for those that are not finite."""
     values = np.asarray(values, float)
-    return [_listed(row) for row in values] if values.ndim > 1 else [_number(x) for x in values]
+    return (
+        [_listed(row) for row in values]
+        if values.ndim > 1
+        else [_number(x) for x in values]
+    )
 
 
 def _number(value: float) -> float | None:
@@ -260,15 +300,23 @@ def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, A
         "wavefronts": tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
         "focus": None if entry["focus"] is None else _focus(entry["focus"]),
         "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
-        "budget": {str(name): dict(shares) for name, shares in entry.get("budget", {}).items()},
-        "joint": {str(name): float(moved) for name, moved in entry.get("joint", {}).items()},
+        "budget": {
+            str(name): dict(shares) for name, shares in entry.get("budget", {}).items()
+        },
+        "joint": {
+            str(name): float(moved) for name, moved in entry.get("joint", {}).items()
+        },
         "model_parts": {
-            str(name): Uncertain.from_json(number, _unit(name)) for name, number in entry.get("model_parts", {}).items()
+            str(name): Uncertain.from_json(number, _unit(name))
+            for name, number in entry.get("model_parts", {}).items()
         },
         "parts_tried": tuple(
-            PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"])) for p in entry.get("parts_tried", ())
+            PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"]))
+            for p in entry.get("parts_tried", ())
         ),
-        "widest_light_nm": {str(name): float(nm) for name, nm in entry.get("widest_light_nm", {}).items()},
+        "widest_light_nm": {
+            str(name): float(nm) for name, nm in entry.get("widest_light_nm", {}).items()
+        },
         "findings": tuple(_findings(entry)),
         "unanswered": entry.get("unanswered"),
         "created": str(entry["created"]),
@@ -297,7 +345,9 @@ def _plan(entry: Json, folder: Path) -> Plan:
     try:
         return Plan.model_validate(entry["plan"], context={"files": "unchecked"})
     except ValueError as error:
-        raise PlanError(f"{folder / RESULTS}: the plan in it cannot be read: {error}") from error
+        raise PlanError(
+            f"{folder / RESULTS}: the plan in it cannot be read: {error}"
+        ) from error
 
 
 def _unit(name: str) -> str:
@@ -316,7 +366,11 @@ def _numbers(values: Any) -> Floats:
 
 def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
     key = _key(entry)
-    parts = [residuals[name] for part in ("data", "model", "sigma") if (name := f"{part}_{key}") in residuals]
+    parts = [
+        residuals[name]
+        for part in ("data", "model", "sigma")
+        if (name := f"{part}_{key}") in residuals
+    ]
     measured_mm = entry.get("measured_range_mm", key.range_mm)
     return Wavefront(
         range_mm=key.range_mm,
@@ -327,7 +381,9 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         reference_wavelength_nm=plan.reference_wavelength_nm,
         f_number=float(entry.get("f_number", plan.lens.f_number)),
         f_number_std=_optional(entry.get("f_number_working", {}).get("std")),
-        blur=None if entry.get("blur_um") is None else Uncertain.from_json(entry["blur_um"], "um"),
+        blur=None
+        if entry.get("blur_um") is None
+        else Uncertain.from_json(entry["blur_um"], "um"),
         noll=tuple(int(j) for j in entry["noll"]),
         waves=_numbers(entry["waves_rms"]),
         covariance=_covariance(entry),
@@ -339,8 +395,12 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
         seconds=_optional(entry.get("seconds")),
         frames=tuple(str(name) for name in entry.get("frames", ())),
         missing=tuple(str(name) for name in (entry.get("model") or {}).get("missing", ())),
-        spectrum=Spectrum.of_lines(entry.get("spectrum") or [[entry["wavelength_nm"], 1.0]], entry["wavelength_nm"]),
-        residual_spectrum=ResidualSpectrum.from_json((entry.get("model") or {}).get("residual_spectrum")),
+        spectrum=Spectrum.of_lines(
+            entry.get("spectrum") or [[entry["wavelength_nm"], 1.0]], entry["wavelength_nm"]
+        ),
+        residual_spectrum=ResidualSpectrum.from_json(
+            (entry.get("model") or {}).get("residual_spectrum")
+        ),
         placement=_placement(entry),
         residuals=Residuals(*parts) if len(parts) == 3 else None,
     )
@@ -349,21 +409,26 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
 def _covariance(entry: Json) -> Floats:
     """Of results without one, that of independent errors."""
     covariance = entry.get("covariance")
-    return np.diag(_numbers(entry["std"]) ** 2) if covariance is None else _numbers(covariance)
+    return (
+        np.diag(_numbers(entry["std"]) ** 2) if covariance is None else _numbers(covariance)
+    )
 
 
 def _placement(entry: Json) -> Placement | None:
     if "corners_px" not in entry:
         return None
     (row, column), (rows, columns) = entry["origin_px"], entry["shape_px"]
-    return Placement((int(row), int(column)), (int(rows), int(columns)), _numbers(entry["corners_px"]))
+    return Placement(
+        (int(row), int(column)), (int(rows), int(columns)), _numbers(entry["corners_px"])
+    )
 
 
 def _test(entry: Json | None, model: Json | None) -> OptimumTest | None:
     if entry is None:
         return None
     others = [
-        OtherOptimum(_numbers(o["waves_rms"]), _optional(o["log_likelihood_below"])) for o in entry.get("others", ())
+        OtherOptimum(_numbers(o["waves_rms"]), _optional(o["log_likelihood_below"]))
+        for o in entry.get("others", ())
     ]
     return OptimumTest(
         name=str(entry.get("name", "")),
@@ -377,17 +442,28 @@ def _test(entry: Json | None, model: Json | None) -> OptimumTest | None:
 
 
 def _lens(entry: Json) -> Lens:
-    return Lens(**{field: Uncertain.from_json(entry[name], unit) for name, (field, unit) in LENS.items()})
+    return Lens(
+        **{
+            field: Uncertain.from_json(entry[name], unit)
+            for name, (field, unit) in LENS.items()
+        }
+    )
 
 
 def _focus(entry: Json) -> Focus:
     magnification = entry["pupil_magnification"]
     covariance, chi2 = entry.get("covariance"), entry.get("chi2_per_freedom")
     return Focus(
-        best_focus_mm={str(c): Uncertain.from_json(best, "mm") for c, best in entry["best_focus_mm"].items()},
+        best_focus_mm={
+            str(c): Uncertain.from_json(best, "mm")
+            for c, best in entry["best_focus_mm"].items()
+        },
         pupil_magnification=Uncertain.from_json(magnification),
         identifiable=bool(magnification.get("identifiable", True)),
-        residual_waves={str(c): tuple(map(_optional, rest)) for c, rest in entry.get("residual_waves", {}).items()},
+        residual_waves={
+            str(c): tuple(map(_optional, rest))
+            for c, rest in entry.get("residual_waves", {}).items()
+        },
         covariance=None if covariance is None else _numbers(covariance),
         chi2_per_freedom=None if chi2 is None else float(chi2),
     )

@@ -15,11 +15,22 @@ Rows = list[list[str]]
 def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: float) -> Rows:
     """A heading, and a row for each range and channel: defocus, RMS of all modes, how well the model fits."""
     waves = f"waves at {reference_wavelength_nm:g} nm"
-    rows = [["range/mm", "channel", f"defocus/{waves}", "RMS, all modes", "χ²/pixel", "optimum"]]
+    rows = [
+        ["range/mm", "channel", f"defocus/{waves}", "RMS, all modes", "χ²/pixel", "optimum"]
+    ]
     for w in wavefronts:
         defocus = "not fitted" if w.defocus is None else _signed(w.defocus)
         range_mm = "" if w.range_mm is None else f"{w.range_mm:g}"
-        rows.append([range_mm, w.channel, defocus, _to_error(w.rms()), f"{w.chi2_per_pixel:.3f}", _verdict(w)])
+        rows.append(
+            [
+                range_mm,
+                w.channel,
+                defocus,
+                _to_error(w.rms()),
+                f"{w.chi2_per_pixel:.3f}",
+                _verdict(w),
+            ]
+        )
     return rows
 
 
@@ -28,7 +39,10 @@ def focus_rows(focus: Focus | None, lens: Lens | None = None) -> Rows:
     if focus is None:
         return [["best focus: not fitted, see the warnings"]]
     rows = [["quantity", "estimate"]]
-    rows += [[f"best focus {channel}", str(best)] for channel, best in focus.best_focus_mm.items()]
+    rows += [
+        [f"best focus {channel}", str(best)]
+        for channel, best in focus.best_focus_mm.items()
+    ]
     note = "" if focus.identifiable else " (these ranges do not determine it)"
     rows.append(["pupil magnification", f"{focus.pupil_magnification}{note}"])
     if lens is not None:
@@ -45,13 +59,22 @@ def budget_rows(budget: Mapping[str, Mapping[str, float]]) -> Rows:
     for name, shares in budget.items():
         whole = sqrt(sum(share**2 for share in shares.values()))
         digits = decimals(whole)
-        rows.append([name, *(f"{shares.get(source, 0.0):.{digits}f}" for source in sources), f"{whole:.{digits}f}"])
+        rows.append(
+            [
+                name,
+                *(f"{shares.get(source, 0.0):.{digits}f}" for source in sources),
+                f"{whole:.{digits}f}",
+            ]
+        )
     return rows
 
 
 def part_rows(tried: Sequence[PartTried]) -> Rows:
     """A heading, and a row for each part of the camera that the photographs were asked about; empty where none was."""
-    rows = [[p.name.replace("_", " "), f"{p.gain:.1f}", "taken in" if p.adopted else ""] for p in tried]
+    rows = [
+        [p.name.replace("_", " "), f"{p.gain:.1f}", "taken in" if p.adopted else ""]
+        for p in tried
+    ]
     return [["part of the camera", "log-likelihood gained", ""], *rows] if rows else []
 
 
@@ -82,5 +105,8 @@ def _verdict(w: Wavefront) -> str:
 def _table(rows: Rows) -> str:
     head, *body = rows
     cells = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in body)
+    lines = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in body
+    )
     return f"<table><thead><tr>{cells}</tr></thead><tbody>{lines}</tbody></table>"

@@ -34,7 +34,9 @@ def as_html(folder: Path, frames: Sequence[Frame]) -> str:
     kinds = [kind for kind in FRAME_KINDS if any(frame.kind == kind for frame in frames)]
     heading = "".join(f"<th>{cell}</th>" for cell in ("range", *kinds))
     rows = []
-    for range_mm in sorted({frame.range_mm for frame in frames}, key=lambda mm: (mm is not None, mm or 0.0)):
+    for range_mm in sorted(
+        {frame.range_mm for frame in frames}, key=lambda mm: (mm is not None, mm or 0.0)
+    ):
         where = "none" if range_mm is None else f"{range_mm:g} mm"
         cells = "".join(f"<td>{counts[range_mm, kind] or ''}</td>" for kind in kinds)
         rows.append(f"<tr><th>{where}</th>{cells}</tr>")

@@ -25,7 +25,8 @@ USUAL_NM = {"R": 605.0, "G": 535.0, "B": 465.0}
 USUAL_STD_NM = 10.0
 FILL_IN = "# fill in: "
 HOW_TO_FILL_IN = (
-    '# Lines marked "fill in" hold what no photograph says, with an example: put the true value, take the first # away.'
+    '# Lines marked "fill in" hold what no photograph says, with an example: '
+    "put the true value, take the first # away."
 )
 
 Row = tuple[str, str, str]
@@ -58,11 +59,18 @@ def draft_plan(image: Path) -> Draft:
     blocks, fill_in = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]], []
     for name, rows in _tables(exif, photograph):
         blocks.append([name, *(_line(*row) for row in rows)])
-        fill_in += [f"{name.strip('[]')}.{key}" for key, _, why in rows if why.startswith(FILL_IN)]
-    return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n", tuple(dict.fromkeys(fill_in)))
+        fill_in += [
+            f"{name.strip('[]')}.{key}" for key, _, why in rows if why.startswith(FILL_IN)
+        ]
+    return Draft(
+        "\n\n".join("\n".join(block) for block in blocks) + "\n",
+        tuple(dict.fromkeys(fill_in)),
+    )
 
 
-def draft_tables(image: Path | None, mono: bool = False) -> tuple[list[str], list[tuple[str, list[Row]]]]:
+def draft_tables(
+    image: Path | None, mono: bool = False
+) -> tuple[list[str], list[tuple[str, list[Row]]]]:
     """Lines of a heading, and the tables of a draft: (name with its brackets, rows), for photographs like this one.
 
     image: None for photographs of a raw camera that nothing is known of, mono or with a colour filter array. A row is
@@ -91,7 +99,9 @@ def _looked_at(image: Path) -> tuple[_Photograph, Exif]:
     except OSError as error:
         raise RawError(f"{image}: {error.strerror}") from error
     except RawError as error:
-        raise error if str(image) in str(error) else RawError(f"{image}: {error}") from error
+        raise (
+            error if str(image) in str(error) else RawError(f"{image}: {error}")
+        ) from error
 
 
 def write_draft(draft: Draft, path: Path) -> None:
@@ -103,7 +113,11 @@ def _look(image: Path) -> _Photograph:
     container = recognise(image)
     if container.kind in ("raw", "jpeg"):
         mosaic = read_raw(image, ANY)
-        colours = tuple(name for name in "RGB" if name in mosaic.cfa) if mosaic.cfa != "mono" else ("M",)
+        colours = (
+            tuple(name for name in "RGB" if name in mosaic.cfa)
+            if mosaic.cfa != "mono"
+            else ("M",)
+        )
         return _Photograph(container.kind, mosaic.shape, colours)
     return _of_numbers(image, container)
 
@@ -113,7 +127,9 @@ def _of_numbers(image: Path, container: Container) -> _Photograph:
     picture, _ = read_file(image, container)
     rows, cols = picture.numbers.shape[:2]
     if not is_processed(picture, container, ANY):
-        return _Photograph(container.kind, (rows, cols), (), unclear=False, white=picture.white)
+        return _Photograph(
+            container.kind, (rows, cols), (), unclear=False, white=picture.white
+        )
     try:
         read_raw(image, ANY)
     except RawError:
@@ -122,8 +138,15 @@ def _of_numbers(image: Path, container: Container) -> _Photograph:
 
 
 def _heading(image: Path, exif: Exif, photograph: _Photograph) -> Iterator[str]:
-    facts = [exif.camera, exif.lens and f"lens {exif.lens}", exif.taken and f"taken {exif.taken}"]
-    facts += [f"{exif.exposure_s:g} s" if exif.exposure_s else "", f"ISO {exif.iso}" if exif.iso else ""]
+    facts = [
+        exif.camera,
+        exif.lens and f"lens {exif.lens}",
+        exif.taken and f"taken {exif.taken}",
+    ]
+    facts += [
+        f"{exif.exposure_s:g} s" if exif.exposure_s else "",
+        f"ISO {exif.iso}" if exif.iso else "",
+    ]
     rows, cols = photograph.shape
     yield f"# Made from {printable(image.name)}, {rows} × {cols} pixels"
     yield f"# {', '.join(filter(None, facts)) or 'whose file says nothing of camera and lens'}."
@@ -132,8 +155,16 @@ def _heading(image: Path, exif: Exif, photograph: _Photograph) -> Iterator[str]:
 def _lens(exif: Exif) -> Iterator[Row]:
     """(key, value, why) of each line; so below."""
     focal, stop = exif.focal_length_mm, exif.f_number
-    yield ("focal_length_mm", f"{focal:g}", "by EXIF") if focal else ("focal_length_mm", "50", f"{FILL_IN}as engraved")
-    yield ("f_number", f"{stop:g}", "by EXIF") if stop else ("f_number", "2.8", f"{FILL_IN}as set on the lens")
+    yield (
+        ("focal_length_mm", f"{focal:g}", "by EXIF")
+        if focal
+        else ("focal_length_mm", "50", f"{FILL_IN}as engraved")
+    )
+    yield (
+        ("f_number", f"{stop:g}", "by EXIF")
+        if stop
+        else ("f_number", "2.8", f"{FILL_IN}as set on the lens")
+    )
 
 
 def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[Row]:
@@ -147,7 +178,11 @@ def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[Row]:
     elif photograph.kind != "raw" and photograph.colours != ("M",):
         yield "cfa_pattern", '"RGB"', "demosaiced already: every pixel has all colours"
     if photograph.unclear:
-        yield "tone_curve", '"linear"', f'{FILL_IN}"linear" or "sRGB": how the numbers stand to light'
+        yield (
+            "tone_curve",
+            '"linear"',
+            f'{FILL_IN}"linear" or "sRGB": how the numbers stand to light',
+        )
 
 
 def _pitch(exif: Exif, photograph: _Photograph) -> tuple[float, str]:
@@ -156,7 +191,11 @@ def _pitch(exif: Exif, photograph: _Photograph) -> tuple[float, str]:
     rows, cols = photograph.shape
     if exif.pixel_pitch_um is not None:
         # a picture made smaller by a program keeps the camera's tags
-        shrunk = max(exif.size_px) / max(rows, cols) if exif.size_px and photograph.kind != "raw" else 1.0
+        shrunk = (
+            max(exif.size_px) / max(rows, cols)
+            if exif.size_px and photograph.kind != "raw"
+            else 1.0
+        )
         if low <= exif.pixel_pitch_um * shrunk <= high:
             return exif.pixel_pitch_um * shrunk, "by EXIF, of the focal plane's resolution"
     if exif.focal_length_35mm and exif.focal_length_mm:
@@ -173,10 +212,18 @@ def _pitch(exif: Exif, photograph: _Photograph) -> tuple[float, str]:
 def _channel(name: str) -> Iterator[Row]:
     if name in USUAL_NM:
         yield "name", f'"{name}"', "as the camera's filters are named"
-        yield "wavelength_nm", f"{USUAL_NM[name]:g}", "usual for such a filter; better is that of your light through it"
+        yield (
+            "wavelength_nm",
+            f"{USUAL_NM[name]:g}",
+            "usual for such a filter; better is that of your light through it",
+        )
         yield "wavelength_std_nm", f"{USUAL_STD_NM:g}", "its standard error"
     else:
-        yield "name", f'"{name or "M"}"', "" if name else 'of "mono" any name; else one table each for R, G, B'
+        yield (
+            "name",
+            f'"{name or "M"}"',
+            "" if name else 'of "mono" any name; else one table each for R, G, B',
+        )
         yield "wavelength_nm", "550", f"{FILL_IN}of the light, or the filter"
 
 

@@ -40,7 +40,9 @@ def frame_of(event: Event, folder: Path) -> Frame:
         **{key: event[key] for key in named},
         exposure_s=event.get("exposure_s"),
         path=folder / FRAMES / event["file"],
-        meta=MappingProxyType({key: event[key] for key in event if key not in (*named, "event", "exposure_s")}),
+        meta=MappingProxyType(
+            {key: event[key] for key in event if key not in (*named, "event", "exposure_s")}
+        ),
     )
 
 
@@ -68,9 +70,13 @@ def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
         if event["event"] == "frame":
             at, before = first.setdefault(event["file"], (number, event))
             if [event[key] for key in PHOTOGRAPH] != [before[key] for key in PHOTOGRAPH]:
-                raise SessionError(f"{journal}: lines {at} and {number} contradict each other about {event['file']}")
+                raise SessionError(
+                    f"{journal}: lines {at} and {number} contradict each other about {event['file']}"
+                )
             if at != number:
-                again.append(f"{journal}: line {number} is of {event['file']} again, as line {at}: it counts once")
+                again.append(
+                    f"{journal}: line {number} is of {event['file']} again, as line {at}: it counts once"
+                )
     return tuple(again)
 
 
@@ -95,7 +101,9 @@ def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[Finding,
 
 
 def _said(frame: Frame) -> str:
-    return f"a {frame.kind}" + ("" if frame.range_mm is None else f" at {frame.range_mm:g} mm")
+    return f"a {frame.kind}" + (
+        "" if frame.range_mm is None else f" at {frame.range_mm:g} mm"
+    )
 
 
 def pending(events: Sequence[Event]) -> Event | None:
@@ -114,11 +122,19 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+    )
 
 
 def _is_size(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(_is_number(side) and side > 0 for side in value)
+    return (
+        isinstance(value, list)
+        and len(value) == 2
+        and all(_is_number(side) and side > 0 for side in value)
+    )
 
 
 def _is_number_or_none(value: Any) -> bool:

@@ -61,7 +61,10 @@ class _Checked:
 
 
 def import_frames(
-    csv_path: Path | str, plan: Plan | Path | str, session_folder: Path | str, progress: Progress = no_progress
+    csv_path: Path | str,
+    plan: Plan | Path | str,
+    session_folder: Path | str,
+    progress: Progress = no_progress,
 ) -> Session:
     """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
 
@@ -72,16 +75,27 @@ def import_frames(
 
     >>> session = labkit.import_frames("frames.csv", "plan.toml", "night-3")
     """
-    csv_path, session_folder, source = Path(csv_path), Path(session_folder), plan_source(plan)
+    csv_path, session_folder, source = (
+        Path(csv_path),
+        Path(session_folder),
+        plan_source(plan),
+    )
     open_target(source.plan.target)
     refuse_existing(session_folder)
     rows = read_rows(csv_path, source.plan)
     checked = _check_photographs(csv_path, rows, source.plan, progress)
-    with made_beside(session_folder, "import") as beside, Session.create(beside, source.text, source.folder) as session:
+    with (
+        made_beside(session_folder, "import") as beside,
+        Session.create(beside, source.text, source.folder) as session,
+    ):
         names = _names(rows)
         for done, (row, name, found) in enumerate(zip(rows, names, checked, strict=True)):
             progress(len(rows) + done, 2 * len(rows), f"copying {row.file}")
-            meta: dict[str, Any] = {"exposure_s": found.exposure_s, "iso": found.iso, "origin": row.file}
+            meta: dict[str, Any] = {
+                "exposure_s": found.exposure_s,
+                "iso": found.iso,
+                "origin": row.file,
+            }
             if found.altered:
                 meta["altered"] = list(found.altered)
             if row.further:
@@ -116,7 +130,11 @@ def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
 def _refuse(csv_path: Path, problems: list[str]) -> None:
     """Raise DataError with the problems, if there are any, in one line."""
     if problems:
-        more = [f"and {len(problems) - MOST_PROBLEMS} more problems"] if len(problems) > MOST_PROBLEMS else []
+        more = (
+            [f"and {len(problems) - MOST_PROBLEMS} more problems"]
+            if len(problems) > MOST_PROBLEMS
+            else []
+        )
         raise DataError(f"{csv_path}: {'; '.join(problems[:MOST_PROBLEMS] + more)}")
 
 
@@ -130,7 +148,11 @@ def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]
     except UnicodeDecodeError as error:
         raise DataError(f"{csv_path}: not UTF-8 at byte {error.start}") from error
     first = text.partition("\n")[0]
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=";" if "," not in first else ",", strict=True)
+    reader = csv.reader(
+        io.StringIO(text, newline=""),
+        delimiter=";" if "," not in first else ",",
+        strict=True,
+    )
     try:
         header = [name.strip() for name in next(reader, [])]
         lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
@@ -140,7 +162,9 @@ def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]
         words = f"it must hold {','.join(COLUMNS)}, with commas or semicolons between"
         raise DataError(f"{csv_path}: the header lacks {', '.join(missing)}; {words}")
     if twice := [name for name, times in Counter(header).items() if times > 1 and name]:
-        raise DataError(f"{csv_path}: a column stands twice in the header: {shown(twice[0])}")
+        raise DataError(
+            f"{csv_path}: a column stands twice in the header: {shown(twice[0])}"
+        )
     return header, [(line, cells) for line, cells in lines if any(cells)]
 
 
@@ -168,13 +192,17 @@ def _inside(folder: Path, file: str) -> Path:
     if not file:
         raise DataError("file is empty")
     if len(file) > LONGEST_PATH:
-        raise DataError(f"file {shown(file)}: a path of {len(file)} characters; allowed are {LONGEST_PATH}")
+        raise DataError(
+            f"file {shown(file)}: a path of {len(file)} characters; allowed are {LONGEST_PATH}"
+        )
     try:
         path = (folder / file).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise DataError(f"file {shown(file)} is no usable path ({error})") from error
     if not path.is_relative_to(folder.resolve()):
-        raise DataError(f"file {shown(file)} lies outside the CSV's folder; move it into {folder.resolve()}")
+        raise DataError(
+            f"file {shown(file)} lies outside the CSV's folder; move it into {folder.resolve()}"
+        )
     return path
 
 
@@ -189,11 +217,15 @@ def _range(text: str, plan: Plan) -> float | None:
     if not (math.isfinite(range_mm) and range_mm > focal_mm):
         words = f"allowed is nothing, or a number above the focal length, {focal_mm:g} mm"
         meant = plain_number(text)
-        raise DataError(f"range_mm {shown(text)}: {words}" + (f"; write {meant}" if meant else ""))
+        raise DataError(
+            f"range_mm {shown(text)}: {words}" + (f"; write {meant}" if meant else "")
+        )
     return range_mm
 
 
-def _check_photographs(csv_path: Path, rows: list[Row], plan: Plan, progress: Progress) -> list[_Checked]:
+def _check_photographs(
+    csv_path: Path, rows: list[Row], plan: Plan, progress: Progress
+) -> list[_Checked]:
     """Decode every photograph. Raises DataError with every problem in one line."""
     checked: list[_Checked] = []
     problems: list[tuple[str, str]] = []
@@ -211,7 +243,9 @@ def _check_photographs(csv_path: Path, rows: list[Row], plan: Plan, progress: Pr
                 raise DataError(f"{csv_path}: {row.file}: {wrong}")
         lit = row.kind in ("target", "flat")
         altered = alterations(mosaic) if lit else Alterations()
-        problem = difference(mosaic, first) or exposure_problem(mosaic, row.kind, (c.name for c in plan.channel))
+        problem = difference(mosaic, first) or exposure_problem(
+            mosaic, row.kind, (c.name for c in plan.channel)
+        )
         if problem := problem or altered.refusal:
             problems.append((f"{row.file} {problem}", problem))
         checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))
@@ -233,9 +267,17 @@ def _each_once(problems: Sequence[tuple[str, str]]) -> list[str]:
 def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
     names = [channel.name for channel in plan.channel]
     if mosaic.pattern == MONO:
-        return None if len(names) == 1 else f"is mono, but the plan has {len(names)} [[channel]] tables: allowed is one"
+        return (
+            None
+            if len(names) == 1
+            else f"is mono, but the plan has {len(names)} [[channel]] tables: allowed is one"
+        )
     unknown = [name for name in names if name not in mosaic.cfa]
-    return f"has no channel {', '.join(unknown)}: its filter array is {mosaic.cfa}" if unknown else None
+    return (
+        f"has no channel {', '.join(unknown)}: its filter array is {mosaic.cfa}"
+        if unknown
+        else None
+    )
 
 
 def _names(rows: list[Row]) -> list[str]:
@@ -243,7 +285,9 @@ def _names(rows: list[Row]) -> list[str]:
     names: list[str] = []
     taken: set[str] = set()
     for row in rows:
-        name = re.sub(r"[^A-Za-z0-9._-]", "_", row.path.name)[-160:].lstrip("._-") or "frame"
+        name = (
+            re.sub(r"[^A-Za-z0-9._-]", "_", row.path.name)[-160:].lstrip("._-") or "frame"
+        )
         if name.lower() in taken:
             name = f"{row.line}_{name}"
         while name.lower() in taken:

@@ -65,7 +65,10 @@ def decode(line: bytes) -> Line | None:
             return None
         check, after = event.pop("check", None), event.pop("after", None)
         whole = check is not None and encode(event, after) == (line + b"\n", check)
-    except (ValueError, RecursionError):  # no JSON, no UTF-8, no such character or number, or nested too deeply
+    except (
+        ValueError,
+        RecursionError,
+    ):  # no JSON, no UTF-8, no such character or number, or nested too deeply
         return None
     return Line(event, check, after) if whole else None
 
@@ -93,14 +96,21 @@ def _parse(content: bytes, path: Path) -> Journal:
     whole: list[Line] = []
     for number, line in enumerate(lines, start=1):
         if line is None:
-            raise SessionError(f"{path}: line {number} does not fit its checksum: it was altered or is damaged")
+            raise SessionError(
+                f"{path}: line {number} does not fit its checksum: it was altered or is damaged"
+            )
         if not _follows(line, whole):
             raise SessionError(
                 f"{path}: line {number} does not follow the one before: lines are missing, doubled or moved"
             )
         whole.append(line)
     events = tuple(line.event for line in whole)
-    return Journal(events, torn, whole[-1].check if whole else "", sum(line.after is None for line in whole))
+    return Journal(
+        events,
+        torn,
+        whole[-1].check if whole else "",
+        sum(line.after is None for line in whole),
+    )
 
 
 def is_being_written(path: Path) -> bool:
@@ -132,7 +142,9 @@ class JournalWriter:
             self.journal = read_journal(path)
         except BlockingIOError:
             self._file.close()
-            raise SessionError(f"session {path.parent} is being written by another process; wait for it") from None
+            raise SessionError(
+                f"session {path.parent} is being written by another process; wait for it"
+            ) from None
         except OSError as error:
             self._file.close()
             raise InputError(
@@ -157,7 +169,11 @@ class JournalWriter:
         self._refuse_strange_file()
         self._catch_up()
         size, last_check = self._end
-        entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
+        entry = {
+            "event": event,
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            **fields,
+        }
         line, check = encode(entry, last_check)
         with writing(self.path):
             written = self._file.write(line)
@@ -185,11 +201,15 @@ class JournalWriter:
         except OSError:
             happened = "was removed"
         else:
-            happened = "" if os.path.samestat(ours, there) else "was replaced by another file"
+            happened = (
+                "" if os.path.samestat(ours, there) else "was replaced by another file"
+            )
         if happened:
             saved = self.path.with_name(f"{self.path.name}.saved")
             write_atomically(saved, os.pread(self._file.fileno(), ours.st_size, 0))
-            raise SessionError(f"{self.path} {happened} while it was being written: rename {saved} to that, {GO_ON}")
+            raise SessionError(
+                f"{self.path} {happened} while it was being written: rename {saved} to that, {GO_ON}"
+            )
         if ours.st_size < whole:
             raise SessionError(
                 f"{self.path} was cut from {whole} to {ours.st_size} bytes while it was being written: "

@@ -20,10 +20,16 @@ HALF_MADE = re.compile(r"\..+\.(\d+)\.(?:new|import)")
 def refuse_existing(folder: Path, go_on: str = "") -> None:
     """Raise SessionError unless a session can be made at `folder`. go_on: how to go on with a session that is there."""
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        hint = f"; to go on with it, use {go_on}" if go_on and (folder / JOURNAL).exists() else ""
+        hint = (
+            f"; to go on with it, use {go_on}"
+            if go_on and (folder / JOURNAL).exists()
+            else ""
+        )
         raise SessionError(f"{folder} is there already: give a new folder{hint}")
     if folder.is_symlink() and not folder.exists():
-        raise SessionError(f"{folder} is a link to {os.readlink(folder)}, which is not there: give a new folder")
+        raise SessionError(
+            f"{folder} is a link to {os.readlink(folder)}, which is not there: give a new folder"
+        )
     if Path.cwd().is_relative_to(folder.resolve()):
         raise SessionError(
             f"{folder} is the folder you are in, and cannot be made anew: give the name of a new one in it"
@@ -66,7 +72,12 @@ def remove_abandoned(folder: Path) -> None:
     for path in folder.glob(".*"):
         found = HALF_MADE.fullmatch(path.name)
         # of a process of this machine the lock is not even asked for: it may be about to take it
-        if found and path.is_dir() and not path.is_symlink() and not _is_alive(int(found[1])):
+        if (
+            found
+            and path.is_dir()
+            and not path.is_symlink()
+            and not _is_alive(int(found[1]))
+        ):
             journal = path / JOURNAL
             if not (journal.exists() and is_being_written(journal)):
                 shutil.rmtree(path, ignore_errors=True)

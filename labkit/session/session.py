@@ -19,10 +19,25 @@ from labkit.errors import PlanError, SessionError
 from labkit.files import check_name, copy_durably, sha256_of, sync_folder, writing
 from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
-from labkit.session.frame import FRAMES, NEEDED, Frame, doubled, event_problem, frame_of, pending
+from labkit.session.frame import (
+    FRAMES,
+    NEEDED,
+    Frame,
+    doubled,
+    event_problem,
+    frame_of,
+    pending,
+)
 from labkit.session.journal import JOURNAL, Event, JournalWriter, read_journal
 from labkit.session.making import made_beside, refuse_existing
-from labkit.session.stored_plan import PLAN, changed_tables, plan_as_run, plan_damage, plan_source, store_plan
+from labkit.session.stored_plan import (
+    PLAN,
+    changed_tables,
+    plan_as_run,
+    plan_damage,
+    plan_source,
+    store_plan,
+)
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
 
@@ -55,11 +70,15 @@ class Session:
         self._plan: Plan | None = None
         for number, event in enumerate(events, start=1):
             if problem := event_problem(event):
-                raise SessionError(f"{folder / JOURNAL}: line {number} cannot be used: it is {problem}")
+                raise SessionError(
+                    f"{folder / JOURNAL}: line {number} cannot be used: it is {problem}"
+                )
         self.doubled = doubled(events, folder / JOURNAL)
         self.warnings = (*warnings, *self.doubled)
         if not events or events[0]["event"] != "created":
-            raise SessionError(f"{folder / JOURNAL} does not begin as a journal: nothing in it can be used")
+            raise SessionError(
+                f"{folder / JOURNAL} does not begin as a journal: nothing in it can be used"
+            )
 
     @classmethod
     def create(cls, folder: str | Path, plan_text: str, plan_folder: str | Path) -> Session:
@@ -128,7 +147,11 @@ class Session:
     @property
     def frames(self) -> tuple[Frame, ...]:
         """Every committed frame, in the order of the journal; each once."""
-        frames = (frame_of(event, self.folder) for event in self._events if event["event"] == "frame")
+        frames = (
+            frame_of(event, self.folder)
+            for event in self._events
+            if event["event"] == "frame"
+        )
         return tuple({frame.file: frame for frame in frames}.values())
 
     @property
@@ -136,7 +159,9 @@ class Session:
         """Everything in the journal."""
         return tuple(self._events)
 
-    def add_frame(self, source: Path, name: str, kind: FrameKind, range_mm: float | None, **meta: Any) -> Frame:
+    def add_frame(
+        self, source: Path, name: str, kind: FrameKind, range_mm: float | None, **meta: Any
+    ) -> Frame:
         """Copy a photograph into frames/ and commit it; it is on the disk when this returns.
 
         name: its name there; meta: anything JSON can hold, such as exposure_s.
@@ -144,12 +169,20 @@ class Session:
         """
         target = self.folder / FRAMES / check_name(name)
         if kind not in FRAME_KINDS:
-            raise SessionError(f"frame {name}: kind {kind!r}: allowed is {', '.join(FRAME_KINDS)}")
+            raise SessionError(
+                f"frame {name}: kind {kind!r}: allowed is {', '.join(FRAME_KINDS)}"
+            )
         if target.exists():
             raise SessionError(f"{target} is there already; frames are never overwritten")
         incoming = self.folder / INCOMING
         sha256 = copy_durably(source, incoming)
-        fields = {**meta, "file": name, "kind": kind, "range_mm": range_mm, "sha256": sha256}
+        fields = {
+            **meta,
+            "file": name,
+            "kind": kind,
+            "range_mm": range_mm,
+            "sha256": sha256,
+        }
         self._write("adding", **fields)
         with writing(target):
             incoming.rename(target)
@@ -167,7 +200,10 @@ class Session:
         if self.frames:
             raise SessionError(f"session {self.folder} has photographs: its plan stays")
         plan = Plan.parse(plan_text, plan_folder)
-        self._write("replanned", **store_plan(plan, plan_text, self.folder, (JOURNAL, FRAMES, RESULTS)))
+        self._write(
+            "replanned",
+            **store_plan(plan, plan_text, self.folder, (JOURNAL, FRAMES, RESULTS)),
+        )
         self._plan = None
 
     def results_folder(self, name: str = "latest") -> Path:
@@ -190,7 +226,12 @@ class Session:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _write(self, event: str, **fields: Any) -> Event:
@@ -203,7 +244,9 @@ class Session:
     @property
     def _planned(self) -> Event:
         """The event that the plan in the folder belongs to."""
-        return [event for event in self._events if event["event"] in ("created", "replanned")][-1]
+        return [
+            event for event in self._events if event["event"] in ("created", "replanned")
+        ][-1]
 
     def _mend(self, torn: bytes) -> None:
         """Cut a torn line off, and finish or give up the frame that was being added."""
@@ -218,9 +261,14 @@ class Session:
             if not path.exists():
                 self._write("discarded", file=adding["file"])
             elif sha256_of(path) == adding["sha256"]:
-                self._write("frame", **{key: adding[key] for key in adding.keys() - {"event", "time"}})
+                self._write(
+                    "frame",
+                    **{key: adding[key] for key in adding.keys() - {"event", "time"}},
+                )
             else:
-                raise SessionError(f"{path} was being added when labkit stopped, and is damaged; move it away")
+                raise SessionError(
+                    f"{path} was being added when labkit stopped, and is damaged; move it away"
+                )
             warnings.append(
                 f"{adding['file']} was being added when labkit stopped; it is {self._events[-1]['event']} now"
             )
@@ -248,7 +296,9 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
         if not session.frames:  # a crash may have cut a change of plan short
             if session.plan_damage() or changed_tables(session.plan, source.plan):
                 session.replan(source.text, source.folder)
-        elif changed := ", ".join(f"[{name}]" for name in changed_tables(session.plan, source.plan)):
+        elif changed := ", ".join(
+            f"[{name}]" for name in changed_tables(session.plan, source.plan)
+        ):
             raise PlanError(
                 f"plan {source.name} differs in {changed} from the one that the photographs in {folder} were taken by, "
                 f"{folder / PLAN}: go on with that one, or give a new folder"
@@ -263,7 +313,11 @@ def unlisted(session: Session) -> list[Path]:
     if adding := pending(session.events):
         known.add(adding["file"])
     folder = session.folder / FRAMES
-    return [path for path in sorted(folder.iterdir()) if path.name not in known] if folder.is_dir() else []
+    return (
+        [path for path in sorted(folder.iterdir()) if path.name not in known]
+        if folder.is_dir()
+        else []
+    )
 
 
 def refuse_unlisted(session: Session) -> None:
@@ -282,8 +336,15 @@ def refuse_unlisted(session: Session) -> None:
 def _journal_in(folder: Path) -> Path:
     path = folder / JOURNAL
     if not path.is_file():
-        within = next((above for above in folder.absolute().parents if (above / JOURNAL).is_file()), None)
-        hint = f"give {within}" if within else "give the folder that labkit import or labkit capture has made"
+        within = next(
+            (above for above in folder.absolute().parents if (above / JOURNAL).is_file()),
+            None,
+        )
+        hint = (
+            f"give {within}"
+            if within
+            else "give the folder that labkit import or labkit capture has made"
+        )
         why = f"it has no {JOURNAL}" if folder.exists() else "it is not there"
         raise SessionError(f"{folder} is no session: {why}; {hint}")
     return path
@@ -292,4 +353,8 @@ def _journal_in(folder: Path) -> Path:
 def leftovers(folder: Path) -> list[Path]:
     """What a process that was killed leaves beside the session's own files."""
     names = (INCOMING, EXPOSING)
-    return [path for path in sorted(folder.iterdir()) if path.name in names or path.match(".*.part")]
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.name in names or path.match(".*.part")
+    ]

@@ -22,5 +22,11 @@ def with_shown_size(session: Session, plan: Plan) -> Plan:
     asked = session.plan.target
     if not sizes or plan.target.size_mm != asked.size_mm:
         return plan
-    size_mm = asked.size_mm * float(np.mean(np.divide(sizes[-1], open_target(asked).size_mm)))
-    return plan if isclose(size_mm, asked.size_mm) else plan.replace(target={"size_mm": size_mm})
+    size_mm = asked.size_mm * float(
+        np.mean(np.divide(sizes[-1], open_target(asked).size_mm))
+    )
+    return (
+        plan
+        if isclose(size_mm, asked.size_mm)
+        else plan.replace(target={"size_mm": size_mm})
+    )

@@ -26,7 +26,9 @@ Stated = tuple[str, Exif]
 """A photograph's name, and what its file states."""
 
 
-def contradictions(photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan) -> list[Finding]:
+def contradictions(
+    photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan
+) -> list[Finding]:
     """Where files contradict the plan or each other; each finding names both and what to do.
 
     photographs: name, kind and file; darks say nothing about a lens. Files that state nothing contradict nothing.
@@ -47,15 +49,29 @@ def stops_between(one: float, other: float) -> float:
 def _against_plan(stated: Sequence[Stated], plan: Plan) -> Iterator[Finding]:
     focal_mm = plan.lens.focal_length_mm
     for name, exif in stated:
-        if exif.focal_length_mm and abs(exif.focal_length_mm / focal_mm - 1) > FOCAL_LENGTH_TOLERANCE:
-            yield found("exif-focal-length", file=name, focal_length_mm=exif.focal_length_mm, planned_mm=focal_mm)
+        if (
+            exif.focal_length_mm
+            and abs(exif.focal_length_mm / focal_mm - 1) > FOCAL_LENGTH_TOLERANCE
+        ):
+            yield found(
+                "exif-focal-length",
+                file=name,
+                focal_length_mm=exif.focal_length_mm,
+                planned_mm=focal_mm,
+            )
             break
     key, f_number = "lens.f_number", plan.lens.f_number
     if plan.camera is not None and plan.camera.f_number is not None:
         key, f_number = "camera.f_number", plan.camera.f_number
     for name, exif in stated:
         if exif.f_number and stops_between(exif.f_number, f_number) > STOPS_TOLERANCE:
-            yield found("exif-f-number", file=name, f_number=exif.f_number, plan_key=key, planned=f_number)
+            yield found(
+                "exif-f-number",
+                file=name,
+                f_number=exif.f_number,
+                plan_key=key,
+                planned=f_number,
+            )
             break
 
 
@@ -63,15 +79,24 @@ def _among_each_other(stated: Sequence[Stated]) -> Iterator[Finding]:
     yield from _differ(stated, "focal length", lambda exif: exif.focal_length_mm, "{:g} mm")
     yield from _differ(stated, "f-number", lambda exif: exif.f_number, "f/{:g}")
     yield from _differ(stated, "lens", lambda exif: exif.lens or None, "{}")
-    yield from _differ(stated, "lens's serial number", lambda exif: exif.lens_serial or None, "{}")
-    yield from _differ(stated, "camera's serial number", lambda exif: exif.camera_serial or None, "{}")
+    yield from _differ(
+        stated, "lens's serial number", lambda exif: exif.lens_serial or None, "{}"
+    )
+    yield from _differ(
+        stated, "camera's serial number", lambda exif: exif.camera_serial or None, "{}"
+    )
 
 
 def _differ(
-    stated: Sequence[Stated], what: str, value_of: Callable[[Exif], float | str | None], words: str
+    stated: Sequence[Stated],
+    what: str,
+    value_of: Callable[[Exif], float | str | None],
+    words: str,
 ) -> Iterator[Finding]:
     """The first photograph that does not state the same as the one before all."""
-    values = [(name, value) for name, exif in stated if (value := value_of(exif)) is not None]
+    values = [
+        (name, value) for name, exif in stated if (value := value_of(exif)) is not None
+    ]
     for name, value in values[1:]:
         first_name, first = values[0]
         if not _same(value, first):

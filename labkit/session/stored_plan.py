@@ -10,7 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labkit.errors import SessionError, printable
-from labkit.files import check_name, checksum_problem, copy_durably, sha256_of, write_atomically
+from labkit.files import (
+    check_name,
+    checksum_problem,
+    copy_durably,
+    sha256_of,
+    write_atomically,
+)
 from labkit.plan import Plan
 from labkit.plan.text import read_text
 from labkit.session.journal import Event
@@ -70,16 +76,31 @@ def plan_as_run(folder: Path, planned: Event) -> Plan:
 def plan_damage(folder: Path, planned: Event) -> list[str]:
     """What is wrong with the plan and its target's picture, a line each."""
     files = ((PLAN, "plan_sha256"), (planned.get("target_file"), "target_sha256"))
-    problems = (checksum_problem(folder / name, planned.get(key, "")) for name, key in files if name)
+    problems = (
+        checksum_problem(folder / name, planned.get(key, "")) for name, key in files if name
+    )
     return [problem for problem in problems if problem]
 
 
 def changed_tables(begun: Plan, now: Plan) -> list[str]:
     """The tables in which two plans differ, a target's picture compared by content."""
     plans = [begun, now]
-    if begun.target.file and now.target.file and sha256_of(begun.target.file) == sha256_of(now.target.file):
-        plans = [plan.model_copy(update={"target": plan.target.model_copy(update={"file": None})}) for plan in plans]
-    return [name for name in Plan.model_fields if getattr(plans[0], name) != getattr(plans[1], name)]
+    if (
+        begun.target.file
+        and now.target.file
+        and sha256_of(begun.target.file) == sha256_of(now.target.file)
+    ):
+        plans = [
+            plan.model_copy(
+                update={"target": plan.target.model_copy(update={"file": None})}
+            )
+            for plan in plans
+        ]
+    return [
+        name
+        for name in Plan.model_fields
+        if getattr(plans[0], name) != getattr(plans[1], name)
+    ]
 
 
 def _with_target_file(text: str, name: str) -> str:
@@ -98,4 +119,6 @@ def _with_target_file(text: str, name: str) -> str:
                 return changed
         except tomllib.TOMLDecodeError:
             continue
-    raise SessionError("plan: target.file must be written as one plain string on its own line")
+    raise SessionError(
+        "plan: target.file must be written as one plain string on its own line"
+    )

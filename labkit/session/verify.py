@@ -26,9 +26,12 @@ def remarks(session: Session) -> list[str]:
     if is_being_written(session.folder / JOURNAL):
         return lines  # and what is half done is no leftover
     if adding := pending(session.events):
-        lines.append(f"{adding['file']} was being added when labkit stopped; the next capture finishes that")
+        lines.append(
+            f"{adding['file']} was being added when labkit stopped; the next capture finishes that"
+        )
     return lines + [
-        f"{path}: left by a capture that was stopped; the next one removes it" for path in leftovers(session.folder)
+        f"{path}: left by a capture that was stopped; the next one removes it"
+        for path in leftovers(session.folder)
     ]
 
 
@@ -36,7 +39,9 @@ def is_safe(session: Session) -> bool:
     """Whether all that a session holds in memory stands in its journal and lies in its folder, by a quick look."""
     try:
         kept = {frame.file for frame in Session.open(session.folder).frames}
-        return all(frame.file in kept and frame.path.stat().st_size for frame in session.frames)
+        return all(
+            frame.file in kept and frame.path.stat().st_size for frame in session.frames
+        )
     except (SessionError, OSError):
         return False
 

@@ -23,7 +23,9 @@ from labkit.drivers.web.display import WebDisplay, open_display
 from labkit.drivers.web.server import WebServer
 from labkit.plan import DisplaySettings, Plan
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 
 Launch = Callable[[float], Browser]
 
@@ -62,9 +64,13 @@ class Lab:
     links: dict[str, str]
     opened: ExitStack
 
-    def display(self, height: int, width: int, name: str = "screen", hold_s: float = WAIT_S) -> WebDisplay:
+    def display(
+        self, height: int, width: int, name: str = "screen", hold_s: float = WAIT_S
+    ) -> WebDisplay:
         """On one server, at a port that the system chose."""
-        display = open_display(f"web://127.0.0.1:0/{name}", plan_for(height, width), self.context)
+        display = open_display(
+            f"web://127.0.0.1:0/{name}", plan_for(height, width), self.context
+        )
         display.hold_s = hold_s
         return self.opened.enter_context(display)
 
@@ -114,7 +120,9 @@ def launch(playwright: Playwright) -> Iterator[Launch]:
     def get(scale: float) -> Browser:
         if scale not in browsers:
             flags = ["--no-sandbox", f"--force-device-scale-factor={scale:g}"]
-            browsers[scale] = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+            browsers[scale] = playwright.chromium.launch(
+                executable_path=CHROMIUM, args=flags
+            )
         return browsers[scale]
 
     yield get
@@ -135,12 +143,19 @@ class Glass:
 
     def resize(self, height: int, width: int) -> None:
         # scale 0 keeps the browser's own: an emulated one does not reach the canvas
-        metrics: dict[str, Any] = {"width": width, "height": height, "deviceScaleFactor": 0, "mobile": False}
+        metrics: dict[str, Any] = {
+            "width": width,
+            "height": height,
+            "deviceScaleFactor": 0,
+            "mobile": False,
+        }
         self.cdp.send("Emulation.setDeviceMetricsOverride", metrics)
 
     def seen(self) -> NDArray[np.uint8]:
         """(height, width, 3) of what is on the glass, in device pixels."""
-        decoded = cv2.imdecode(np.frombuffer(self.page.screenshot(scale="device"), np.uint8), cv2.IMREAD_COLOR)
+        decoded = cv2.imdecode(
+            np.frombuffer(self.page.screenshot(scale="device"), np.uint8), cv2.IMREAD_COLOR
+        )
         return np.asarray(decoded, dtype=np.uint8)
 
     def reads(self, picture: NDArray[Any]) -> None:
@@ -168,10 +183,18 @@ def glass(launch: Launch) -> Iterator[Callable[..., Glass]]:
     def patient(route: Route) -> None:
         body = route.fetch().text()
         assert ASLEEP in body
-        route.fulfill(content_type="text/javascript", body=body.replace(ASLEEP, f"ASLEEP_MS = {1000 * WAIT_S:g}"))
+        route.fulfill(
+            content_type="text/javascript",
+            body=body.replace(ASLEEP, f"ASLEEP_MS = {1000 * WAIT_S:g}"),
+        )
 
     def make(
-        url: str, height: int = 600, width: int = 800, scale: float = 1, script: str = "", sleep: bool = False
+        url: str,
+        height: int = 600,
+        width: int = 800,
+        scale: float = 1,
+        script: str = "",
+        sleep: bool = False,
     ) -> Glass:
         page = launch(scale).new_context(no_viewport=True).new_page()
         page.set_default_timeout(1000 * WAIT_S)

@@ -35,7 +35,11 @@ def counted(call: str) -> None:
         file.write(b".")
         number = file.tell()
     fault = SPEC.get("fault")
-    if not fault or fault["call"] != call or not fault["at"] <= number < fault["at"] + fault["times"]:
+    if (
+        not fault
+        or fault["call"] != call
+        or not fault["at"] <= number < fault["at"] + fault["times"]
+    ):
         return
     match fault["kind"]:
         case "hang":
@@ -62,7 +66,11 @@ class ExtraWidget:
         return self.get_name()
 
     def get_type(self) -> int:
-        return int(gphoto2.GP_WIDGET_RADIO if self._fields.get("choices") else gphoto2.GP_WIDGET_TOGGLE)
+        return int(
+            gphoto2.GP_WIDGET_RADIO
+            if self._fields.get("choices")
+            else gphoto2.GP_WIDGET_TOGGLE
+        )
 
     def get_readonly(self) -> bool:
         return bool(self._fields.get("readonly"))
@@ -117,7 +125,9 @@ class FaultyCamera:
         if call in ("set_abilities", "set_port_info"):
             return getattr(self._real, call)
         if call == "get_abilities":
-            operations = 0 if SPEC.get("no_trigger") else gphoto2.GP_OPERATION_TRIGGER_CAPTURE
+            operations = (
+                0 if SPEC.get("no_trigger") else gphoto2.GP_OPERATION_TRIGGER_CAPTURE
+            )
             return lambda: SimpleNamespace(operations=operations)
 
         changed = getattr(type(self), f"_{call}", None)
@@ -139,7 +149,11 @@ class FaultyCamera:
         return Tree(self._real.get_config(), *map(ExtraWidget, self._extra.values()))
 
     def _get_single_config(self, name: str) -> Any:
-        return ExtraWidget(self._extra[name]) if name in self._extra else self._real.get_single_config(name)
+        return (
+            ExtraWidget(self._extra[name])
+            if name in self._extra
+            else self._real.get_single_config(name)
+        )
 
     def _set_single_config(self, name: str, widget: Any) -> None:
         if name == "bulb":
@@ -176,10 +190,16 @@ class FaultyCamera:
         kind, data = self._real.wait_for_event(milliseconds)
         if kind == gphoto2.GP_EVENT_FILE_ADDED and "files" in SPEC:
             for number, what in enumerate(SPEC["files"]):
-                self._files.append(SimpleNamespace(folder=data.folder, name=data.name, what=what, number=number))
+                self._files.append(
+                    SimpleNamespace(
+                        folder=data.folder, name=data.name, what=what, number=number
+                    )
+                )
             if not self._files:
                 return gphoto2.GP_EVENT_UNKNOWN, None
-            self._names = {f"{one.number}{one.what}-{data.name}": one for one in self._files}
+            self._names = {
+                f"{one.number}{one.what}-{data.name}": one for one in self._files
+            }
             for name, one in self._names.items():
                 one.name = name
             return self._wait_for_event(milliseconds)
@@ -188,8 +208,12 @@ class FaultyCamera:
     def _file_get_info(self, folder: str, name: str) -> Any:
         kind, real = _split(name)
         info = self._real.file_get_info(folder, real)
-        size = len(JPEG) if kind == "jpeg" else info.file.size + (1 if kind == "short" else 0)
-        return SimpleNamespace(file=SimpleNamespace(size=size, fields=gphoto2.GP_FILE_INFO_SIZE))
+        size = (
+            len(JPEG) if kind == "jpeg" else info.file.size + (1 if kind == "short" else 0)
+        )
+        return SimpleNamespace(
+            file=SimpleNamespace(size=size, fields=gphoto2.GP_FILE_INFO_SIZE)
+        )
 
     def _file_get(self, folder: str, name: str, what: int) -> Any:
         kind, real = _split(name)

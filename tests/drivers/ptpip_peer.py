@@ -61,7 +61,9 @@ class Peer:
                 connection, _ = listener.accept()
                 self._sockets.append(connection)
                 if not self._silent:
-                    threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+                    threading.Thread(
+                        target=self._serve, args=(connection,), daemon=True
+                    ).start()
 
     def _serve(self, connection: socket.socket) -> None:
         with suppress(OSError, struct.error):
@@ -69,18 +71,29 @@ class Peer:
                 kind, body = _received(connection)
                 if kind == 1:
                     name = (MODEL + "\0").encode("utf-16-le")
-                    _send(connection, 2, struct.pack("<I", 1) + bytes(16) + name + struct.pack("<I", 0x10000))
+                    _send(
+                        connection,
+                        2,
+                        struct.pack("<I", 1)
+                        + bytes(16)
+                        + name
+                        + struct.pack("<I", 0x10000),
+                    )
                 elif kind == 3:
                     self._events = connection
                     _send(connection, 4)
                 elif kind == 6:
-                    _, code, transaction, *rest = struct.unpack(f"<IHI{(len(body) - 10) // 4}I", body)
+                    _, code, transaction, *rest = struct.unpack(
+                        f"<IHI{(len(body) - 10) // 4}I", body
+                    )
                     sent = _data(connection) if code == 0x1016 else b""
                     self._answer(connection, transaction, *self._done(code, rest, sent))
                     if code == 0x100E:
                         self._announce(transaction)
 
-    def _answer(self, connection: socket.socket, transaction: int, code: int, data: bytes | None) -> None:
+    def _answer(
+        self, connection: socket.socket, transaction: int, code: int, data: bytes | None
+    ) -> None:
         if data is not None:
             _send(connection, 9, struct.pack("<IQ", transaction, len(data)))
             _send(connection, 12, struct.pack("<I", transaction) + data)
@@ -102,13 +115,34 @@ class Peer:
         if code == 0x1004:
             return OK, array([STORE], "I")
         if code == 0x1005:
-            return OK, struct.pack("<HHHQQI", 4, 2, 0, 10**10, 10**9, 150) + text("card") + text("card")
+            return OK, struct.pack("<HHHQQI", 4, 2, 0, 10**10, 10**9, 150) + text(
+                "card"
+            ) + text("card")
         if code == 0x1007:
             return OK, array(self._objects if of[2] in (0, 0xFFFFFFFF) else [], "I")
         if code == 0x1008:
             size = self._photograph.stat().st_size
-            head = struct.pack("<IHHIHIIIIIIIHII", STORE, NEF, 0, size, 0x3808, 0, 0, 0, 96, 64, 14, 0, 0, 0, of[0])
-            return OK, head + text(f"P{of[0]:07d}.NEF") + text("20260101T000000") + text("20260101T000000") + text("")
+            head = struct.pack(
+                "<IHHIHIIIIIIIHII",
+                STORE,
+                NEF,
+                0,
+                size,
+                0x3808,
+                0,
+                0,
+                0,
+                96,
+                64,
+                14,
+                0,
+                0,
+                0,
+                of[0],
+            )
+            return OK, head + text(f"P{of[0]:07d}.NEF") + text("20260101T000000") + text(
+                "20260101T000000"
+            ) + text("")
         if code == 0x1009:
             return OK, self._photograph.read_bytes()
         if code == 0x100B:
@@ -116,9 +150,15 @@ class Peer:
             return OK, None
         if code == 0x1014:
             kind, choices = PROPERTIES[of[0]]
-            values = struct.pack("<" + 2 * FORMATS[kind][1], choices[0], self._values[of[0]])
-            form = array(choices, FORMATS[kind][1])[:2] + array(choices, FORMATS[kind][1])[4:]
-            return OK, struct.pack("<HHB", of[0], kind, len(choices) > 1) + values + b"\2" + form
+            values = struct.pack(
+                "<" + 2 * FORMATS[kind][1], choices[0], self._values[of[0]]
+            )
+            form = (
+                array(choices, FORMATS[kind][1])[:2] + array(choices, FORMATS[kind][1])[4:]
+            )
+            return OK, struct.pack(
+                "<HHB", of[0], kind, len(choices) > 1
+            ) + values + b"\2" + form
         if code == 0x1015:
             return OK, struct.pack(FORMATS[PROPERTIES[of[0]][0]], self._values[of[0]])
         if code == 0x1016:
@@ -128,7 +168,13 @@ class Peer:
 
     def _about(self) -> bytes:
         head = struct.pack("<HIH", 100, 0, 100) + text("") + struct.pack("<H", 0)
-        lists = array(OPERATIONS) + array([0x4002, 0x400D]) + array(list(PROPERTIES)) + array([NEF]) + array([NEF])
+        lists = (
+            array(OPERATIONS)
+            + array([0x4002, 0x400D])
+            + array(list(PROPERTIES))
+            + array([NEF])
+            + array([NEF])
+        )
         return head + lists + text("Nobody") + text(MODEL) + text("1.0") + text(SERIAL)
 
 

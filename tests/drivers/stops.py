@@ -25,7 +25,9 @@ def error_of_a_move_stopped(rail: Rail, to_mm: float, moving: threading.Event) -
     return str(caught.value)
 
 
-def error_of_a_move_stopped_before_it_began(rail: Rail, to_mm: float, controller: Controller, command: str) -> str:
+def error_of_a_move_stopped_before_it_began(
+    rail: Rail, to_mm: float, controller: Controller, command: str
+) -> str:
     """What a move raises that is stopped while the driver still checks, by this command, whether it may move."""
     stopper = threading.Thread(target=rail.stop)
 

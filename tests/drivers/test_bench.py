@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.drivers.simulated.world import (
+    BenchSettings,
+    TrueLens,
+    TruePanel,
+    TrueRail,
+    TrueSensor,
+)
 
 SMALL = BenchSettings(
     lens=TrueLens(f_number=8.0),
@@ -73,7 +79,9 @@ def test_a_covered_lens_leaves_black_level_read_noise_and_hot_pixels() -> None:
     assert np.median(dark) == 600
     assert np.sum(dark > 700) == 3
     # rounding to whole counts adds 1/12 to the variance
-    assert np.std(dark[dark < 700]) == pytest.approx(np.sqrt((2.5 * 0.45) ** 2 + 1 / 12), rel=0.05)
+    assert np.std(dark[dark < 700]) == pytest.approx(
+        np.sqrt((2.5 * 0.45) ** 2 + 1 / 12), rel=0.05
+    )
 
 
 def test_a_grey_panel_is_as_bright_as_its_gamma_says() -> None:
@@ -122,7 +130,9 @@ def test_the_truth_names_the_stop_by_its_plan_and_by_what_it_was() -> None:
     assert visit.range_mm == 3013.2
     assert visit.actual_range_mm == bench.range_mm != visit.range_mm
     assert set(visit.defocus_waves) == {"R", "G", "B"}
-    np.testing.assert_allclose(np.linalg.norm(list(bench.truth.modes_waves["G"].values())), 0.07)
+    np.testing.assert_allclose(
+        np.linalg.norm(list(bench.truth.modes_waves["G"].values())), 0.07
+    )
 
 
 def test_a_picture_larger_than_the_panel_is_refused() -> None:

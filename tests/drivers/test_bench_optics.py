@@ -27,7 +27,9 @@ from labkit.types import Floats
 @pytest.mark.parametrize("j", range(1, 22))
 def test_modes_are_nolls_as_poppy_has_them(j: int) -> None:
     y, x = np.meshgrid(*2 * [np.linspace(-0.7, 0.7, 41)], indexing="ij")
-    theirs = poppy.zernike.zernike1(j, rho=np.hypot(x, y), theta=np.arctan2(y, x), outside=0.0)
+    theirs = poppy.zernike.zernike1(
+        j, rho=np.hypot(x, y), theta=np.arctan2(y, x), outside=0.0
+    )
     np.testing.assert_allclose(zernike(j, x, y), theirs, atol=1e-12)
 
 
@@ -37,33 +39,59 @@ def test_noll_4_to_11_have_the_orders_of_nolls_table() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("range_mm", "waves"), [(3013.2, 0.07484), (3200.0, 1.06783), (3300.0, 1.55325)])
-def test_defocus_against_range_has_the_published_values(range_mm: float, waves: float) -> None:
-    assert defocus_waves(range_mm, 3000.0, 70.0, 2.8, 0.985) == pytest.approx(waves, abs=1e-5)
+@pytest.mark.parametrize(
+    ("range_mm", "waves"), [(3013.2, 0.07484), (3200.0, 1.06783), (3300.0, 1.55325)]
+)
+def test_defocus_against_range_has_the_published_values(
+    range_mm: float, waves: float
+) -> None:
+    assert defocus_waves(range_mm, 3000.0, 70.0, 2.8, 0.985) == pytest.approx(
+        waves, abs=1e-5
+    )
 
 
 def test_a_perfect_lens_shows_airys_disc() -> None:
     psf = point_spread({}, 550.0, 4.0, 0.5, 400)
     r = np.hypot(*np.meshgrid(*2 * [np.arange(-400, 401) * 0.5])) / (0.55 * 4.0)
     r[400, 400] = 1e-9
-    airy = (2 * j1(np.pi * r) / (np.pi * r)) ** 2 * np.pi / 4 * (0.5 / (0.55 * 4.0)) ** 2  # unit integral
-    assert psf.sum(dtype=float) == pytest.approx(airy.sum(), abs=1.2e-5)  # of the rim's fourth order
+    airy = (
+        (2 * j1(np.pi * r) / (np.pi * r)) ** 2 * np.pi / 4 * (0.5 / (0.55 * 4.0)) ** 2
+    )  # unit integral
+    assert psf.sum(dtype=float) == pytest.approx(
+        airy.sum(), abs=1.2e-5
+    )  # of the rim's fourth order
     assert np.abs(psf - airy).sum() < 3e-4
     # what is beyond 200 um is 0.2 %; out to 2 mm all of it but a tenth
     halo = halo_beyond(550.0, 4.0, 0.5, 400, 10, 400)
     tenth = (1 - airy.sum()) / 10
-    assert psf.sum(dtype=float) + halo.sum(dtype=float) == pytest.approx(1 - tenth, abs=1e-5)
+    assert psf.sum(dtype=float) + halo.sum(dtype=float) == pytest.approx(
+        1 - tenth, abs=1e-5
+    )
 
 
 def test_a_defocused_psf_is_as_bright_as_hankels_transform_has_it() -> None:
     wavelength_um, f_number, spacing_um, waves, reach = 0.54, 7.7, 0.533, 0.7, 656
-    psf = point_spread({4: waves}, 1e3 * wavelength_um, f_number, spacing_um, reach)[reach, reach:]
+    psf = point_spread({4: waves}, 1e3 * wavelength_um, f_number, spacing_um, reach)[
+        reach, reach:
+    ]
     rho, weight = (np.polynomial.legendre.leggauss(400)[k] / 2 for k in (0, 1))
     rho += 0.5
-    pupil = 2 * weight * rho * np.exp(2j * np.pi * waves * 0.45 / wavelength_um * np.sqrt(3) * (2 * rho**2 - 1))
+    pupil = (
+        2
+        * weight
+        * rho
+        * np.exp(2j * np.pi * waves * 0.45 / wavelength_um * np.sqrt(3) * (2 * rho**2 - 1))
+    )
     airy_um = wavelength_um * f_number
-    r = np.arange(75) * spacing_um  # out to the geometric rim, 4 times the waves peak to valley in lambda N
-    light = np.abs(j0(np.pi * r[:, None] / airy_um * rho) @ pupil) ** 2 * np.pi / 4 * (spacing_um / airy_um) ** 2
+    r = (
+        np.arange(75) * spacing_um
+    )  # out to the geometric rim, 4 times the waves peak to valley in lambda N
+    light = (
+        np.abs(j0(np.pi * r[:, None] / airy_um * rho) @ pupil) ** 2
+        * np.pi
+        / 4
+        * (spacing_um / airy_um) ** 2
+    )
     assert np.abs(psf[:75] - light).max() < 2.4e-4 * light.max()
     assert r @ psf[:75] == pytest.approx(
         r @ light, rel=1e-4
@@ -79,14 +107,18 @@ def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:
     system.add_pupil(poppy.CircularAperture(radius=1.0, gray_pixel=True))
     system.add_pupil(poppy.ZernikeWFE(radius=1.0, coefficients=coefficients))
     scale = np.degrees(spacing_um * 1e-6 / (f_number * 2.0)) * 3600
-    system.add_detector(pixelscale=scale * u.arcsec / u.pixel, fov_pixels=2 * reach + 1, oversample=1)
+    system.add_detector(
+        pixelscale=scale * u.arcsec / u.pixel, fov_pixels=2 * reach + 1, oversample=1
+    )
     # poppy's light goes against the slope of the path (it writes the inverse transform): turn it by 180 degrees
     theirs = system.calc_psf(wavelength=wavelength_nm * 1e-9)[0].data[::-1, ::-1]
     assert np.abs(ours / ours.sum() - theirs / theirs.sum()).sum() < 3e-3
 
 
 @pytest.mark.parametrize(("mode", "axis"), [(2, 1), (3, 0)])
-def test_a_path_that_grows_to_the_right_or_down_throws_light_there(mode: int, axis: int) -> None:
+def test_a_path_that_grows_to_the_right_or_down_throws_light_there(
+    mode: int, axis: int
+) -> None:
     # Z2 = 2 u, Z3 = 2 v: half a wave RMS is two waves across the pupil, which tilt the light by 2 lambda N
     psf = point_spread({mode: 0.5}, 500.0, 4.0, 0.5, 40, reference_nm=500.0)
     expected = [40, 40]
@@ -117,9 +149,16 @@ def two_lenses() -> tuple[float, float, float, float]:
     first lens, mm: of rays (height, angle) through both lenses, and from the stop outwards."""
     (_, _), (c, d) = BACK @ FRONT
     focal_mm, principal_mm = -1 / c, (d - 1) / c
-    entrance_mm, exit_mm = STOP_MM / FRONT[0, 0], STOP_MM / BACK[1, 1]  # radii of the pupils
-    behind_mm = FRONT[0, 1] / FRONT[0, 0]  # of the first lens, by so much: rays to there go through the stop's centre
-    assert behind_mm == pytest.approx(principal_mm - focal_mm + focal_mm * entrance_mm / exit_mm)
+    entrance_mm, exit_mm = (
+        STOP_MM / FRONT[0, 0],
+        STOP_MM / BACK[1, 1],
+    )  # radii of the pupils
+    behind_mm = (
+        FRONT[0, 1] / FRONT[0, 0]
+    )  # of the first lens, by so much: rays to there go through the stop's centre
+    assert behind_mm == pytest.approx(
+        principal_mm - focal_mm + focal_mm * entrance_mm / exit_mm
+    )
     return focal_mm, focal_mm / (2 * entrance_mm), exit_mm / entrance_mm, principal_mm
 
 
@@ -127,30 +166,48 @@ def test_cone_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> Non
     focal_mm, f_number, pupils, principal_mm = two_lenses()
     best_mm, range_mm = 800.0, 700.0
     whole = BACK @ FRONT @ gap(best_mm - principal_mm)
-    sensor = gap(-whole[0, 1] / whole[1, 1])  # where rays from the axis at best focus meet again
-    angle = STOP_MM / (FRONT @ gap(best_mm - principal_mm))[0, 1]  # of the ray that just passes the stop
+    sensor = gap(
+        -whole[0, 1] / whole[1, 1]
+    )  # where rays from the axis at best focus meet again
+    angle = (
+        STOP_MM / (FRONT @ gap(best_mm - principal_mm))[0, 1]
+    )  # of the ray that just passes the stop
     cone = 1 / (2 * abs((sensor @ whole @ [0, angle])[1]))
-    assert working_f_number(f_number, best_mm, focal_mm, pupils) == pytest.approx(cone, rel=1e-12)
+    assert working_f_number(f_number, best_mm, focal_mm, pupils) == pytest.approx(
+        cone, rel=1e-12
+    )
 
     to_stop = FRONT @ gap(range_mm - principal_mm)
-    chief = np.array([1.0, -to_stop[0, 0] / to_stop[0, 1]])  # from 1 mm off the axis through the stop's centre
+    chief = np.array(
+        [1.0, -to_stop[0, 0] / to_stop[0, 1]]
+    )  # from 1 mm off the axis through the stop's centre
     scale = abs((sensor @ BACK @ FRONT @ gap(range_mm - principal_mm) @ chief)[0])
     lens = TrueLens(focal_mm, f_number, pupils, {"G": 550.0}, {"G": best_mm})
     assert millimetre_px(lens, range_mm) * 4.78e-3 == pytest.approx(scale, rel=1e-12)
 
 
-def millimetre_px(lens: TrueLens, range_mm: float, tape_error_mm: float = 0.0, colour: str = "G") -> float:
+def millimetre_px(
+    lens: TrueLens, range_mm: float, tape_error_mm: float = 0.0, colour: str = "G"
+) -> float:
     """How many pixels of the bench's picture a millimetre of a target spans that faces the camera squarely."""
     rail = TrueRail(range_at_zero_mm=range_mm, tape_error_mm=tape_error_mm, scatter_mm=0)
     bench = Bench(replace(BenchSettings(), lens=lens, rail=rail, pose=TruePose(0, 0, 0, 0)))
-    right, _ = carry(bench._to_pixels(bench._lateral(colour)), np.array([0.0, 1.0]), np.zeros(2))
+    right, _ = carry(
+        bench._to_pixels(bench._lateral(colour)), np.array([0.0, 1.0]), np.zeros(2)
+    )
     return float(right[1] - right[0])
 
 
-def test_a_target_at_best_focus_is_as_large_as_its_image_wherever_the_pupils_stand() -> None:
+def test_a_target_at_best_focus_is_as_large_as_its_image_wherever_the_pupils_stand() -> (
+    None
+):
     for pupils in (0.6, 1.0, 1.7):
-        lens = TrueLens(pupil_magnification=pupils, best_focus_mm=dict.fromkeys("RGB", 500.0))
-        assert millimetre_px(lens, 500.0) == pytest.approx(70 / (500 - 70) / 4.78e-3, rel=1e-12)
+        lens = TrueLens(
+            pupil_magnification=pupils, best_focus_mm=dict.fromkeys("RGB", 500.0)
+        )
+        assert millimetre_px(lens, 500.0) == pytest.approx(
+            70 / (500 - 70) / 4.78e-3, rel=1e-12
+        )
 
 
 def test_sizes_follow_the_distance_from_the_entrance_pupil_and_the_tape_errs() -> None:
@@ -162,4 +219,6 @@ def test_sizes_follow_the_distance_from_the_entrance_pupil_and_the_tape_errs() -
 
 def test_a_colour_may_be_larger_than_the_others() -> None:
     lens = TrueLens(lateral_colour={"B": 2e-4})
-    assert millimetre_px(lens, 3000.0, colour="B") == pytest.approx(millimetre_px(lens, 3000.0) * 1.0002, rel=1e-12)
+    assert millimetre_px(lens, 3000.0, colour="B") == pytest.approx(
+        millimetre_px(lens, 3000.0) * 1.0002, rel=1e-12
+    )

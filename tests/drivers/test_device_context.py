@@ -18,14 +18,23 @@ WEB = "web://127.0.0.1:0"
 
 
 def plan(rail: str = "simulated:", display: str = "simulated:") -> Plan:
-    places: dict[str, Any] = {"rail": {"address": rail, "microstep_um": 0.5}, "display": {"address": display}}
+    places: dict[str, Any] = {
+        "rail": {"address": rail, "microstep_um": 0.5},
+        "display": {"address": display},
+    }
     return Plan.parse(plan_text(SMALL, simulated([2000, 2050], 1950.0), places), Path())
 
 
 def held(context: DeviceContext) -> tuple[Any, ...]:
     """Everything that a context holds, by value where it can be held twice."""
     values = {field.name: getattr(context, field.name) for field in fields(context)}
-    return values, context.shared.items(), context.operator.present, context.operator.question, context.requests.qsize()
+    return (
+        values,
+        context.shared.items(),
+        context.operator.present,
+        context.operator.question,
+        context.requests.qsize(),
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -33,9 +42,13 @@ def token_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
-@pytest.mark.parametrize("rail", ["simulated:", "grbl:simulated", "zaber:simulated", "manual:"])
+@pytest.mark.parametrize(
+    "rail", ["simulated:", "grbl:simulated", "zaber:simulated", "manual:"]
+)
 @pytest.mark.parametrize("display", ["simulated:", WEB])
-def test_opening_and_closing_devices_leaves_the_context_as_it_was(rail: str, display: str) -> None:
+def test_opening_and_closing_devices_leaves_the_context_as_it_was(
+    rail: str, display: str
+) -> None:
     context = DeviceContext()
     before = held(context)
     with open_devices(plan(rail, display), context=context):
@@ -64,7 +77,9 @@ def test_a_context_cannot_be_changed() -> None:
 def test_a_monitor_and_a_web_display_of_one_address_are_one_observer() -> None:
     context = DeviceContext()
     with open_monitor(WEB, plan(display=WEB), context) as page:
-        with open_devices(plan(display=WEB), context=replace(context, observers=(page,))) as bench:
+        with open_devices(
+            plan(display=WEB), context=replace(context, observers=(page,))
+        ) as bench:
             assert list(bench.observers) == [page]
         assert context.operator.present  # the monitor's page is still there
     assert not context.operator.present

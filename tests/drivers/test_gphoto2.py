@@ -18,7 +18,13 @@ import usb.core
 
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
-from labkit.devices.protocols import Adjustable, Camera, Checkable, ExposureSettings, Previewing
+from labkit.devices.protocols import (
+    Adjustable,
+    Camera,
+    Checkable,
+    ExposureSettings,
+    Previewing,
+)
 from labkit.devices.registry import open_camera
 from labkit.drivers.gphoto2 import camera as gphoto2_camera
 from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
@@ -35,7 +41,11 @@ FAULTY = Path(__file__).with_name("faulty_gphoto2.py")
 SENSOR = Sensor(pixel_pitch_um=4.0)
 AT_20_MS = ExposureSettings(0.02, 100)
 
-RAW_ONLY = {"name": "imagequality", "value": "NEF (Raw)", "choices": ["JPEG Fine", "NEF (Raw)", "NEF+Fine"]}
+RAW_ONLY = {
+    "name": "imagequality",
+    "value": "NEF (Raw)",
+    "choices": ["JPEG Fine", "NEF (Raw)", "NEF+Fine"],
+}
 
 
 class Scene:
@@ -49,7 +59,11 @@ class Scene:
     def show(self, number: int) -> None:
         self.photograph.unlink(missing_ok=True)
         counts = np.full((64, 96), 1000 + number, dtype=np.uint16)
-        write_raw(self.photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
+        write_raw(
+            self.photograph,
+            counts,
+            RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100),
+        )
 
 
 def number_in(path: Path) -> int:
@@ -73,13 +87,20 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeCamera
     made = []
     numbers = itertools.count()
 
-    def make(port: str = "", keep: bool = False, waited: list[float] | None = None, **spec: Any) -> Gphoto2Camera:
+    def make(
+        port: str = "", keep: bool = False, waited: list[float] | None = None, **spec: Any
+    ) -> Gphoto2Camera:
         folder = tmp_path / f"calls{next(numbers)}"
         folder.mkdir()
         command = [sys.executable, str(FAULTY), json.dumps({**spec, "folder": str(folder)})]
         waits: list[float] = [] if waited is None else waited
         camera = Gphoto2Camera(
-            port, f_number=2.8, keep=keep, wait=waits.append, link=Link(command), release_s=spec.get("release_s", 0.5)
+            port,
+            f_number=2.8,
+            keep=keep,
+            wait=waits.append,
+            link=Link(command),
+            release_s=spec.get("release_s", 0.5),
         )
         made.append(camera)
         return camera
@@ -104,13 +125,17 @@ def two_frames(camera: Gphoto2Camera, scene: Scene, folder: Path) -> list[int]:
     return seen
 
 
-def test_it_is_a_camera_that_can_be_asked_and_checked(make: MakeCamera, scene: Scene) -> None:
+def test_it_is_a_camera_that_can_be_asked_and_checked(
+    make: MakeCamera, scene: Scene
+) -> None:
     camera: Camera = make()
     assert isinstance(camera, Adjustable)
     assert isinstance(camera, Checkable)
 
 
-def test_frames_come_out_of_the_real_library_with_their_settings(scene: Scene, tmp_path: Path) -> None:
+def test_frames_come_out_of_the_real_library_with_their_settings(
+    scene: Scene, tmp_path: Path
+) -> None:
     with Gphoto2Camera("", f_number=2.8, keep=False, wait=lambda s: None) as camera:
         info = camera.identify()
         camera.configure(AT_20_MS)
@@ -140,7 +165,9 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     monkeypatch.setattr(usb.core, "find", no_backend)
     assert run(["devices", "--json"]) == 0
     said = json.loads(capfd.readouterr().out)
-    assert said["cameras"] == [{"address": "gphoto2:usb:001,001", "model": "Nikon DSC D750"}]
+    assert said["cameras"] == [
+        {"address": "gphoto2:usb:001,001", "model": "Nikon DSC D750"}
+    ]
     assert said["usb"] is None
     assert run(["devices", "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
@@ -148,9 +175,13 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     assert "USB\n  not looked at\n" in capfd.readouterr().out
 
 
-def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(make: MakeCamera, scene: Scene) -> None:
+def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(
+    make: MakeCamera, scene: Scene
+) -> None:
     camera = make()
-    shutter = next(setting for setting in camera.settings() if setting.name == "shutterspeed")
+    shutter = next(
+        setting for setting in camera.settings() if setting.name == "shutterspeed"
+    )
     assert "0.0200s" in shutter.choices
     camera.configure(AT_20_MS)
     check = camera.check(20)
@@ -159,7 +190,9 @@ def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(make: 
     assert "ISO 100" in check.by_hand
 
 
-def test_without_configuring_it_photographs_as_the_body_is_set(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+def test_without_configuring_it_photographs_as_the_body_is_set(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
     frame = make().expose(tmp_path / "a")
     assert (frame.exposure_s, frame.iso) == (0.01, 0)
 
@@ -202,7 +235,11 @@ def test_lasting_trouble_ends_in_one_line_and_the_camera_serves_again_when_it_is
 ) -> None:
     waited: list[float] = []
     with pytest.raises(DeviceError, match=LASTING[kind]) as caught:
-        two_frames(make(fault=fault(call, kind, times=999), extra=[RAW_ONLY], waited=waited), scene, tmp_path)
+        two_frames(
+            make(fault=fault(call, kind, times=999), extra=[RAW_ONLY], waited=waited),
+            scene,
+            tmp_path,
+        )
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, DeviceTimeoutError) == (kind in (-10, "hang"))
     assert waited == ([] if kind == -6 else [*gphoto2_camera.PAUSES_S])
@@ -210,7 +247,9 @@ def test_lasting_trouble_ends_in_one_line_and_the_camera_serves_again_when_it_is
     assert two_frames(make(extra=[RAW_ONLY]), scene, tmp_path) == [1, 2]
 
 
-def test_the_camera_may_fill_up_and_is_opened_again(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+def test_the_camera_may_fill_up_and_is_opened_again(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
     # the virtual camera stops delivering after 26 photographs, until it is opened anew
     camera = make(extra=[RAW_ONLY], release_s=0.2, slow_exit=True)
     camera.configure(AT_20_MS)
@@ -232,8 +271,12 @@ def test_of_raw_and_jpeg_the_raw_is_kept_whichever_comes_first(
     assert two_frames(make(files=files), scene, tmp_path / "again") == [1, 2]
 
 
-def test_a_camera_that_sends_only_jpegs_is_told_off(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
-    with pytest.raises(CameraError, match="a JPEG, and no raw file: set its image quality to raw"):
+def test_a_camera_that_sends_only_jpegs_is_told_off(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
+    with pytest.raises(
+        CameraError, match="a JPEG, and no raw file: set its image quality to raw"
+    ):
         two_frames(make(files=["jpeg"]), scene, tmp_path)
 
 
@@ -262,10 +305,14 @@ def test_a_file_of_an_exposure_that_was_given_up_does_not_pass_for_the_next(
     assert two_frames(camera, scene, tmp_path) == [1, 2]
 
 
-def test_a_long_exposure_is_timed_here_where_the_body_has_bulb(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+def test_a_long_exposure_is_timed_here_where_the_body_has_bulb(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
     shutter = {"name": "shutterspeed2", "value": "1/50", "choices": ["1/50", "Bulb"]}
     camera = make(extra=[RAW_ONLY, shutter, {"name": "bulb", "value": 0}])
-    camera.configure(ExposureSettings(1.2, 100))  # of its own the virtual camera exposes 1 s at most
+    camera.configure(
+        ExposureSettings(1.2, 100)
+    )  # of its own the virtual camera exposes 1 s at most
     frame = camera.expose(tmp_path / "a")
     assert frame.exposure_s == 1.2
     assert frame.meta["camera_settings"]["shutterspeed2"] == "Bulb"
@@ -285,7 +332,9 @@ def test_a_long_exposure_is_timed_here_where_the_body_has_bulb(make: MakeCamera,
         ({"name": "iso", "value": "200", "choices": ["100", "200"], "ignores": True}, "set to 100, but the camera has"),
     ],
 )  # fmt: skip
-def test_what_the_body_will_not_do_is_said(extra: dict[str, Any], words: str, make: MakeCamera, scene: Scene) -> None:
+def test_what_the_body_will_not_do_is_said(
+    extra: dict[str, Any], words: str, make: MakeCamera, scene: Scene
+) -> None:
     with pytest.raises(CameraError, match=words):
         make(extra=[extra]).configure(AT_20_MS)
 
@@ -297,29 +346,46 @@ def test_a_setting_that_turns_by_itself_is_turned_back_before_the_next_frame(
     camera = make(extra=[RAW_ONLY, drifting])
     camera.configure(AT_20_MS)
     for number in range(2):
-        assert camera.expose(tmp_path / f"frame_{number}").meta["camera_settings"]["iso"] == "100"
+        assert (
+            camera.expose(tmp_path / f"frame_{number}").meta["camera_settings"]["iso"]
+            == "100"
+        )
 
 
 def test_a_low_battery_and_a_full_card_are_told_before_and_an_empty_battery_stops(
     make: MakeCamera, scene: Scene, tmp_path: Path
 ) -> None:
-    camera = make(keep=True, extra=[{"name": "batterylevel", "value": "15%", "readonly": True, "choices": ["15%"]}])
+    camera = make(
+        keep=True,
+        extra=[
+            {"name": "batterylevel", "value": "15%", "readonly": True, "choices": ["15%"]}
+        ],
+    )
     camera.configure(AT_20_MS)
     battery, card = camera.check(200).problems
     assert "battery is at 15 %" in battery
     assert "room for 150 photographs, 200 are to come" in card
-    empty = make(extra=[{"name": "batterylevel", "value": "3%", "readonly": True, "choices": ["3%"]}])
+    empty = make(
+        extra=[{"name": "batterylevel", "value": "3%", "readonly": True, "choices": ["3%"]}]
+    )
     empty.configure(AT_20_MS)
     with pytest.raises(CameraError, match="battery is at 3 %"):
         empty.expose(tmp_path / "a")
 
 
-def test_a_camera_without_trigger_is_made_to_capture(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+def test_a_camera_without_trigger_is_made_to_capture(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
     assert two_frames(make(no_trigger=True), scene, tmp_path) == [1, 2]
 
 
-def test_a_port_with_no_camera_is_told_with_those_that_there_are(make: MakeCamera, scene: Scene) -> None:
-    with pytest.raises(CameraError, match=r"no camera at usb:009,009; there is Nikon DSC D750 at usb:001,001"):
+def test_a_port_with_no_camera_is_told_with_those_that_there_are(
+    make: MakeCamera, scene: Scene
+) -> None:
+    with pytest.raises(
+        CameraError,
+        match=r"no camera at usb:009,009; there is Nikon DSC D750 at usb:001,001",
+    ):
         make("usb:009,009").identify()
     assert make("usb:001,001").identify().model == "Nikon DSC D750"
 
@@ -334,16 +400,22 @@ def test_the_photograph_of_an_exposure_in_flight_is_not_overwritten(
 
 
 def test_it_is_opened_by_address(scene: Scene) -> None:
-    with open_camera("gphoto2:", Plan.parse(plan_text(SMALL), Path()), DeviceContext()) as camera:
+    with open_camera(
+        "gphoto2:", Plan.parse(plan_text(SMALL), Path()), DeviceContext()
+    ) as camera:
         assert camera.identify().serial == "0.1"
     with pytest.raises(PlanError, match="allowed is gphoto2: for the only camera"):
         open_camera("gphoto2:nikon", Plan.parse(plan_text(SMALL), Path()), DeviceContext())
 
 
-def test_a_body_that_wants_live_view_first_is_given_it(make: MakeCamera, scene: Scene, tmp_path: Path) -> None:
+def test_a_body_that_wants_live_view_first_is_given_it(
+    make: MakeCamera, scene: Scene, tmp_path: Path
+) -> None:
     waited: list[float] = []
     live_view = {"name": "viewfinder", "value": 0}
-    camera = make(fault=fault("trigger_capture", -1), extra=[RAW_ONLY, live_view], waited=waited)
+    camera = make(
+        fault=fault("trigger_capture", -1), extra=[RAW_ONLY, live_view], waited=waited
+    )
     assert two_frames(camera, scene, tmp_path) == [1, 2]
     assert waited == []
 
@@ -368,7 +440,9 @@ def test_ctrl_c_in_an_exposure_is_obeyed_at_once_and_leaves_the_camera_usable(
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         camera.expose(tmp_path / "a")
-    assert camera.identify().serial == "0.1"  # the worker gave up waiting for the file when it was asked again
+    assert (
+        camera.identify().serial == "0.1"
+    )  # the worker gave up waiting for the file when it was asked again
 
 
 def test_the_worker_ends_with_the_pipe() -> None:
@@ -386,7 +460,9 @@ def test_live_view_is_a_picture_and_a_body_without_it_says_so_at_once(
 ) -> None:
     (tmp_path / "live").write_bytes(b"\xff\xd8 as the body sends it")
     assert make().preview(tmp_path / "focus_1") is None
-    camera: Camera = make(preview=str(tmp_path / "live"), fault=fault("capture_preview", -7))
+    camera: Camera = make(
+        preview=str(tmp_path / "live"), fault=fault("capture_preview", -7)
+    )
     assert isinstance(camera, Previewing)
     seen = camera.preview(tmp_path / "focus_2")
     assert seen is not None

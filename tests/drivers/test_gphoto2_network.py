@@ -41,7 +41,9 @@ def peer(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[...
 
 
 def on_network(port: int) -> Camera:
-    return open_camera(f"gphoto2:ptpip:127.0.0.1:{port}", Plan.parse(plan_text(SMALL)), DeviceContext())
+    return open_camera(
+        f"gphoto2:ptpip:127.0.0.1:{port}", Plan.parse(plan_text(SMALL)), DeviceContext()
+    )
 
 
 def test_a_camera_on_a_network_is_found_at_its_address_set_and_photographs(
@@ -76,9 +78,13 @@ def test_where_no_camera_answers_on_a_network_the_address_is_doubted(
         camera.identify()
 
 
-@pytest.mark.parametrize("port", ["ptpip:", "ptpip:camera", "ptpip:192.168.1.300", "ptpip:192.168.1.2:1:2:3", "usb:1"])
+@pytest.mark.parametrize(
+    "port",
+    ["ptpip:", "ptpip:camera", "ptpip:192.168.1.300", "ptpip:192.168.1.2:1:2:3", "usb:1"],
+)
 def test_an_address_that_is_none_is_refused_with_what_is_allowed(port: str) -> None:
     with pytest.raises(
-        PlanError, match=r"the only camera on USB, gphoto2:usb:001,004, or, on a network, gphoto2:ptpip:"
+        PlanError,
+        match=r"the only camera on USB, gphoto2:usb:001,004, or, on a network, gphoto2:ptpip:",
     ):
         open_camera(f"gphoto2:{port}", Plan.parse(plan_text(SMALL)), DeviceContext())

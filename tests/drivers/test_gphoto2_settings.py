@@ -7,15 +7,30 @@ from typing import Any
 import pytest
 
 from labkit.devices.protocols import ExposureSettings, Setting
-from labkit.drivers.gphoto2.settings import Body, Bulb, number_of, percent_of, seconds_of, wanted
+from labkit.drivers.gphoto2.settings import (
+    Body,
+    Bulb,
+    number_of,
+    percent_of,
+    seconds_of,
+    wanted,
+)
 from labkit.errors import CameraError
 
 
 def body(**settings: tuple[Any, ...]) -> Body:
     """name=(value now, *choices); "read only" as the last choice makes it so."""
-    named = {key.replace("f_number", "f-number"): values for key, values in settings.items()}
+    named = {
+        key.replace("f_number", "f-number"): values for key, values in settings.items()
+    }
     return {
-        name: Setting(name, name, value, tuple(c for c in choices if c != "read only"), "read only" in choices)
+        name: Setting(
+            name,
+            name,
+            value,
+            tuple(c for c in choices if c != "read only"),
+            "read only" in choices,
+        )
         for name, (value, *choices) in named.items()
     }
 
@@ -43,7 +58,14 @@ CANON = body(
     imageformat=("L", "L", "RAW + L", "RAW"),
     capturetarget=("Internal RAM", "Internal RAM", "Memory card"),
     autopoweroff=("60", "60", "0"),
-    eosremoterelease=("None", "None", "Press Half", "Press Full", "Release Full", "Immediate"),
+    eosremoterelease=(
+        "None",
+        "None",
+        "Press Half",
+        "Press Full",
+        "Release Full",
+        "Immediate",
+    ),
 )
 
 SONY = body(
@@ -69,7 +91,9 @@ AT_20_MS = ExposureSettings(0.02, 100)
         (SONY, {"shutterspeed": "1/50", "focusmode": "Manual", "imagestabilization": "Off", "capturetarget": "sdram"}, 2),
     ],
 )  # fmt: skip
-def test_a_body_is_set_by_its_own_names_and_words(camera: Body, changes: dict[str, str], files: int) -> None:
+def test_a_body_is_set_by_its_own_names_and_words(
+    camera: Body, changes: dict[str, str], files: int
+) -> None:
     found = wanted(camera, AT_20_MS, 2.8)
     changed = {name: value for name, value in found.changes if camera[name].value != value}
     assert changed == changes
@@ -89,7 +113,9 @@ def test_photographs_go_to_the_card_if_they_are_to_stay() -> None:
          Bulb(("eosremoterelease", "Immediate"), ("eosremoterelease", "Release Full"))),
     ],
 )  # fmt: skip
-def test_beyond_the_longest_time_the_shutter_is_held(camera: Body, shutter: tuple[str, str], bulb: Bulb) -> None:
+def test_beyond_the_longest_time_the_shutter_is_held(
+    camera: Body, shutter: tuple[str, str], bulb: Bulb
+) -> None:
     found = wanted(camera, ExposureSettings(90.0, 100), 2.8)
     assert shutter in found.changes
     assert (found.exposure_s, found.bulb) == (90.0, bulb)
@@ -98,7 +124,12 @@ def test_beyond_the_longest_time_the_shutter_is_held(camera: Body, shutter: tupl
 def test_everything_that_cannot_be_set_is_said_at_once() -> None:
     with pytest.raises(CameraError) as caught:
         wanted(
-            {**NIKON, **body(focusmode=("AF-S", "AF-S", "read only"), expprogram=("A", "read only"))},
+            {
+                **NIKON,
+                **body(
+                    focusmode=("AF-S", "AF-S", "read only"), expprogram=("A", "read only")
+                ),
+            },
             ExposureSettings(0.03, 50),
             1.4,
         )
@@ -121,17 +152,29 @@ def test_everything_that_cannot_be_set_is_said_at_once() -> None:
         ("AF-S", "MF (selection)", {}),
     ],
 )
-def test_of_two_names_for_manual_focus_one_is_enough(told_by: str, focus: str, changes: dict[str, str]) -> None:
+def test_of_two_names_for_manual_focus_one_is_enough(
+    told_by: str, focus: str, changes: dict[str, str]
+) -> None:
     # as a D3300 lists them; "fixed" means the switch on its lens
     second = (focus, "AF-S", "AF-C", "AF-A", "MF (fixed)", "MF (selection)")
-    camera = {**NIKON, **body(focusmode=(told_by, "Manual", "AF-S", "read only"), focusmode2=second)}
+    camera = {
+        **NIKON,
+        **body(focusmode=(told_by, "Manual", "AF-S", "read only"), focusmode2=second),
+    }
     found = wanted(camera, AT_20_MS, 2.8).changes
-    changed = {name: value for name, value in found if name.startswith("focus") and camera[name].value != value}
+    changed = {
+        name: value
+        for name, value in found
+        if name.startswith("focus") and camera[name].value != value
+    }
     assert changed == changes
 
 
 def test_what_a_body_does_not_tell_is_left_to_a_person() -> None:
-    assert wanted(SONY, AT_20_MS, 2.8).by_hand == ("long exposure noise reduction off", "auto power-off off")
+    assert wanted(SONY, AT_20_MS, 2.8).by_hand == (
+        "long exposure noise reduction off",
+        "auto power-off off",
+    )
     manual_lens = {**SONY, **body(f_number=("f/0", "read only"))}
     assert "aperture f/2.8" in wanted(manual_lens, AT_20_MS, 2.8).by_hand
 
@@ -146,12 +189,24 @@ def test_shutter_times_are_read(words: str, seconds: float | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "number"), [("f/2.8", 2.8), ("2.8", 2.8), ("F5.6", 5.6), ("100", 100.0), ("Auto", None), ("f/", None)]
+    ("words", "number"),
+    [
+        ("f/2.8", 2.8),
+        ("2.8", 2.8),
+        ("F5.6", 5.6),
+        ("100", 100.0),
+        ("Auto", None),
+        ("f/", None),
+    ],
 )
 def test_apertures_and_sensitivities_are_read(words: str, number: float | None) -> None:
     assert number_of(words) == number
 
 
-@pytest.mark.parametrize(("words", "percent"), [("50%", 50.0), ("100 %", 100.0), ("Low", None), (None, None)])
-def test_a_battery_is_read_where_it_has_numbers(words: str | None, percent: float | None) -> None:
+@pytest.mark.parametrize(
+    ("words", "percent"), [("50%", 50.0), ("100 %", 100.0), ("Low", None), (None, None)]
+)
+def test_a_battery_is_read_where_it_has_numbers(
+    words: str | None, percent: float | None
+) -> None:
     assert percent_of(words) == percent

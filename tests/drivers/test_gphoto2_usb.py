@@ -98,7 +98,9 @@ def failure(testbed: Testbed, wait: Callable[[float], None] = lambda seconds: No
     return str(caught.value)
 
 
-def test_a_camera_that_another_program_holds_is_claimed_again_and_then_told(make: MakeTestbed) -> None:
+def test_a_camera_that_another_program_holds_is_claimed_again_and_then_told(
+    make: MakeTestbed,
+) -> None:
     testbed = make(99, errno.EIO)
     assert "another program holds it" in failure(testbed)
     assert testbed.say("counts") == {"claims": 4, "resets": 0}  # as often as it is tried
@@ -106,20 +108,27 @@ def test_a_camera_that_another_program_holds_is_claimed_again_and_then_told(make
 
 def test_a_camera_that_is_let_go_meanwhile_is_claimed(make: MakeTestbed) -> None:
     testbed = make(2, errno.EIO)
-    assert "does not answer over USB" in failure(testbed)  # nobody is behind the plug, but it is ours
+    assert "does not answer over USB" in failure(
+        testbed
+    )  # nobody is behind the plug, but it is ours
     assert testbed.say("counts")["claims"] > 2
 
 
 @pytest.mark.parametrize(
-    ("error", "words"), [(errno.EIO, "does not answer over USB"), (errno.ENODEV, "not on USB any more")]
+    ("error", "words"),
+    [(errno.EIO, "does not answer over USB"), (errno.ENODEV, "not on USB any more")],
 )
-def test_a_camera_that_does_not_answer_is_reset_on_usb(error: int, words: str, make: MakeTestbed) -> None:
+def test_a_camera_that_does_not_answer_is_reset_on_usb(
+    error: int, words: str, make: MakeTestbed
+) -> None:
     testbed = make(0, error)
     assert words in failure(testbed)
     assert testbed.say("counts")["resets"] >= 1
 
 
-def test_an_unplugged_camera_is_looked_for_and_found_under_its_new_number(make: MakeTestbed) -> None:
+def test_an_unplugged_camera_is_looked_for_and_found_under_its_new_number(
+    make: MakeTestbed,
+) -> None:
     testbed = make(0, errno.EIO)
     testbed.say("unplug")
     assert "plug it in, switch it on" in failure(testbed)

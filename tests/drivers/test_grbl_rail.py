@@ -60,7 +60,9 @@ def carriage_mm(port: PtyPort) -> float:
         return controller_of(port).machine.carriage_mm(controller_of(port).now_s)
 
 
-@pytest.mark.parametrize("firmware", [GRBL, GRBL_HAL], ids=lambda firmware: firmware.banner.split()[0])
+@pytest.mark.parametrize(
+    "firmware", [GRBL, GRBL_HAL], ids=lambda firmware: firmware.banner.split()[0]
+)
 def test_a_homed_rail_stands_where_it_was_sent(firmware: Firmware) -> None:
     with a_port(firmware=firmware) as port, a_rail(port) as rail:
         keeps: Rail = rail
@@ -81,12 +83,18 @@ def test_every_stop_is_approached_from_below() -> None:
 
 
 def test_a_rail_must_be_homed_before_it_moves() -> None:
-    with a_port() as port, a_rail(port) as rail, pytest.raises(RailError, match="home it first"):
+    with (
+        a_port() as port,
+        a_rail(port) as rail,
+        pytest.raises(RailError, match="home it first"),
+    ):
         rail.move_to(-100.0)
 
 
 @pytest.mark.parametrize("asked_mm", [-292.1, -1.9, float("nan")])
-def test_a_stop_outside_the_travel_is_refused_before_anything_moves(asked_mm: float) -> None:
+def test_a_stop_outside_the_travel_is_refused_before_anything_moves(
+    asked_mm: float,
+) -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         with pytest.raises(RailLimitError, match=r"mm is outside -292\.\.-2 mm"):
@@ -112,7 +120,9 @@ def test_travel_follows_where_the_machine_counts_from(
 
 
 @pytest.mark.parametrize(("options", "asked_mm"), [("V", -150.0), ("VZ", 150.0)])
-def test_a_machine_with_its_zero_at_home_counts_upwards(options: str, asked_mm: float) -> None:
+def test_a_machine_with_its_zero_at_home_counts_upwards(
+    options: str, asked_mm: float
+) -> None:
     with a_port({23: 1}, options=options) as port, a_rail(port) as rail:
         rail.home()
         assert rail.move_to(asked_mm) == pytest.approx(asked_mm, abs=STEP_MM)
@@ -135,14 +145,23 @@ def test_reports_of_work_positions_are_counted_from_the_machines_zero() -> None:
         ({130: 3}, r"no room to move: travel \$130 = 3 mm"),
     ],
 )
-def test_settings_that_no_rail_can_be_driven_with_are_refused(settings: dict[int, float], words: str) -> None:
+def test_settings_that_no_rail_can_be_driven_with_are_refused(
+    settings: dict[int, float], words: str
+) -> None:
     with a_port(settings) as port, pytest.raises(RailError, match=words):
         a_rail(port)
 
 
-@pytest.mark.parametrize("reports", [2, 0, 1023], ids=["no offset", "nothing", "parser state"])
-def test_reports_of_grblhal_that_a_position_cannot_be_told_from_are_refused_at_once(reports: int) -> None:
-    with a_port({10: reports}, GRBL_HAL) as port, pytest.raises(RailError, match=rf"\(\$10={reports}\).*set \$10=511"):
+@pytest.mark.parametrize(
+    "reports", [2, 0, 1023], ids=["no offset", "nothing", "parser state"]
+)
+def test_reports_of_grblhal_that_a_position_cannot_be_told_from_are_refused_at_once(
+    reports: int,
+) -> None:
+    with (
+        a_port({10: reports}, GRBL_HAL) as port,
+        pytest.raises(RailError, match=rf"\(\$10={reports}\).*set \$10=511"),
+    ):
         a_rail(port)
 
 
@@ -160,15 +179,25 @@ def test_settings_other_than_the_docs_ask_for_are_named_for_a_person_to_look_at(
     with a_port({1: 25, 20: 0, 21: 0, 130: 200}) as port, a_rail(port) as rail:
         check = rail.check(1)
     assert check.problems == ()
-    assert [words.split()[2].rstrip(":;,") for words in check.by_hand] == ["$1=25", "$20=0", "$21=0", "$130=200"]
-    assert "motors are let go 25 ms after each move, and the carriage may creep; set $1=255" in check.by_hand[0]
+    assert [words.split()[2].rstrip(":;,") for words in check.by_hand] == [
+        "$1=25",
+        "$20=0",
+        "$21=0",
+        "$130=200",
+    ]
+    assert (
+        "motors are let go 25 ms after each move, and the carriage may creep; set $1=255"
+        in check.by_hand[0]
+    )
 
 
 def test_homing_without_a_switch_ends_with_the_alarm_in_words() -> None:
     with a_port() as port, a_rail(port) as rail:
         with port.lock:
             controller_of(port).machine.switch_works = False
-        with pytest.raises(RailError, match="alarm 9: homing did not find the limit switch"):
+        with pytest.raises(
+            RailError, match="alarm 9: homing did not find the limit switch"
+        ):
             rail.home()
         with port.lock:
             controller_of(port).machine.switch_works = True
@@ -177,7 +206,11 @@ def test_homing_without_a_switch_ends_with_the_alarm_in_words() -> None:
 
 
 def test_a_port_that_is_held_is_not_shared() -> None:
-    with a_port() as port, a_rail(port), pytest.raises(RailError, match="held by another program; `labkit devices`"):
+    with (
+        a_port() as port,
+        a_rail(port),
+        pytest.raises(RailError, match="held by another program; `labkit devices`"),
+    ):
         a_rail(port)
 
 
@@ -218,13 +251,23 @@ def a_talker(answer: bytes) -> Iterator[str]:
 @pytest.mark.parametrize(
     ("answer", "error", "words"),
     [
-        (b"Grbl 0.9j ['$' for help]\r\n", RailError, r'runs "Grbl 0\.9j .*"; GRBL 1\.1 or grblHAL is needed'),
-        (b"echo:Marlin 2.1\r\nok\r\n", DeviceTimeoutError, "does not answer as GRBL at 115200 baud"),
+        (
+            b"Grbl 0.9j ['$' for help]\r\n",
+            RailError,
+            r'runs "Grbl 0\.9j .*"; GRBL 1\.1 or grblHAL is needed',
+        ),
+        (
+            b"echo:Marlin 2.1\r\nok\r\n",
+            DeviceTimeoutError,
+            "does not answer as GRBL at 115200 baud",
+        ),
         (b"\xff\x00\xfe" * 700, DeviceTimeoutError, "does not answer as GRBL"),
         (b"", DeviceTimeoutError, "look at its power and its cable"),
     ],
 )
-def test_what_is_no_grbl_1_1_is_told_so(answer: bytes, error: type[Exception], words: str) -> None:
+def test_what_is_no_grbl_1_1_is_told_so(
+    answer: bytes, error: type[Exception], words: str
+) -> None:
     with a_talker(answer) as path, pytest.raises(error, match=words):
         GrblRail(path, reply_s=0.2)
 
@@ -234,7 +277,9 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
         rail.home()
         moving = threading.Event()
         controller = controller_of(port)
-        controller.noticed = lambda command: moving.set() if controller.state == "Run" and command == "?" else None
+        controller.noticed = lambda command: (
+            moving.set() if controller.state == "Run" and command == "?" else None
+        )
         assert "was stopped" in error_of_a_move_stopped(rail, -20.0, moving)
         assert -293.0 < carriage_mm(port) < -20.0
         # it still knows where it is, without homing, and is right
@@ -246,7 +291,9 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        assert "was stopped" in error_of_a_move_stopped_before_it_began(rail, -150.0, controller_of(port), "?")
+        assert "was stopped" in error_of_a_move_stopped_before_it_began(
+            rail, -150.0, controller_of(port), "?"
+        )
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(-150.0) == pytest.approx(-150.0, abs=0.01)
 
@@ -254,7 +301,9 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
 def test_a_stop_while_homing_loses_the_position() -> None:
     with a_port({25: 3000}) as port, a_rail(port) as rail:
         homing = threading.Event()
-        controller_of(port).noticed = lambda command: homing.set() if command == "$H" else None
+        controller_of(port).noticed = lambda command: (
+            homing.set() if command == "$H" else None
+        )
         failed: list[Exception] = []
 
         def home() -> None:
@@ -282,10 +331,15 @@ def test_a_stop_at_rest_changes_nothing() -> None:
 
 
 def test_a_hold_that_someone_pressed_is_told_and_homing_goes_on() -> None:
-    with a_port({110: 6000}, faults=(LineFault("slip", "never"),)) as port, a_rail(port) as rail:
+    with (
+        a_port({110: 6000}, faults=(LineFault("slip", "never"),)) as port,
+        a_rail(port) as rail,
+    ):
         rail.home()
         controller = controller_of(port)
-        controller.noticed = lambda command: controller.receive(b"!") if command.startswith("G4") else None
+        controller.noticed = lambda command: (
+            controller.receive(b"!") if command.startswith("G4") else None
+        )
         with pytest.raises(RailError, match=r"was stopped \(it reports Hold:\d\); home it"):
             rail.move_to(-20.0)
         controller.noticed = lambda command: None
@@ -302,7 +356,8 @@ def test_a_counter_that_jumps_between_moves_is_noticed() -> None:
         with port.lock:
             controller_of(port).machine.position = (-93.0, -293.0, -293.0)
         with pytest.raises(
-            RailError, match=r"was left at -100\.000 mm and now reports -93\.000 mm; its position is lost"
+            RailError,
+            match=r"was left at -100\.000 mm and now reports -93\.000 mm; its position is lost",
         ):
             rail.move_to(-150.0)
 
@@ -320,7 +375,10 @@ def test_locks_are_never_lifted_without_homing() -> None:
         controller_of(port).noticed = listen
         with a_rail(port) as rail:
             rail.home()
-            with pytest.raises(RailError, match="alarm 1: it ran onto a limit switch; its position is lost: home it"):
+            with pytest.raises(
+                RailError,
+                match="alarm 1: it ran onto a limit switch; its position is lost: home it",
+            ):
                 rail.move_to(-100.0)
             rail.home()
             rail.move_to(-100.0)
@@ -350,7 +408,9 @@ def test_an_address_without_a_port_is_refused() -> None:
 def test_a_simulated_controller_carries_the_simulated_benchs_camera() -> None:
     sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
     bench = Bench(BenchSettings(sensor=sensor, panel=panel))
-    with open_rail("grbl:simulated", plan(), DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
+    with open_rail(
+        "grbl:simulated", plan(), DeviceContext(shared=SharedParts({"simulated:": bench}))
+    ) as rail:
         rail.home()
         assert rail.move_to(60.0) == pytest.approx(60.0, abs=STEP_MM)
         # the bench's own scatter has a standard deviation of 0.02 mm
@@ -360,13 +420,19 @@ def test_a_simulated_controller_carries_the_simulated_benchs_camera() -> None:
 @pytest.mark.parametrize(
     ("line", "report"),
     [
-        ("<Idle|MPos:-250.000,-293.000,-293.000|Bf:15,128|FS:0,0>", Report("Idle", -250.0, True, None)),
+        (
+            "<Idle|MPos:-250.000,-293.000,-293.000|Bf:15,128|FS:0,0>",
+            Report("Idle", -250.0, True, None),
+        ),
         (
             "<Alarm|MPos:0.000,0.000,0.000|Bf:15,128|FS:0,0|WCO:1.500,0.000,0.000>",
             Report("Alarm", 0.0, True, 1.5),
         ),
         ("<Hold:1|WPos:3.250|FS:0,0|Pn:X|WCO:-7.000>", Report("Hold:1", 3.25, False, -7.0)),
-        ("<Home|MPos:0.000,0.000,0.000|Bf:100,1023|FS:0,0|WCO:0.000,0.000,0.000|H:0>", Report("Home", 0, True, 0.0)),
+        (
+            "<Home|MPos:0.000,0.000,0.000|Bf:100,1023|FS:0,0|WCO:0.000,0.000,0.000|H:0>",
+            Report("Home", 0, True, 0.0),
+        ),
         ("<Idle|MPos:-250.000,-293.000,-293.000|Bf:15,128|FS:0,0", None),
         ("<Idle|MPos:-25\ufffd.000,-293.000,-293.000|Bf:15,128|FS:0,0>", None),
         ("<Idle|MPos:-250.000,-293.0<Idle|MPos:-250.000,-293.000,-293.000|FS:0,0>", None),

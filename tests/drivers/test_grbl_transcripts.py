@@ -16,7 +16,14 @@ from pathlib import Path
 
 import pytest
 
-from labkit.drivers.grbl.protocol import HOMING, REPORTS, SETTING, doubts, read_report, unfit
+from labkit.drivers.grbl.protocol import (
+    HOMING,
+    REPORTS,
+    SETTING,
+    doubts,
+    read_report,
+    unfit,
+)
 from labkit.drivers.simulated.controllers.grbl_controller import GrblController
 from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, GRBL_HAL
 
@@ -50,7 +57,9 @@ def events(text: str) -> Iterator[Event]:
         if found := EVENT.match(line):
             said = ast.literal_eval(found[2])
             kind = "<" if found[1] in ("poll right after ok", "after barrier") else found[1]
-            yield Event(line.split()[0], kind, said if isinstance(said, bytes) else said.encode())
+            yield Event(
+                line.split()[0], kind, said if isinstance(said, bytes) else said.encode()
+            )
 
 
 class Replay:
@@ -72,7 +81,9 @@ class Replay:
                 self.send_hidden(*HIDDEN[event.time])
             stops = event.kind == ">>" and event.text in (b"!", b"\x85", b"\x18")
             if event.kind != "<":
-                self.pass_time(0.002 if stops else max(0.002, (float(event.time) - before_s) * SPEED))
+                self.pass_time(
+                    0.002 if stops else max(0.002, (float(event.time) - before_s) * SPEED)
+                )
             before_s = float(event.time)
             if event.kind == "<":
                 self.hear(event.text.decode())
@@ -91,7 +102,9 @@ class Replay:
             self.pass_until_said()
 
     def pass_time(self, seconds: float) -> None:
-        self.said += self.controller.advance(self.controller.now_s + seconds).decode().splitlines()
+        self.said += (
+            self.controller.advance(self.controller.now_s + seconds).decode().splitlines()
+        )
 
     def send(self, data: bytes) -> None:
         self.controller.receive(data)
@@ -111,8 +124,15 @@ class Replay:
         if not self.said and report.state == "Home" and not self.controller.firmware.is_hal:
             self.pass_until_said()
         if not self.said:  # asked for by a loop that was not written down, until it stood
-            ends = report.state == "Idle" and f"Bf:{self.controller.firmware.blocks}," in expected
-            while ends and self.controller.machine.planned and (due_s := self.controller.due_s()) is not None:
+            ends = (
+                report.state == "Idle"
+                and f"Bf:{self.controller.firmware.blocks}," in expected
+            )
+            while (
+                ends
+                and self.controller.machine.planned
+                and (due_s := self.controller.due_s()) is not None
+            ):
                 self.pass_time(due_s - self.controller.now_s)
             if report.state == "Run":
                 self.pass_time(0.002)
@@ -158,20 +178,31 @@ def compare(line: str, recorded: str) -> None:
     assert report
     assert wanted
     if wanted.state in ("Idle", "Alarm", "Hold:0", "Sleep"):
-        assert report.at_mm == pytest.approx(wanted.at_mm, abs=0.0085)  # two steps of the motor
+        assert report.at_mm == pytest.approx(
+            wanted.at_mm, abs=0.0085
+        )  # two steps of the motor
 
 
 def essence(line: str) -> list[object]:
-    report, buffers, speed = read_report(line), re.search(r"Bf:\d+,\d+", line), re.search(r"FS:(\d+)", line)
+    report, buffers, speed = (
+        read_report(line),
+        re.search(r"Bf:\d+,\d+", line),
+        re.search(r"FS:(\d+)", line),
+    )
     assert report
     assert speed
     return [report.state, buffers and buffers[0], speed[1] != "0", "Pn:X" in line]
 
 
 @pytest.mark.parametrize(("name", "reports"), [("grbl-1.1h", 1), ("grblhal", 511)])
-def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(name: str, reports: int) -> None:
+def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(
+    name: str, reports: int
+) -> None:
     """As from the factory: homing is off, soft and hard limits are, motors are let go, and the travel is a default."""
-    lines = [event.text.decode("latin-1") for event in events((TRANSCRIPTS / f"{name}.txt").read_text())]
+    lines = [
+        event.text.decode("latin-1")
+        for event in events((TRANSCRIPTS / f"{name}.txt").read_text())
+    ]
     found = [SETTING.fullmatch(line) for line in lines[: lines.index("$132=200.000") + 1]]
     settings = {int(each[1]): float(each[2]) for each in found if each}
     is_hal = name == "grblhal"
@@ -186,7 +217,9 @@ def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(name: 
     ]
     seen = [report for line in lines if (report := read_report(line))]
     assert all(report.is_machine for report in seen)  # bit 0 of $10
-    assert any(report.offset_mm is not None for report in seen)  # bit 5 of grblHAL's; GRBL's come in any case
+    assert any(
+        report.offset_mm is not None for report in seen
+    )  # bit 5 of grblHAL's; GRBL's come in any case
 
 
 SESSIONS = re.split(r"(?m)^#####.*$", (TRANSCRIPTS / "grbl-1.1h.txt").read_text())
@@ -197,7 +230,9 @@ def test_grbl_says_what_the_firmware_was_recorded_to_say() -> None:
     settings: dict[int, float] = {}
     counts = []
     for number, text in enumerate(SESSIONS):
-        controller = GrblController(GRBL, settings, carriage_mm=0.0, limit_alarm=3, blank=number == 0)
+        controller = GrblController(
+            GRBL, settings, carriage_mm=0.0, limit_alarm=3, blank=number == 0
+        )
         controller.machine.lost_mm = 0.0  # the recorded firmware drove no mass
         counts.append(Replay(controller, list(events(text))).run())
         settings = controller.settings
@@ -205,6 +240,8 @@ def test_grbl_says_what_the_firmware_was_recorded_to_say() -> None:
 
 
 def test_grblhal_says_what_the_firmware_was_recorded_to_say() -> None:
-    controller = GrblController(GRBL_HAL, options="VNML+", carriage_mm=0.0, switch_works=False, blank=True)
+    controller = GrblController(
+        GRBL_HAL, options="VNML+", carriage_mm=0.0, switch_works=False, blank=True
+    )
     recorded = list(events((TRANSCRIPTS / "grblhal.txt").read_text()))
     assert Replay(controller, recorded).run() == 134  # every line heard

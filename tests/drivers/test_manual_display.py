@@ -57,9 +57,14 @@ def test_a_request_that_nobody_answers_is_put_again() -> None:
 
 @pytest.mark.parametrize(
     "target",
-    [{"kind": "sierpinski", "order": 4, "size_mm": 15.61}, {"kind": "slanted_edge", "size_mm": 33.3}],
+    [
+        {"kind": "sierpinski", "order": 4, "size_mm": 15.61},
+        {"kind": "slanted_edge", "size_mm": 33.3},
+    ],
 )
-def test_a_target_on_paper_has_the_size_that_the_plan_states(target: dict[str, object]) -> None:
+def test_a_target_on_paper_has_the_size_that_the_plan_states(
+    target: dict[str, object],
+) -> None:
     plan = Plan.parse(plan_text({**SMALL, "target": target}), Path())
     display = open_display("manual:", plan, DeviceContext())
     assert shown_picture(plan, display).size_mm == open_target(plan.target).size_mm
@@ -68,7 +73,9 @@ def test_a_target_on_paper_has_the_size_that_the_plan_states(target: dict[str, o
 
 
 def test_an_address_with_more_in_it_is_refused() -> None:
-    with pytest.raises(PlanError, match=r'display.address = "manual:here": allowed is manual:'):
+    with pytest.raises(
+        PlanError, match=r'display.address = "manual:here": allowed is manual:'
+    ):
         open_display("manual:here", Plan.parse(plan_text(SMALL), Path()), DeviceContext())
 
 
@@ -86,19 +93,29 @@ class Hand(Operator):
         return ""
 
 
-@pytest.mark.parametrize("display", [None, {"address": "manual:", "pixel_pitch_mm": None, "pixels": None}])
+@pytest.mark.parametrize(
+    "display", [None, {"address": "manual:", "pixel_pitch_mm": None, "pixels": None}]
+)
 def test_a_paper_target_is_captured_before_a_simulated_camera(
     display: dict[str, object] | None, tmp_path: Path
 ) -> None:
     tables = dict(simulated([2000], 1950.0, "simulated:seed=7"))
     few = {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 0}}
-    text = plan_text(SMALL, tables, few, *([] if display is None else [{"display": display}]))
+    text = plan_text(
+        SMALL, tables, few, *([] if display is None else [{"display": display}])
+    )
     (tmp_path / "plan.toml").write_text(text if display else text.partition("[display]")[0])
     hand = Hand()
     plan = Plan.load(tmp_path / "plan.toml")
     context = DeviceContext(operator=hand)
-    with begin(plan, tmp_path / "s", resume=False) as session, open_devices(plan, context=context) as devices:
+    with (
+        begin(plan, tmp_path / "s", resume=False) as session,
+        open_devices(plan, context=context) as devices,
+    ):
         run_plan(session, devices)
     # the preflight wants both, and finds the target; then the flat, and the target
     assert hand.asked == [SHEET, TARGET, SHEET, TARGET]
-    assert [frame.kind for frame in Session.open(tmp_path / "s").frames] == ["flat", "target"]
+    assert [frame.kind for frame in Session.open(tmp_path / "s").frames] == [
+        "flat",
+        "target",
+    ]

@@ -45,13 +45,18 @@ def test_a_slip_of_the_keyboard_is_asked_again(slip: str, words: str) -> None:
 
 def test_nobody_who_answers_to_the_point_ends_it_with_one_line() -> None:
     rail, _ = answering("?", "", "15")
-    with pytest.raises(RailError, match=r"nobody set the manual rail to 150\.000 mm: 15 mm is more than 2 mm away$"):
+    with pytest.raises(
+        RailError,
+        match=r"nobody set the manual rail to 150\.000 mm: 15 mm is more than 2 mm away$",
+    ):
         rail.move_to(150.0)
 
 
 def test_the_operator_of_the_room_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     context = DeviceContext()
-    monkeypatch.setattr(context.operator, "ask", lambda question: "99.5" if "100.000" in question else "")
+    monkeypatch.setattr(
+        context.operator, "ask", lambda question: "99.5" if "100.000" in question else ""
+    )
     with open_rail("manual:", plan(), context) as rail:
         assert rail.move_to(100.0) == 99.5
 

@@ -34,13 +34,17 @@ def test_pages_that_are_served_are_listed_until_they_are_closed(lab: Lab) -> Non
 def test_a_server_that_was_killed_is_not_listed(lab: Lab) -> None:
     folder = state_folder() / "pages"
     folder.mkdir(parents=True)
-    (folder / "1-9.json").write_text(json.dumps({"url": "http://127.0.0.1:9/token/monitor", "address": "web:"}))
+    (folder / "1-9.json").write_text(
+        json.dumps({"url": "http://127.0.0.1:9/token/monitor", "address": "web:"})
+    )
     (folder / "2-9.json").write_text("no JSON")
     assert find_pages() == []
     assert list(folder.iterdir()) == []
 
 
-def test_devices_lists_them_with_the_line_for_the_plan(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_devices_lists_them_with_the_line_for_the_plan(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("labkit.devices.inventory.finders", dict)
     lab.display(60, 80)
     (_, display) = list_connected().pages

@@ -31,7 +31,10 @@ def zaber_port() -> PtyPort:
     ],
 )
 def test_each_probe_knows_its_own_controller_and_no_other(
-    make: Callable[[], PtyPort], answers: Callable[[str], str | None], name: str | None, monkeypatch: pytest.MonkeyPatch
+    make: Callable[[], PtyPort],
+    answers: Callable[[str], str | None],
+    name: str | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(grbl_probe, "BOOT_S", 1.0)
     port = make()
@@ -47,7 +50,9 @@ def test_each_probe_knows_its_own_controller_and_no_other(
         port.close()
 
 
-def test_a_port_at_which_nothing_answers_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_at_which_nothing_answers_is_given_up_soon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(grbl_probe, "BOOT_S", 0.2)
     near, far = os.openpty()
     try:

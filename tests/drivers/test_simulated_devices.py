@@ -21,7 +21,14 @@ from labkit.drivers.simulated.display import SimulatedDisplay
 from labkit.drivers.simulated.rail import SimulatedRail
 from labkit.drivers.simulated.setup import ordered, settings_for, shared_bench
 from labkit.drivers.simulated.tiles import tiles
-from labkit.drivers.simulated.world import BenchSettings, Fault, TrueLens, TruePanel, TrueRail, TrueSensor
+from labkit.drivers.simulated.world import (
+    BenchSettings,
+    Fault,
+    TrueLens,
+    TruePanel,
+    TrueRail,
+    TrueSensor,
+)
 from labkit.errors import CameraError, DisplayError, PlanError, RailError, RailLimitError
 from labkit.plan import Plan
 from tests.plans import IPAD, SMALL, plan_text, simulated
@@ -43,7 +50,12 @@ def plan(**changes: str) -> Plan:
 
 def a_bench(*faults: Fault) -> Bench:
     sensor, panel = TrueSensor(rows=32, cols=48), TruePanel(pixels=(300, 400))
-    return Bench(BenchSettings(lens=TrueLens(f_number=8.0), sensor=sensor, panel=panel, halo_um=60.0), faults)
+    return Bench(
+        BenchSettings(
+            lens=TrueLens(f_number=8.0), sensor=sensor, panel=panel, halo_um=60.0
+        ),
+        faults,
+    )
 
 
 @pytest.fixture
@@ -53,7 +65,9 @@ def camera() -> Iterator[SimulatedCamera]:
         yield camera
 
 
-def test_a_photograph_opens_as_any_cameras_raw_file_does(camera: SimulatedCamera, tmp_path: Path) -> None:
+def test_a_photograph_opens_as_any_cameras_raw_file_does(
+    camera: SimulatedCamera, tmp_path: Path
+) -> None:
     frame = camera.expose(tmp_path / "a")
     assert frame.path == tmp_path / "a.dng"
     with rawpy.imread(str(frame.path)) as raw:
@@ -112,7 +126,10 @@ def test_a_stop_is_reached_whichever_way_it_comes(before_mm: float) -> None:
 
 
 def test_the_encoder_does_not_see_where_the_home_switch_tripped() -> None:
-    exact = replace(a_bench().settings, rail=TrueRail(scatter_mm=0.0, homing_scatter_mm=0.02, tape_error_mm=3.0))
+    exact = replace(
+        a_bench().settings,
+        rail=TrueRail(scatter_mm=0.0, homing_scatter_mm=0.02, tape_error_mm=3.0),
+    )
     rail = SimulatedRail(bench := Bench(exact))
     errors_mm = []
     for _ in range(400):
@@ -125,7 +142,11 @@ def test_the_encoder_does_not_see_where_the_home_switch_tripped() -> None:
     bench.light(np.full((20, 20), 255, dtype=np.uint8))
     bench.expose(0.01, 100, "a")
     (visit,) = bench.truth.visits
-    assert visit.actual_range_mm == bench.range_mm == pytest.approx(visit.range_mm + visit.range_zero_mm, abs=1e-9)
+    assert (
+        visit.actual_range_mm
+        == bench.range_mm
+        == pytest.approx(visit.range_mm + visit.range_zero_mm, abs=1e-9)
+    )
     assert bench.truth.best_focus_mm["G"] == exact.lens.best_focus_mm["G"] - 3.0
 
 
@@ -196,7 +217,9 @@ def test_two_simulated_worlds_in_one_room_are_refused() -> None:
         ),
     ],
 )
-def test_seed_and_faults_are_ordered_in_the_address(address: str, order: tuple[int, tuple[Fault, ...]]) -> None:
+def test_seed_and_faults_are_ordered_in_the_address(
+    address: str, order: tuple[int, tuple[Fault, ...]]
+) -> None:
     assert ordered(address) == order
 
 
@@ -209,13 +232,16 @@ def test_seed_and_faults_are_ordered_in_the_address(address: str, order: tuple[i
 )  # fmt: skip
 def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
     with pytest.raises(
-        PlanError, match=r"allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit"
+        PlanError,
+        match=r"allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit",
     ):
         open_camera(address, plan(), DeviceContext())
 
 
 def test_an_unknown_driver_is_told_with_those_installed() -> None:
-    with pytest.raises(PlanError, match=r'no driver "nosuch" for a camera; installed: .*simulated:'):
+    with pytest.raises(
+        PlanError, match=r'no driver "nosuch" for a camera; installed: .*simulated:'
+    ):
         open_camera("nosuch:/dev/x", plan(), DeviceContext())
     assert "simulated" in installed("rail")
 
@@ -242,7 +268,9 @@ def test_a_large_target_gets_a_large_sensor_and_it_is_said_how_long_that_takes()
     said: list[str] = []
     shared_bench(DeviceContext(warn=said.append), "simulated:", large).close()
     (words,) = said
-    assert words.startswith(f"the simulated camera has {settings.sensor.rows} × {settings.sensor.cols} pixels")
+    assert words.startswith(
+        f"the simulated camera has {settings.sensor.rows} × {settings.sensor.cols} pixels"
+    )
     assert "each new picture takes about" in words
 
 
@@ -266,7 +294,9 @@ def test_tiles_cover_a_sensor_once() -> None:
 
 
 def test_a_sensor_without_colours_writes_tiff(tmp_path: Path) -> None:
-    levels = "pixel_pitch_um = 6.0\ncfa_pattern = 'mono'\nblack_level = 100\nwhite_level = 4095"
+    levels = (
+        "pixel_pitch_um = 6.0\ncfa_pattern = 'mono'\nblack_level = 100\nwhite_level = 4095"
+    )
     mono = plan(**{"pixel_pitch_um = 6.0": levels})
     camera = open_camera("simulated:", mono, DeviceContext())
     camera.configure(ExposureSettings(0.02, 100))

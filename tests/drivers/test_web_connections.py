@@ -42,19 +42,27 @@ def test_a_message_that_is_none_ends_its_connection(
     with page(lab, name) as wire:
         wire.send(text)
         with pytest.raises(ConnectionClosed):
-            collections.deque((wire.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0)
+            collections.deque(
+                (wire.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0
+            )
     assert display._screen.report is None
     assert ask(lab, f"/{lab.server.token}/screen")[0] == 200
 
 
 @pytest.mark.parametrize("size", [web_server.MOST_BYTES + 1, web_server.MOST_READ])
-def test_a_page_hears_that_its_message_was_too_long(size: int, lab: Lab, display: WebDisplay) -> None:
+def test_a_page_hears_that_its_message_was_too_long(
+    size: int, lab: Lab, display: WebDisplay
+) -> None:
     with page(lab) as wire:
-        wire.socket.sendall(struct.pack("!BBQL", 0x81, 0xFF, size, 0))  # RFC 6455: text, its length, masked by zeros
+        wire.socket.sendall(
+            struct.pack("!BBQL", 0x81, 0xFF, size, 0)
+        )  # RFC 6455: text, its length, masked by zeros
         time.sleep(0.1)  # the server knows the length before the text has come
         wire.socket.sendall(b"x" * size)
         with pytest.raises(ConnectionClosed) as caught:
-            collections.deque((wire.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0)
+            collections.deque(
+                (wire.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0
+            )
     assert caught.value.rcvd is not None
     assert caught.value.rcvd.code == web_server.TOO_LONG
 
@@ -85,14 +93,20 @@ def test_an_answer_to_no_open_question_does_nothing(
         wire.send('{"answer": 1, "text": "too early"}')
         assert arrived.wait(WAIT_S)
         asking.start()
-        while json.loads(wire.recv(timeout=WAIT_S))["question"] != {"number": 1, "text": "How far?", "wants": "number"}:
+        while json.loads(wire.recv(timeout=WAIT_S))["question"] != {
+            "number": 1,
+            "text": "How far?",
+            "wants": "number",
+        }:
             pass
         wire.send('{"answer": 0, "text": "of another"}')
         wire.send('{"answer": 2, "text": "of the next"}')
         with page(lab, "monitor") as stranger:
             stranger.send('{"answer": 1, "text": "\\u001b]0;"}')
             with pytest.raises(ConnectionClosed):
-                collections.deque((stranger.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0)
+                collections.deque(
+                    (stranger.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0
+                )
         assert asking.is_alive()
         wire.send('{"answer": 1, "text": "150"}')
         asking.join(WAIT_S)
@@ -105,12 +119,23 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
             for _ in range(100):
                 stack.enter_context(dial(lab))
             shows_still(lab, display)
-        held = [one for one in lab.server._server.server_state.connections if isinstance(one, access.Connection)]
+        held = [
+            one
+            for one in lab.server._server.server_state.connections
+            if isinstance(one, access.Connection)
+        ]
         assert len(held) <= access.MOST_STRANGERS + 20
 
 
 @pytest.mark.parametrize(
-    "start", [b"", b"G", b"GET /" + b"a" * 100, b"GET / HTTP/1.1\r\nHost: x\r\nX: ", b"\x16\x03\x01\x02"]
+    "start",
+    [
+        b"",
+        b"G",
+        b"GET /" + b"a" * 100,
+        b"GET / HTTP/1.1\r\nHost: x\r\nX: ",
+        b"\x16\x03\x01\x02",
+    ],
 )
 def test_a_slow_stranger_is_shown_out(
     start: bytes, lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
@@ -122,10 +147,14 @@ def test_a_slow_stranger_is_shown_out(
         with contextlib.suppress(ConnectionResetError):
             while more := wire.recv(1000):  # ends, or the socket's time limit raises
                 answer += more
-    assert answer in (b"", b"Invalid HTTP request received.") or answer.startswith(b"HTTP/1.1 400 ")
+    assert answer in (b"", b"Invalid HTTP request received.") or answer.startswith(
+        b"HTTP/1.1 400 "
+    )
 
 
-def test_strangers_that_reset_or_never_read_stop_nothing(lab: Lab, display: WebDisplay) -> None:
+def test_strangers_that_reset_or_never_read_stop_nothing(
+    lab: Lab, display: WebDisplay
+) -> None:
     deaf = dial(lab)
     deaf.sendall(
         f"GET /{lab.server.token}/page/display.js HTTP/1.1\r\nHost: 127.0.0.1:{lab.server.port}\r\n\r\n".encode()
@@ -139,13 +168,19 @@ def test_strangers_that_reset_or_never_read_stop_nothing(lab: Lab, display: WebD
     deaf.close()
 
 
-def test_a_page_that_neither_reads_nor_answers_is_let_go(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_neither_reads_nor_answers_is_let_go(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(web_server, "PING_S", 0.2)
     monkeypatch.setattr(web_server, "PONG_S", 0.3)
     display = lab.display(60, 80)
     here = f"127.0.0.1:{lab.server.port}"
     with dial(lab) as wire:
-        head = [f"GET /{lab.server.token}/monitor/socket HTTP/1.1", f"Host: {here}", f"Origin: http://{here}"]
+        head = [
+            f"GET /{lab.server.token}/monitor/socket HTTP/1.1",
+            f"Host: {here}",
+            f"Origin: http://{here}",
+        ]
         head += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
         head += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", ""]
         wire.sendall("\r\n".join(head).encode())
@@ -159,7 +194,9 @@ def test_a_page_that_neither_reads_nor_answers_is_let_go(lab: Lab, monkeypatch: 
 
 
 def test_what_is_no_text_does_not_silence_the_page(lab: Lab, display: WebDisplay) -> None:
-    lab.server.monitor.noted("camera", model="a name that is no UTF-8: \udcff", serial="\x00")
+    lab.server.monitor.noted(
+        "camera", model="a name that is no UTF-8: \udcff", serial="\x00"
+    )
     with page(lab, "monitor") as wire:
         assert "\udcff" in json.loads(wire.recv(timeout=WAIT_S))["log"][0]["text"]
 

@@ -42,12 +42,20 @@ def drop_connections(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize("scale", [1, 1.25, 1.5, 2])
-def test_what_is_on_the_glass_is_the_picture_pixel_by_pixel(scale: float, lab: Lab, glass: OpenGlass) -> None:
+def test_what_is_on_the_glass_is_the_picture_pixel_by_pixel(
+    scale: float, lab: Lab, glass: OpenGlass
+) -> None:
     height, width = round(600 * scale), round(800 * scale)
     display = lab.display(height, width)
     tab = glass(display.url, 600, 800, scale)
-    carpet = panel_picture(open_target(TargetSpec(kind="sierpinski", order=4, size_mm=40.5)), display.panel).grey
-    pictures = [carpet, noise(height, width), *(pattern(name, display.panel) for name in PATTERNS)]
+    carpet = panel_picture(
+        open_target(TargetSpec(kind="sierpinski", order=4, size_mm=40.5)), display.panel
+    ).grey
+    pictures = [
+        carpet,
+        noise(height, width),
+        *(pattern(name, display.panel) for name in PATTERNS),
+    ]
     for picture in pictures:
         assert display.show(picture).pixels == picture.shape
         whole = np.zeros((height, width), dtype=np.uint8)
@@ -105,7 +113,9 @@ def test_a_page_of_the_wrong_size_shows_nothing_and_says_why(
     assert (tab.page.text_content("#problem") or "nothing") in found
 
 
-def test_a_turned_display_holds_the_capture_and_goes_on_by_itself(lab: Lab, glass: OpenGlass) -> None:
+def test_a_turned_display_holds_the_capture_and_goes_on_by_itself(
+    lab: Lab, glass: OpenGlass
+) -> None:
     display = lab.display(600, 800)
     tab = glass(display.url)
     picture = noise(600, 800)
@@ -115,7 +125,9 @@ def test_a_turned_display_holds_the_capture_and_goes_on_by_itself(lab: Lab, glas
     assert tab.seen().shape == (800, 600, 3)
     tab.resize(600, 800)
     assert not display.undisturbed()
-    until(tab, lambda: np.array_equal(tab.seen()[:, :, 0], picture))  # back on the glass unasked
+    until(
+        tab, lambda: np.array_equal(tab.seen()[:, :, 0], picture)
+    )  # back on the glass unasked
     display.show(picture)
     assert display.undisturbed()
 
@@ -148,7 +160,9 @@ def test_a_page_in_the_background_is_no_display(lab: Lab, glass: OpenGlass) -> N
     assert display.undisturbed()
 
 
-def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(lab: Lab, glass: OpenGlass) -> None:
+def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(
+    lab: Lab, glass: OpenGlass
+) -> None:
     display = lab.display(600, 800)
     tab = glass(display.url, sleep=True)
     display.show("white")
@@ -173,7 +187,9 @@ def test_a_zoomed_page_is_noticed(lab: Lab, glass: OpenGlass) -> None:
     display.show("white")
 
 
-def test_a_lost_network_leaves_the_picture_and_disturbs_nothing(lab: Lab, glass: OpenGlass) -> None:
+def test_a_lost_network_leaves_the_picture_and_disturbs_nothing(
+    lab: Lab, glass: OpenGlass
+) -> None:
     display = lab.display(600, 800)
     tab = glass(display.url)
     picture = noise(600, 800)
@@ -206,7 +222,9 @@ SEND = """text => new Promise((done) => {
 """Sends by the page's connection once it is open; the code by which the server then ends that connection."""
 
 
-@pytest.mark.parametrize("slower", [1, 30])  # a page that is slow is still connecting when the server has accepted it
+@pytest.mark.parametrize(
+    "slower", [1, 30]
+)  # a page that is slow is still connecting when the server has accepted it
 def test_a_message_of_the_wrong_kind_ends_the_connection_not_the_display(
     slower: int, lab: Lab, glass: OpenGlass
 ) -> None:

@@ -137,7 +137,9 @@ def table(lab: Lab, glass: OpenGlass, tmp_path: Path) -> Table:
     return Table(lab, glass, tmp_path)
 
 
-def test_a_capture_through_the_glass_is_seen_by_the_operator(table: Table, tmp_path: Path) -> None:
+def test_a_capture_through_the_glass_is_seen_by_the_operator(
+    table: Table, tmp_path: Path
+) -> None:
     session = table.capture(tmp_path / "s")
     assert len(session.frames) == 9
     table.reads("phase", "Complete")
@@ -155,7 +157,9 @@ def test_a_capture_through_the_glass_is_seen_by_the_operator(table: Table, tmp_p
     assert not page.is_visible("#actions")
 
 
-def test_a_photograph_taken_while_the_page_was_reloaded_is_taken_again(table: Table, tmp_path: Path) -> None:
+def test_a_photograph_taken_while_the_page_was_reloaded_is_taken_again(
+    table: Table, tmp_path: Path
+) -> None:
     table.on_step["taking target_2000_1"] = table.tab.page.reload
 
     def turn() -> None:
@@ -167,7 +171,10 @@ def test_a_photograph_taken_while_the_page_was_reloaded_is_taken_again(table: Ta
     session = table.capture(tmp_path / "s")
     assert len(session.frames) == 9
     lost = [event["error"] for event in session.events if event["event"] == "trouble"]
-    assert lost == ["lost its picture during target_2000_1", "lost its picture during flat_2050.5_0"]
+    assert lost == [
+        "lost its picture during target_2000_1",
+        "lost its picture during flat_2050.5_0",
+    ]
     assert table.display.shows == 5 + 2
     table.reads("log-list", "lost its picture during target_2000_1")
 
@@ -189,7 +196,9 @@ def test_pause_holds_the_capture_and_go_on_lets_it(table: Table, tmp_path: Path)
     table.reads("phase", "Complete")
 
 
-def test_abort_asks_once_more_and_leaves_a_session_to_resume(table: Table, tmp_path: Path) -> None:
+def test_abort_asks_once_more_and_leaves_a_session_to_resume(
+    table: Table, tmp_path: Path
+) -> None:
     page = table.operator.page
 
     def abort() -> None:
@@ -230,7 +239,9 @@ def test_nothing_stands_out_of_the_page(width: int, lab: Lab, glass: OpenGlass) 
     server.monitor.noted("began", missing=9999, total=9999)
     server.monitor.noted("doing", what=long)
     server.monitor.noted("trouble", device=long, attempt=1, error=long)
-    server.monitor.took(long, "target", 2000.123456, mosaic(np.full((80, 80), 100)), 1, 9999)
+    server.monitor.took(
+        long, "target", 2000.123456, mosaic(np.full((80, 80), 100)), 1, 9999
+    )
     page.wait_for_selector("#question", state="visible")
     page.wait_for_selector("#preview", state="visible")
     page.click("#abort")
@@ -259,7 +270,9 @@ def test_a_simulated_camera_sees_what_the_page_was_sent(lab: Lab, glass: OpenGla
     assert np.array_equal(picture, tab.seen()[:, :, 0])
 
 
-def test_a_display_that_shows_nothing_is_not_said_to_show(lab: Lab, glass: OpenGlass) -> None:
+def test_a_display_that_shows_nothing_is_not_said_to_show(
+    lab: Lab, glass: OpenGlass
+) -> None:
     display = lab.display(400, 400)
     lab.server.monitor.noted("serving", choices=["target"], picked="target")
     page = glass(lab.server.url("monitor"), 800, 400).page
@@ -274,10 +287,15 @@ def test_the_sharpness_line_falls_as_the_number_does(lab: Lab, glass: OpenGlass)
     lab.display(400, 400)
     page = glass(lab.server.url("monitor"), 800, 1280).page
     for edge_px in (9.0, 6.0, 3.0):
-        lab.server.monitor.saw(Look("a", 2000.0, mosaic(np.full((80, 80), 100)), None, edge_px))
+        lab.server.monitor.saw(
+            Look("a", 2000.0, mosaic(np.full((80, 80), 100)), None, edge_px)
+        )
     reads(page, "sharpness", "3.0 px")
     page.wait_for_selector("#trend path", state="attached")
-    heights = [float(y) for y in re.findall(r",([0-9.]+)", page.get_attribute("#trend path", "d") or "")]
+    heights = [
+        float(y)
+        for y in re.findall(r",([0-9.]+)", page.get_attribute("#trend path", "d") or "")
+    ]
     assert heights == sorted(heights)  # in a picture, down is more
     assert len(heights) == 3
 
@@ -288,14 +306,23 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
     target = open_target(TargetSpec(kind="sierpinski", order=2, size_mm=9.0))
     ended = threading.Event()
     server = lab.server
-    work = threading.Thread(target=serve_target, args=(target, [display], lab.context, lambda: not ended.is_set()))
+    work = threading.Thread(
+        target=serve_target,
+        args=(target, [display], lab.context, lambda: not ended.is_set()),
+    )
     work.start()
     try:
         operator = glass(server.url("monitor"), 800, 400)
         grey = round(255 * 0.5 ** (1 / display.panel.gamma))  # half the light of white
         carpet = panel_picture(target, display.panel).grey
-        even = {name: np.full((400, 400), value) for name, value in (("white", 255), ("black", 0), ("grey", grey))}
-        for name, picture in {**even, "target": np.pad(carpet, (400 - carpet.shape[0]) // 2)}.items():
+        even = {
+            name: np.full((400, 400), value)
+            for name, value in (("white", 255), ("black", 0), ("grey", grey))
+        }
+        for name, picture in {
+            **even,
+            "target": np.pad(carpet, (400 - carpet.shape[0]) // 2),
+        }.items():
             operator.page.get_by_role("button", name=name, exact=True).click()
             tab.reads(picture)
         assert operator.page.locator("#choices button").count() == len(CHOICES)
@@ -308,7 +335,9 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
 
 
 def mosaic(counts: Any, black: float = 100, white: float = 1100) -> Mosaic:
-    return Mosaic(np.asarray(counts, dtype=np.uint16), np.full((2, 2), black), white, ("RG", "GB"))
+    return Mosaic(
+        np.asarray(counts, dtype=np.uint16), np.full((2, 2), black), white, ("RG", "GB")
+    )
 
 
 def test_the_histogram_counts_every_pixel_once() -> None:
@@ -329,7 +358,9 @@ def test_a_photograph_of_the_preflight_is_shown_with_what_is_wrong() -> None:
     monitor = Monitor(DeviceContext().requests, Operator())
     counts = np.full((80, 120), 100)
     corners = np.array([[20.0, 30.0], [20.0, 90.0], [60.0, 90.0], [60.0, 30.0]])
-    monitor.saw(Look("preflight_2000_target", 2000.0, mosaic(counts), corners, 4.2, "out of focus"))
+    monitor.saw(
+        Look("preflight_2000_target", 2000.0, mosaic(counts), corners, 4.2, "out of focus")
+    )
     shown = monitor.snapshot()
     assert (shown["frame"]["note"], shown["sharpness"]) == (
         "out of focus",
@@ -338,7 +369,9 @@ def test_a_photograph_of_the_preflight_is_shown_with_what_is_wrong() -> None:
     seen = cv2.imdecode(np.frombuffer(monitor.preview, np.uint8), cv2.IMREAD_COLOR)
     assert seen is not None
     assert seen.shape == (40, 60, 3)
-    assert np.ptp(seen[10, 30].astype(int)) > 60  # on the upper edge of the outline, which has a colour
+    assert (
+        np.ptp(seen[10, 30].astype(int)) > 60
+    )  # on the upper edge of the outline, which has a colour
     assert np.ptp(seen[20, 30].astype(int)) < 20
 
 
@@ -353,7 +386,9 @@ def test_times_in_the_log_have_their_zone() -> None:
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
     monitor = Monitor(DeviceContext().requests, Operator())
     monitor.noted("trouble", device="rail", attempt=1, error="stalled")
-    assert monitor.snapshot()["devices"] == [{"device": "rail", "state": "bad", "text": "stalled"}]
+    assert monitor.snapshot()["devices"] == [
+        {"device": "rail", "state": "bad", "text": "stalled"}
+    ]
     assert monitor.snapshot()["log"][-1]["text"] == "trouble with the rail, try 1: stalled"
     monitor.took("d", "dark", None, mosaic(np.full((8, 8), 100)), 1, 10)
     assert {device["state"] for device in monitor.snapshot()["devices"]} == {"good"}

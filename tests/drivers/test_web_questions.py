@@ -100,19 +100,26 @@ class Night:
                     self.context.operator.ask(words, "done")
                     self.bench.covered = words.startswith("Put")
 
-                run_plan(session, replace(devices, camera=BareCamera(devices.camera)), ask=ask, check=False)
+                run_plan(
+                    session,
+                    replace(devices, camera=BareCamera(devices.camera)),
+                    ask=ask,
+                    check=False,
+                )
             self.ended.append(None)
         except BaseException as error:
             self.ended.append(error)
 
 
 @pytest.fixture
-def night(glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+def night(
+    glass: OpenGlass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Night]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(
-        PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"').replace(
-            '"web:"', f'"{BENCH}"'
-        )
+        PLAN.replace(
+            '[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"'
+        ).replace('"web:"', f'"{BENCH}"')
     )
     plan = Plan.load(tmp_path / "plan.toml")
     context = DeviceContext(shared=SharedParts({BENCH: small_bench(plan)}))
@@ -170,12 +177,18 @@ def test_abort_ends_a_question_and_the_capture_is_resumed(night: Night) -> None:
     assert len(Session.open(night.folder / "s").frames) == FRAMES
 
 
-def test_the_terminal_answers_and_the_page_knows(night: Night, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_terminal_answers_and_the_page_knows(
+    night: Night, monkeypatch: pytest.MonkeyPatch
+) -> None:
     near, far = os.openpty()
     with os.fdopen(far, "r") as keyboard:
         monkeypatch.setattr("sys.stdin", keyboard)
         night.begin()
-        for words, typed in (("Put", b"\n"), ("Take", b"\n"), ("Set the rail to 50", b"50\n")):
+        for words, typed in (
+            ("Put", b"\n"),
+            ("Take", b"\n"),
+            ("Set the rail to 50", b"50\n"),
+        ):
             night.asked(words)
             os.write(near, typed)
         night.asked("Set the rail to 100")
@@ -191,7 +204,9 @@ def test_what_is_typed_outlives_news_and_one_of_two_pages_answers(night: Night) 
     night.asked("Put")
     night.page.click("#send")
     night.asked("Take")
-    night.reads("asked", "Take", other)  # an answer to what a page still shows of before is none
+    night.reads(
+        "asked", "Take", other
+    )  # an answer to what a page still shows of before is none
     other.click("#send")
     night.asked("Set the rail to 50")
     night.page.fill("#reply", "50.1")
@@ -221,7 +236,9 @@ def test_a_question_is_text_not_html(night: Night) -> None:
     assert not asking.is_alive()
 
 
-def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_monitor_of_a_web_display_is_the_one_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN.replace('"web:"', '"web://127.0.0.1:0/left"'))
     plan, context = Plan.load(tmp_path / "plan.toml"), DeviceContext()
@@ -236,12 +253,17 @@ def test_the_monitor_of_a_web_display_is_the_one_asked_for(tmp_path: Path, monke
     assert context.shared.values() == ()
 
 
-def test_a_monitor_listens_where_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_monitor_listens_where_it_may(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "plan.toml").write_text(PLAN)
     plan, context = Plan.load(tmp_path / "plan.toml"), DeviceContext()
     with open_monitor("web://127.0.0.1:0", plan, context):
         (server,) = context.shared.values()
         assert server._socket.getsockname()[0] == "127.0.0.1"
-    with pytest.raises(PlanError, match="allowed is web://HOST:PORT"), open_monitor("web://h:x", plan, context):
+    with (
+        pytest.raises(PlanError, match="allowed is web://HOST:PORT"),
+        open_monitor("web://h:x", plan, context),
+    ):
         pass

@@ -43,7 +43,13 @@ def test_no_page_names_anything_outside(lab: Lab) -> None:
         text = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
         assert "https:" not in text
         assert "http:" not in text
-        for sink in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("):
+        for sink in (
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+        ):
             assert sink not in text
 
 
@@ -62,7 +68,9 @@ def test_no_page_names_anything_outside(lab: Lab) -> None:
 )  # fmt: skip
 def test_nothing_else_is_there(path: str, lab: Lab, display: WebDisplay) -> None:
     token = lab.server.token
-    status, _, body = ask(lab, path.format(token=token, short=token[:-1], upper=token.swapcase()))
+    status, _, body = ask(
+        lab, path.format(token=token, short=token[:-1], upper=token.swapcase())
+    )
     assert status in (400, 404)
     assert token.encode() not in body
     assert len(body) < 100
@@ -76,7 +84,9 @@ def test_nothing_else_is_there(path: str, lab: Lab, display: WebDisplay) -> None
     ],
 )  # fmt: skip
 def test_a_rebound_name_is_not_us(host: str, lab: Lab, display: WebDisplay) -> None:
-    assert ask(lab, f"/{lab.server.token}/screen", host=host.format(port=lab.server.port))[0] in (400, 404)
+    assert ask(lab, f"/{lab.server.token}/screen", host=host.format(port=lab.server.port))[
+        0
+    ] in (400, 404)
 
 
 def test_every_token_is_compared_in_constant_time(
@@ -117,30 +127,44 @@ def test_a_server_of_all_addresses_prints_one_of_the_same_kind() -> None:
 
 def test_our_own_names_are_us(lab: Lab, display: WebDisplay) -> None:
     for host in ("127.0.0.1", "localhost", "LOCALHOST", socket.gethostname()):
-        assert ask(lab, f"/{lab.server.token}/screen", host=f"{host}:{lab.server.port}")[0] == 200
+        assert (
+            ask(lab, f"/{lab.server.token}/screen", host=f"{host}:{lab.server.port}")[0]
+            == 200
+        )
 
 
 @pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1", None]
+    "origin",
+    ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1", None],
 )
-def test_a_strangers_page_gets_no_connection(origin: str | None, lab: Lab, display: WebDisplay) -> None:
+def test_a_strangers_page_gets_no_connection(
+    origin: str | None, lab: Lab, display: WebDisplay
+) -> None:
     for name in ("screen", "monitor"):
         with pytest.raises(InvalidStatus, match="403"):
             page(lab, name, origin=origin and origin.format(port=lab.server.port))
     if origin is not None:
-        status, _, _ = ask(lab, f"/{lab.server.token}/screen", Origin=origin.format(port=lab.server.port))
+        status, _, _ = ask(
+            lab, f"/{lab.server.token}/screen", Origin=origin.format(port=lab.server.port)
+        )
         assert status == 404
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PROPFIND"])
+@pytest.mark.parametrize(
+    "method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PROPFIND"]
+)
 def test_pages_can_only_be_read(method: str, lab: Lab, display: WebDisplay) -> None:
     assert ask(lab, f"/{lab.server.token}/screen", method)[0] in (400, 404, 405)
 
 
 def test_a_long_head_or_body_is_cut_off(lab: Lab, display: WebDisplay) -> None:
-    with contextlib.suppress(ConnectionResetError, BrokenPipeError):  # cut off while it still speaks
+    with contextlib.suppress(
+        ConnectionResetError, BrokenPipeError
+    ):  # cut off while it still speaks
         assert ask(lab, "/" + "a" * 1_000_000)[0] == 400
-    status, _, body = ask(lab, f"/{lab.server.token}/screen", **{"Content-Length": "1000000000"})
+    status, _, body = ask(
+        lab, f"/{lab.server.token}/screen", **{"Content-Length": "1000000000"}
+    )
     assert status == 200  # answered, and none of the body awaited
     assert body == (WEB / "display.html").read_bytes()
 
@@ -154,13 +178,23 @@ def test_a_long_head_or_body_is_cut_off(lab: Lab, display: WebDisplay) -> None:
         ("web://[::1]:1", ("::1", 1, "screen")),
     ],
 )
-def test_an_address_is_host_port_and_name(address: str, where: tuple[str, int, str]) -> None:
+def test_an_address_is_host_port_and_name(
+    address: str, where: tuple[str, int, str]
+) -> None:
     assert parse_address(address) == where
 
 
 @pytest.mark.parametrize(
     "address",
-    ["web://h:99999", "web://h:x", "web://h/a/b", "web://h/monitor", "web://h/<b>", "web://u:p@h", "web://h?x"],
+    [
+        "web://h:99999",
+        "web://h:x",
+        "web://h/a/b",
+        "web://h/monitor",
+        "web://h/<b>",
+        "web://u:p@h",
+        "web://h?x",
+    ],
 )
 def test_another_address_is_refused_in_one_line(address: str) -> None:
     with pytest.raises(PlanError, match="allowed is web://HOST:PORT") as caught:
@@ -168,14 +202,20 @@ def test_another_address_is_refused_in_one_line(address: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_without_being_asked_it_listens_on_this_machine_only(lab: Lab, display: WebDisplay) -> None:
+def test_without_being_asked_it_listens_on_this_machine_only(
+    lab: Lab, display: WebDisplay
+) -> None:
     assert parse_address("web:")[0] == "127.0.0.1"
     assert lab.server._socket.getsockname()[0] == "127.0.0.1"
 
 
 def test_a_port_in_use_is_one_clear_line(lab: Lab, display: WebDisplay) -> None:
-    with pytest.raises(DisplayError, match=f"cannot listen on 127.0.0.1 port {lab.server.port}: .*in use"):
-        open_display(f"web://127.0.0.1:{lab.server.port}", plan_for(60, 80), DeviceContext())
+    with pytest.raises(
+        DisplayError, match=f"cannot listen on 127.0.0.1 port {lab.server.port}: .*in use"
+    ):
+        open_display(
+            f"web://127.0.0.1:{lab.server.port}", plan_for(60, 80), DeviceContext()
+        )
 
 
 def test_two_displays_of_one_name_are_refused(lab: Lab, display: WebDisplay) -> None:
@@ -192,9 +232,12 @@ def test_the_token_is_kept_where_only_its_user_reads_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "mode"), [("short", 0o600), ("x" * 22, 0o644), ("../" * 10, 0o600), ("é" * 30, 0o600)]
+    ("content", "mode"),
+    [("short", 0o600), ("x" * 22, 0o644), ("../" * 10, 0o600), ("é" * 30, 0o600)],
 )
-def test_a_token_that_others_may_know_is_replaced(content: str, mode: int, tmp_path: Path) -> None:
+def test_a_token_that_others_may_know_is_replaced(
+    content: str, mode: int, tmp_path: Path
+) -> None:
     (tmp_path / "web-token").write_text(content)
     (tmp_path / "web-token").chmod(mode)
     assert kept_token(tmp_path) != content

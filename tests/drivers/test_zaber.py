@@ -73,7 +73,12 @@ def test_the_simulator_says_what_zabers_own_library_was_recorded_to_hear() -> No
 
 @pytest.mark.parametrize(
     ("text", "check"),
-    [("/1 1 03 home", "32"), ("/0 0 00", "00"), ("/1 1 12 move abs 1000", "ED"), ("@01 0 27 OK IDLE -- 12345", "35")],
+    [
+        ("/1 1 03 home", "32"),
+        ("/0 0 00", "00"),
+        ("/1 1 12 move abs 1000", "ED"),
+        ("@01 0 27 OK IDLE -- 12345", "35"),
+    ],
 )
 def test_checksums_are_those_recorded(text: str, check: str) -> None:
     assert checksum(text) == check
@@ -84,7 +89,10 @@ def test_a_command_carries_its_id_and_checksum() -> None:
     assert command_line(1, 0, 24, "get deviceid") == b"/1 0 24 get deviceid:3C\n"
 
 
-@pytest.mark.parametrize("line", ["@01 1 10 OK IDLE -- 0:0C", "!01 1 IDLE --:00", "#01 1 text:00", "@01 1 10 OK", ""])
+@pytest.mark.parametrize(
+    "line",
+    ["@01 1 10 OK IDLE -- 0:0C", "!01 1 IDLE --:00", "#01 1 text:00", "@01 1 10 OK", ""],
+)
 def test_what_is_no_sound_reply_is_dropped(line: str) -> None:
     assert read_reply(line) is None
 
@@ -162,7 +170,11 @@ def test_every_stop_is_approached_from_below() -> None:
 
 
 def test_a_rail_must_be_homed_before_it_moves() -> None:
-    with a_port() as port, a_rail(port) as rail, pytest.raises(RailError, match="home it first"):
+    with (
+        a_port() as port,
+        a_rail(port) as rail,
+        pytest.raises(RailError, match="home it first"),
+    ):
         rail.move_to(10.0)
 
 
@@ -174,9 +186,21 @@ def test_a_stop_outside_the_travel_is_refused() -> None:
 
 
 TROUBLES: list[tuple[str, Callable[[ZaberController], None], str]] = [
-    ("stall", lambda c: c.strike("alarm"), "warns FS: it stalled; its position is lost: home it"),
-    ("power cut", lambda c: c.strike("reboot"), "warns WR: it has no reference; its position is lost: home it"),
-    ("moved by hand", lambda c: setattr(c, "position", 9000), "was left at 50.000 mm and stands at 4.465 mm"),
+    (
+        "stall",
+        lambda c: c.strike("alarm"),
+        "warns FS: it stalled; its position is lost: home it",
+    ),
+    (
+        "power cut",
+        lambda c: c.strike("reboot"),
+        "warns WR: it has no reference; its position is lost: home it",
+    ),
+    (
+        "moved by hand",
+        lambda c: setattr(c, "position", 9000),
+        "was left at 50.000 mm and stands at 4.465 mm",
+    ),
 ]
 
 
@@ -200,7 +224,9 @@ def test_a_stop_from_another_thread_keeps_the_position() -> None:
     with a_port(speed=40_000) as port, a_rail(port) as rail:
         rail.home()
         moving = threading.Event()
-        controller_of(port).noticed = lambda command: moving.set() if command.startswith("move") else None
+        controller_of(port).noticed = lambda command: (
+            moving.set() if command.startswith("move") else None
+        )
         assert "was stopped at" in error_of_a_move_stopped(rail, 140.0, moving)
         assert carriage_mm(port) < 139.0
         assert rail.move_to(20.0) == pytest.approx(20.0, abs=MICROSTEP_MM)
@@ -211,7 +237,9 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
     with a_port() as port, a_rail(port) as rail:
         rail.home()
         before_mm = carriage_mm(port)
-        error = error_of_a_move_stopped_before_it_began(rail, 100.0, controller_of(port), "get pos")
+        error = error_of_a_move_stopped_before_it_began(
+            rail, 100.0, controller_of(port), "get pos"
+        )
         assert "was stopped before it moved" in error
         assert carriage_mm(port) == pytest.approx(before_mm, abs=0.01)
         assert rail.move_to(100.0) == pytest.approx(100.0, abs=0.01)
@@ -220,27 +248,45 @@ def test_a_stop_just_before_a_move_is_obeyed() -> None:
 def test_a_device_that_says_nothing_is_told_so() -> None:
     with (
         a_port(LineFault("silence", r"get.*", lasts_s=60)) as port,
-        pytest.raises(DeviceTimeoutError, match="does not answer at 115200 baud; look at its power and its cable"),
+        pytest.raises(
+            DeviceTimeoutError,
+            match="does not answer at 115200 baud; look at its power and its cable",
+        ),
     ):
         ZaberRail(port.path, MICROSTEP_MM, reply_s=0.1)
 
 
 @pytest.mark.parametrize(
     ("address", "microstep_um", "words"),
-    [("zaber:", 0.5, "give the port as well"), ("zaber:/dev/ttyUSB0", None, "rail.microstep_um is missing")],
+    [
+        ("zaber:", 0.5, "give the port as well"),
+        ("zaber:/dev/ttyUSB0", None, "rail.microstep_um is missing"),
+    ],
 )
-def test_a_plan_that_says_too_little_is_refused(address: str, microstep_um: float | None, words: str) -> None:
+def test_a_plan_that_says_too_little_is_refused(
+    address: str, microstep_um: float | None, words: str
+) -> None:
     wanted = plan()
     assert wanted.rail
-    told = wanted.model_copy(update={"rail": wanted.rail.model_copy(update={"microstep_um": microstep_um})})
+    told = wanted.model_copy(
+        update={"rail": wanted.rail.model_copy(update={"microstep_um": microstep_um})}
+    )
     with pytest.raises(PlanError, match=words):
         open_rail(address, told, DeviceContext())
 
 
 def test_a_simulated_stage_carries_the_simulated_benchs_camera() -> None:
-    bench = Bench(replace(BenchSettings(), sensor=TrueSensor(rows=32, cols=48), panel=TruePanel(pixels=(300, 400))))
+    bench = Bench(
+        replace(
+            BenchSettings(),
+            sensor=TrueSensor(rows=32, cols=48),
+            panel=TruePanel(pixels=(300, 400)),
+        )
+    )
     wanted = plan(**{"direction = -1": "direction = -1\nmicrostep_um = 0.5"})
-    with open_rail("zaber:simulated", wanted, DeviceContext(shared=SharedParts({"simulated:": bench}))) as rail:
+    with open_rail(
+        "zaber:simulated", wanted, DeviceContext(shared=SharedParts({"simulated:": bench}))
+    ) as rail:
         rail.home()
         assert rail.move_to(30.0) == pytest.approx(30.0, abs=0.001)
         # the bench's own scatter has a standard deviation of 0.02 mm

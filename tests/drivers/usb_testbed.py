@@ -19,12 +19,25 @@ import gi  # type: ignore[import-not-found]
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # type: ignore[import-not-found]  # noqa: E402
 
-CLAIM, RELEASE, SUBMIT, RESET, DRIVER = 0x8004550F, 0x80045510, 0x8038550A, 0x5514, 0x41045508
+CLAIM, RELEASE, SUBMIT, RESET, DRIVER = (
+    0x8004550F,
+    0x80045510,
+    0x8038550A,
+    0x5514,
+    0x41045508,
+)
 SET_INTERFACE, CLEAR_HALT = 0x80085504, 0x80045515
 
 DEVICE_DESCRIPTOR = bytes.fromhex("12010002 00000040 b0043704 00010102 0301")
-INTERFACE = bytes.fromhex("09040000 03060101 00 07058102 000200 07050202 000200 07058303 080010")
-CONFIGURATION = b"\x09\x02" + (9 + len(INTERFACE)).to_bytes(2, "little") + bytes.fromhex("010100 c001") + INTERFACE
+INTERFACE = bytes.fromhex(
+    "09040000 03060101 00 07058102 000200 07050202 000200 07058303 080010"
+)
+CONFIGURATION = (
+    b"\x09\x02"
+    + (9 + len(INTERFACE)).to_bytes(2, "little")
+    + bytes.fromhex("010100 c001")
+    + INTERFACE
+)
 
 
 def describe(number: int) -> str:

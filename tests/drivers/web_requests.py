@@ -19,7 +19,9 @@ def dial(lab: Lab) -> socket.socket:
     return socket.create_connection(("127.0.0.1", lab.server.port), timeout=WAIT_S)
 
 
-def ask(lab: Lab, path: str, method: str = "GET", host: str | None = None, **headers: str) -> tuple[int, bytes, bytes]:
+def ask(
+    lab: Lab, path: str, method: str = "GET", host: str | None = None, **headers: str
+) -> tuple[int, bytes, bytes]:
     """(status, head, body) of one request, its path sent just as it is."""
     host = f"127.0.0.1:{lab.server.port}" if host is None else host
     lines = [f"{method} {path} HTTP/1.1", f"Host: {host}", "Connection: close"]
@@ -36,7 +38,12 @@ def page(lab: Lab, name: str = "screen", origin: str | None = "") -> ClientConne
     here = f"127.0.0.1:{lab.server.port}"
     url = f"ws://{here}/{lab.server.token}/{name}/socket"
     whence = f"http://{here}" if origin == "" else origin
-    return connect(url, origin=whence and Origin(whence), open_timeout=WAIT_S, compression=None)  # type: ignore[arg-type]
+    return connect(
+        url,
+        origin=Origin(whence) if whence else None,
+        open_timeout=WAIT_S,
+        compression=None,
+    )
 
 
 GOOD = (
@@ -51,6 +58,14 @@ def shows_still(lab: Lab, display: WebDisplay) -> None:
         wire.send(GOOD)
         order = display._screen.want(np.full((60, 80), 77, dtype=np.uint8))
         body = ask(lab, f"/{lab.server.token}/screen/picture?{order.number}")[2]
-        crc = zlib.crc32(np.asarray(cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_GRAYSCALE)).tobytes())
-        wire.send(GOOD.replace('"shown": null, "crc": null', f'"shown": {order.number}, "crc": {crc}'))
+        crc = zlib.crc32(
+            np.asarray(
+                cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_GRAYSCALE)
+            ).tobytes()
+        )
+        wire.send(
+            GOOD.replace(
+                '"shown": null, "crc": null', f'"shown": {order.number}, "crc": {crc}'
+            )
+        )
         display._hold(lambda: display._screen.confirms(order))

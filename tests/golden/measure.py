@@ -30,12 +30,23 @@ def import_and_fit(folder: Path, session: Path) -> None:
 def errors(truth: Path, session: Path) -> dict[str, float]:
     """The largest errors of a session's results beside the folder of its truth; errors over standard errors as z."""
     true: dict[str, Any] = json.loads((truth / "truth.json").read_text())
-    results: dict[str, Any] = json.loads((session / "results/latest/results.json").read_text())
+    results: dict[str, Any] = json.loads(
+        (session / "results/latest/results.json").read_text()
+    )
     fits = {(w["range_mm"], w["channel"]): w for w in results["wavefronts"]}
-    waves = {key: np.subtract(fits[key]["waves_rms"], w["waves"]) for w in true["wavefronts"] if (key := _key(w))}
+    waves = {
+        key: np.subtract(fits[key]["waves_rms"], w["waves"])
+        for w in true["wavefronts"]
+        if (key := _key(w))
+    }
     z = np.concatenate([waves[key] / fits[key]["std"] for key in waves])
-    focus = {c: b["value"] - true["best_focus_mm"][c] for c, b in results["focus"]["best_focus_mm"].items()}
-    focus_z = [error / results["focus"]["best_focus_mm"][c]["std"] for c, error in focus.items()]
+    focus = {
+        c: b["value"] - true["best_focus_mm"][c]
+        for c, b in results["focus"]["best_focus_mm"].items()
+    }
+    focus_z = [
+        error / results["focus"]["best_focus_mm"][c]["std"] for c, error in focus.items()
+    ]
     mp = results["focus"]["pupil_magnification"]
     every = list(fits.values())
     return {
@@ -49,7 +60,9 @@ def errors(truth: Path, session: Path) -> dict[str, float]:
         "z_most": float(np.abs(z).max()),
         "chi2": max(abs(w["chi2_per_pixel"] - 1) for w in every),
         "gain_relative": max(abs(w["gain"] / true["gain"] - 1) for w in every),
-        "rejected": float(sum(not w["global_test"]["accepted"] for w in every) + len(waves) - len(every)),
+        "rejected": float(
+            sum(not w["global_test"]["accepted"] for w in every) + len(waves) - len(every)
+        ),
     }
 
 
@@ -63,7 +76,12 @@ def _psf_error(truth: Path, measured: Path) -> float:
     worst = 0.0
     for name in set(theirs.files) - {"spacing_um"}:
         true = theirs[name]
-        own = resampled(ours[f"psf_{name}"], float(ours["spacing_um"]), len(true), float(theirs["spacing_um"]))
+        own = resampled(
+            ours[f"psf_{name}"],
+            float(ours["spacing_um"]),
+            len(true),
+            float(theirs["spacing_um"]),
+        )
         worst = max(worst, float(np.abs(own / own.sum() - true / true.sum()).sum()))
     return worst
 
@@ -84,6 +102,8 @@ if __name__ == "__main__":
             import_and_fit(folder, folder / "session")
             print(
                 f"seed {seed}:",
-                ", ".join(f"{k} {v:.3g}" for k, v in errors(folder, folder / "session").items()),
+                ", ".join(
+                    f"{k} {v:.3g}" for k, v in errors(folder, folder / "session").items()
+                ),
                 flush=True,
             )

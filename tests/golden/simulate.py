@@ -34,9 +34,14 @@ FOCAL_MM, F_NUMBER, MAGNIFICATION = 60.0, 4.0, 1.08
 REFERENCE_NM = 450.0
 FRAME = 144  # pixels along a side
 PITCH_UM = 5.0
-FINER, ACTIVE = 9, 8  # samples to a pixel, and those of them that are sensitive, along a side
+FINER, ACTIVE = (
+    9,
+    8,
+)  # samples to a pixel, and those of them that are sensitive, along a side
 SPACING_UM = PITCH_UM / FINER
-REACH = 110 * FINER  # of the PSF, samples: no used pixel is further from a corner of the target along a side
+REACH = (
+    110 * FINER
+)  # of the PSF, samples: no used pixel is further from a corner of the target along a side
 PERIOD = 5832  # samples after which the sampled pupil's field repeats
 ORDER, SIZE_MM = 4, 13.0
 RANGES_MM = (1450.0, 1600.0)
@@ -62,7 +67,10 @@ size_mm = {SIZE_MM}
 
 [fit]
 zernike_noll = [4, 15]
-""" + "".join(f'\n[[channel]]\nname = "{name}"\nwavelength_nm = {nm}\n' for name, nm in COLOURS.items())
+""" + "".join(
+    f'\n[[channel]]\nname = "{name}"\nwavelength_nm = {nm}\n'
+    for name, nm in COLOURS.items()
+)
 
 
 def modes(x: Floats, y: Floats) -> dict[int, Floats]:
@@ -85,23 +93,42 @@ def modes(x: Floats, y: Floats) -> dict[int, Floats]:
 
 
 def defocus_waves(
-    range_mm: float, best_mm: float, focal_mm: float = FOCAL_MM, f: float = F_NUMBER, mp: float = MAGNIFICATION
+    range_mm: float,
+    best_mm: float,
+    focal_mm: float = FOCAL_MM,
+    f: float = F_NUMBER,
+    mp: float = MAGNIFICATION,
 ) -> float:
     """Difference of two spheres over the exit pupil, thesis (4.40) with its sign corrected; positive beyond best focus."""
     half = mp * focal_mm / f / 2
     image, focus = (q * focal_mm / (q - focal_mm) for q in (range_mm, best_mm))
     offset = (mp - 1) * focal_mm
-    path = image - focus + sqrt((focus + offset) ** 2 - half**2) - sqrt((image + offset) ** 2 - half**2)
+    path = (
+        image
+        - focus
+        + sqrt((focus + offset) ** 2 - half**2)
+        - sqrt((image + offset) ** 2 - half**2)
+    )
     return path / sqrt(12) / (REFERENCE_NM * 1e-6)
 
 
 def point_spread(waves: dict[int, float], wavelength_nm: float, f_number: float) -> Floats:
     """(2 REACH + 1, same) light in each sample of the image of a point: the share of all the light that passes the lens."""
-    radius = PERIOD * SPACING_UM / (2 * wavelength_nm * 1e-3 * f_number)  # of the pupil, in samples of it
+    radius = (
+        PERIOD * SPACING_UM / (2 * wavelength_nm * 1e-3 * f_number)
+    )  # of the pupil, in samples of it
     half, many = int(radius) + 2, 6
-    fine = ((np.arange((2 * half + 1) * many) - ((2 * half + 1) * many - 1) / 2) / many / radius).astype(np.float32)
-    disc = (np.hypot(fine[:, None], fine) < 1).reshape(2 * half + 1, many, 2 * half + 1, many).mean(axis=(1, 3))
-    disc -= laplace(disc) / 24  # means over the pupil's samples dim its rings far out: put right to the fourth order
+    fine = (
+        (np.arange((2 * half + 1) * many) - ((2 * half + 1) * many - 1) / 2) / many / radius
+    ).astype(np.float32)
+    disc = (
+        (np.hypot(fine[:, None], fine) < 1)
+        .reshape(2 * half + 1, many, 2 * half + 1, many)
+        .mean(axis=(1, 3))
+    )
+    disc -= (
+        laplace(disc) / 24
+    )  # means over the pupil's samples dim its rings far out: put right to the fourth order
     y, x = np.meshgrid(*[np.arange(-half, half + 1) / radius] * 2, indexing="ij")
     shapes = modes(x, y)
     path = sum(amount * shapes[j] for j, amount in waves.items())
@@ -160,21 +187,31 @@ class Stand:
         tilt = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
         turn = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
         across, down, normal = (tilt @ turn @ roll).T
-        sharp_mm = sum(BEST_FOCUS_MM.values()) / len(BEST_FOCUS_MM)  # the sensor stands at one place for all colours
-        millimetre = PITCH_UM * 1e-3 * MAGNIFICATION / sensor_mm(sharp_mm)  # of ray for a pixel, at unit depth
+        sharp_mm = sum(BEST_FOCUS_MM.values()) / len(
+            BEST_FOCUS_MM
+        )  # the sensor stands at one place for all colours
+        millimetre = (
+            PITCH_UM * 1e-3 * MAGNIFICATION / sensor_mm(sharp_mm)
+        )  # of ray for a pixel, at unit depth
         x = (column - (FRAME - 1) / 2 - self.shift_px[0]) * millimetre
         y = (row - (FRAME - 1) / 2 - self.shift_px[1]) * millimetre
         centre = self.range_mm - FOCAL_MM + FOCAL_MM / MAGNIFICATION
         depth = centre * normal[2] / (normal[0] * x + normal[1] * y + normal[2])
         point = (x * depth, y * depth, depth - centre)
         cells = carpet()
-        where = [sum(p * e for p, e in zip(point, axis, strict=True)) / SIZE_MM + 0.5 for axis in (down, across)]
+        where = [
+            sum(p * e for p, e in zip(point, axis, strict=True)) / SIZE_MM + 0.5
+            for axis in (down, across)
+        ]
         i, j = (np.floor(at * len(cells)).astype(int) for at in where)
         inside = (i >= 0) & (i < len(cells)) & (j >= 0) & (j < len(cells))
         return np.where(inside, cells[np.where(inside, i, 0), np.where(inside, j, 0)], 0.0)
 
 
-STANDS = (Stand(1450.0, (2.0, -3.0), 1.7, (0.37, -1.21)), Stand(1600.0, (-2.5, 1.5), -2.3, (-0.83, 0.46)))
+STANDS = (
+    Stand(1450.0, (2.0, -3.0), 1.7, (0.37, -1.21)),
+    Stand(1600.0, (-2.5, 1.5), -2.3, (-0.83, 0.46)),
+)
 
 
 def scene(stand: Stand) -> Floats:
@@ -185,8 +222,13 @@ def scene(stand: Stand) -> Floats:
     mean: Floats = quads.mean(axis=0)
     i, j = np.nonzero(np.ptp(quads, axis=0))
     k = np.arange(89)
-    down, right = (k + 0.5) / 89 / FINER, (k * 55 % 89 + 0.5) / 89 / FINER  # a Fibonacci lattice
-    mean[i, j] = stand.radiance(corner[i, None] + down, corner[j, None] + right).mean(axis=1)
+    down, right = (
+        (k + 0.5) / 89 / FINER,
+        (k * 55 % 89 + 0.5) / 89 / FINER,
+    )  # a Fibonacci lattice
+    mean[i, j] = stand.radiance(corner[i, None] + down, corner[j, None] + right).mean(
+        axis=1
+    )
     return mean
 
 
@@ -197,8 +239,14 @@ def pictures(stand: Stand, psfs: dict[str, Floats]) -> dict[str, Floats]:
     spectrum = scipy.fft.rfft2(fine, (size, size), workers=2)
     made = {}
     for colour, psf in psfs.items():
-        whole = scipy.fft.irfft2(spectrum * scipy.fft.rfft2(psf, (size, size), workers=2), (size, size), workers=2)
-        seen = whole[REACH:, REACH:][: FRAME * FINER, : FRAME * FINER].reshape(FRAME, FINER, FRAME, FINER)
+        whole = scipy.fft.irfft2(
+            spectrum * scipy.fft.rfft2(psf, (size, size), workers=2),
+            (size, size),
+            workers=2,
+        )
+        seen = whole[REACH:, REACH:][: FRAME * FINER, : FRAME * FINER].reshape(
+            FRAME, FINER, FRAME, FINER
+        )
         made[colour] = seen[:, :ACTIVE, :, :ACTIVE].mean(axis=(1, 3))
     return made
 
@@ -207,29 +255,42 @@ def mosaic(colours: dict[str, Floats]) -> Floats:
     """An RGGB frame of the colours' radiances, each by its sensitivity: electrons."""
     frame = np.empty((FRAME, FRAME))
     for (r, c), colour in zip(((0, 0), (0, 1), (1, 0), (1, 1)), "RGGB", strict=True):
-        frame[r::2, c::2] = WHITE_ELECTRONS * SENSITIVITY[colour] * colours[colour][r::2, c::2]
+        frame[r::2, c::2] = (
+            WHITE_ELECTRONS * SENSITIVITY[colour] * colours[colour][r::2, c::2]
+        )
     return frame
 
 
 def light() -> Floats:
     """Illumination over the frame: it falls off from a centre, as that of a lens and a backlight."""
     row, column = np.meshgrid(*[np.arange(FRAME) / FRAME] * 2, indexing="ij")
-    return np.asarray(1 - 0.25 * ((row - 0.45) ** 2 + (column - 0.58) ** 2) + 0.03 * (row - 0.5))
+    return np.asarray(
+        1 - 0.25 * ((row - 0.45) ** 2 + (column - 0.58) ** 2) + 0.03 * (row - 0.5)
+    )
 
 
 def draw_waves(rng: np.random.Generator) -> dict[str, dict[int, float]]:
     """Modes 5 to 15 of each colour: a lens's, with a small part of each colour's."""
     common = rng.normal(0, 0.025, 11)
-    return {c: dict(zip(range(5, 16), common + rng.normal(0, 0.003, 11), strict=True)) for c in COLOURS}
+    return {
+        c: dict(zip(range(5, 16), common + rng.normal(0, 0.003, 11), strict=True))
+        for c in COLOURS
+    }
 
 
 @lru_cache(maxsize=len(STANDS))
-def seen(stand: Stand, seed: int) -> tuple[dict[str, dict[int, float]], dict[str, Floats], Floats]:
+def seen(
+    stand: Stand, seed: int
+) -> tuple[dict[str, dict[int, float]], dict[str, Floats], Floats]:
     """By colour modes and PSF, 156 um wide, which is within the window that labkit writes; the target's electrons."""
     lens = draw_waves(np.random.default_rng(seed))
-    waves = {c: {4: defocus_waves(stand.range_mm, BEST_FOCUS_MM[c])} | lens[c] for c in COLOURS}
+    waves = {
+        c: {4: defocus_waves(stand.range_mm, BEST_FOCUS_MM[c])} | lens[c] for c in COLOURS
+    }
     psfs = {c: point_spread(waves[c], COLOURS[c], cone(c)) for c in COLOURS}
-    electrons = mosaic({c: picture + AMBIENT for c, picture in pictures(stand, psfs).items()})
+    electrons = mosaic(
+        {c: picture + AMBIENT for c, picture in pictures(stand, psfs).items()}
+    )
     middle = slice(REACH - 140, REACH + 141)
     return waves, {c: psf[middle, middle].copy() for c, psf in psfs.items()}, electrons
 
@@ -237,7 +298,12 @@ def seen(stand: Stand, seed: int) -> tuple[dict[str, dict[int, float]], dict[str
 def true_lens(stated: Stated) -> dict[str, Any]:
     """The lens, best focus on the scale that the plan's ranges have."""
     best = {colour: best_mm - stated.tape_mm for colour, best_mm in BEST_FOCUS_MM.items()}
-    lens = {"focal_length_mm": FOCAL_MM, "f_number": F_NUMBER, "mp": MAGNIFICATION, "range_zero_mm": stated.tape_mm}
+    lens = {
+        "focal_length_mm": FOCAL_MM,
+        "f_number": F_NUMBER,
+        "mp": MAGNIFICATION,
+        "range_zero_mm": stated.tape_mm,
+    }
     return lens | {"best_focus_mm": best}
 
 
@@ -252,7 +318,9 @@ def write_session(folder: Path, seed: int, stated: Stated = Stated()) -> None:
 
     def shoot(kind: str, count: int, range_mm: str, electrons: Floats) -> None:
         for k in range(count):
-            signal = GAIN * rng.poisson(electrons * response) + rng.normal(0, READ_NOISE_COUNTS, electrons.shape)
+            signal = GAIN * rng.poisson(electrons * response) + rng.normal(
+                0, READ_NOISE_COUNTS, electrons.shape
+            )
             counts = np.clip(np.rint(signal + BLACK), 0, WHITE).astype(np.uint16)
             name = f"{kind}_{range_mm or 'none'}_{k}.dng"
             write_dng(folder / name, counts, black=BLACK, white=WHITE)
@@ -266,13 +334,23 @@ def write_session(folder: Path, seed: int, stated: Stated = Stated()) -> None:
         shoot("target", 2, f"{range_mm:g}", electrons)
         shoot("flat", 4, f"{range_mm:g}", 0.9 * mosaic(dict.fromkeys(COLOURS, one)))
         for colour in COLOURS:
-            truth.append({"range_mm": range_mm, "channel": colour, "waves": list(waves[colour].values())})
+            truth.append(
+                {
+                    "range_mm": range_mm,
+                    "channel": colour,
+                    "waves": list(waves[colour].values()),
+                }
+            )
             stored[f"{range_mm:g}_{colour}"] = psfs[colour]
     with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("file", "kind", "range_mm"), *rows])
-    (folder / "plan.toml").write_text(PLAN.format(focal_mm=stated.focal_mm, f_number=stated.f_number), encoding="utf-8")
+    (folder / "plan.toml").write_text(
+        PLAN.format(focal_mm=stated.focal_mm, f_number=stated.f_number), encoding="utf-8"
+    )
     summary = true_lens(stated) | {"gain": GAIN, "read_noise": READ_NOISE_COUNTS}
-    (folder / "truth.json").write_text(json.dumps(summary | {"wavefronts": truth}, indent=1), encoding="utf-8")
+    (folder / "truth.json").write_text(
+        json.dumps(summary | {"wavefronts": truth}, indent=1), encoding="utf-8"
+    )
     np.savez_compressed(folder / "psf.npz", allow_pickle=False, **stored)
 
 

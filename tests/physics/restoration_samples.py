@@ -15,7 +15,14 @@ from labkit.types import Floats
 NOLL = (4, 5, 6, 7)
 WAVES = np.array([0.35, 0.05, -0.04, 0.06])
 GAIN, READ_NOISE, WHITE = 0.45, 1.2, 4000.0
-OPTICS = Optics(wavelength_um=0.65, reference_um=0.65, f_number=5.6, pitch_um=4.78, active_um=4.78, noll=NOLL)
+OPTICS = Optics(
+    wavelength_um=0.65,
+    reference_um=0.65,
+    f_number=5.6,
+    pitch_um=4.78,
+    active_um=4.78,
+    noll=NOLL,
+)
 FRAME, TORUS = 48, 80
 
 
@@ -36,8 +43,16 @@ def exposed(mean: Floats, seed: int = 1) -> Floats:
     return np.asarray(counts + rng.normal(0, READ_NOISE, mean.shape))
 
 
-def job(*frames: Floats, samples: int = 2, places: tuple[tuple[int, int], ...] = ((0, 0),), guard_px: int = 10) -> Job:
+def job(
+    *frames: Floats,
+    samples: int = 2,
+    places: tuple[tuple[int, int], ...] = ((0, 0),),
+    guard_px: int = 10,
+) -> Job:
     """One colour's planes of a Bayer mosaic."""
     colour = Colour("G", places, OPTICS, WAVES, GAIN, READ_NOISE**2)
-    shots = [Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape)) for counts in frames]
+    shots = [
+        Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
+        for counts in frames
+    ]
     return Job(tuple(shots), (colour,), 2, samples, guard_px, np.eye(1))

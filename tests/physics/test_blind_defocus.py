@@ -26,7 +26,9 @@ def leaves(seed: int) -> np.ndarray:
     scene = np.full((SIDE, SIDE), 0.5)
     for radius in np.sort(40 * rng.uniform(0.03, 1, 1500) ** 3)[::-1]:
         row, column = rng.uniform(0, SIDE, 2)
-        scene[np.hypot(rows - row, columns - column) < max(radius, 1.5)] = rng.uniform(0.1, 1)
+        scene[np.hypot(rows - row, columns - column) < max(radius, 1.5)] = rng.uniform(
+            0.1, 1
+        )
     return scene
 
 
@@ -63,7 +65,9 @@ def test_a_photographs_noise_is_found_beside_its_scene() -> None:
     shot = Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
     noise = own_noise(shot, replace(job(counts).colours[0], places=((0, 1), (1, 0))), 2)
     assert noise is not None
-    assert noise[0] == pytest.approx(GAIN, rel=0.09)  # 4.5 % off: the darkest of a group's squares are its quietest
+    assert noise[0] == pytest.approx(
+        GAIN, rel=0.09
+    )  # 4.5 % off: the darkest of a group's squares are its quietest
 
 
 def test_too_small_a_photograph_tells_no_noise() -> None:

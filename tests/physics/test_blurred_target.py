@@ -15,11 +15,16 @@ from labkit.target import open_target
 
 @pytest.mark.slow
 def test_a_pose_out_of_the_frame_is_not_the_last_that_is_looked_at(tmp_path: Path) -> None:
-    drawn = draw_with_parts(1, 62)  # smeared as well; the quadrilateral found first reached 14 pixels out of the frame
+    drawn = draw_with_parts(
+        1, 62
+    )  # smeared as well; the quadrilateral found first reached 14 pixels out of the frame
     make(drawn, tmp_path / "session")
-    mosaic = read_raw(next((tmp_path / "session/frames").glob("target_687.3_0.*")), drawn.plan.sensor)
+    mosaic = read_raw(
+        next((tmp_path / "session/frames").glob("target_687.3_0.*")), drawn.plan.sensor
+    )
     corners = find_target(
-        grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern), open_target(drawn.plan.target)
+        grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern),
+        open_target(drawn.plan.target),
     )
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
     np.testing.assert_allclose(

@@ -33,15 +33,21 @@ def information(trial: Trial) -> Floats:
     return fisher_information(trial.problem, trial.state(trial.waves))
 
 
-def test_the_lean_information_is_that_of_the_solver(trial: Trial, information: Floats) -> None:
+def test_the_lean_information_is_that_of_the_solver(
+    trial: Trial, information: Floats
+) -> None:
     whole = trial.problem.scores(trial.state(trial.waves), by_waves=True)[1]
     scale = 1 / np.sqrt(np.diag(whole))
-    np.testing.assert_allclose(information * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10)
+    np.testing.assert_allclose(
+        information * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10
+    )
 
 
 def test_so_it_is_with_several_frames_and_light_unknown(trial: Trial) -> None:
     shapes = low_orders(*trial.frame.counts.shape)
-    lit = replace(trial.frame, departures=shapes, relative_std=np.full(trial.frame.counts.shape, 0.01))
+    lit = replace(
+        trial.frame, departures=shapes, relative_std=np.full(trial.frame.counts.shape, 0.01)
+    )
     other = replace(lit, counts=trial.frame.counts * 0.9)
     state = trial.state(trial.waves)
     state = replace(
@@ -55,12 +61,16 @@ def test_so_it_is_with_several_frames_and_light_unknown(trial: Trial) -> None:
     whole = problem.scores(state, by_waves=True)[1]
     scale = 1 / np.sqrt(np.diag(whole))
     lean = fisher_information(problem, state, modes_at_once=5)
-    np.testing.assert_allclose(lean * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10)
+    np.testing.assert_allclose(
+        lean * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10
+    )
     assert len(parameter_names(state, NOLL)) == len(lean)
 
 
 def test_it_needs_less_memory_than_all_derivatives_at_once(trial: Trial) -> None:
-    many = replace(trial, noll=tuple(range(4, 59)))  # 55 modes, as the thesis fitted to an iPad's camera
+    many = replace(
+        trial, noll=tuple(range(4, 59))
+    )  # 55 modes, as the thesis fitted to an iPad's camera
     state, problem = many.state(np.full(55, 0.01)), many.problem
     problem.relative(state)
 
@@ -76,7 +86,9 @@ def test_it_needs_less_memory_than_all_derivatives_at_once(trial: Trial) -> None
     )
 
 
-def test_the_bound_at_the_thesis_conditions_is_the_published_one(trial: Trial, information: Floats) -> None:
+def test_the_bound_at_the_thesis_conditions_is_the_published_one(
+    trial: Trial, information: Floats
+) -> None:
     bound = bound_of(information, parameter_names(trial.state(trial.waves), NOLL))
     assert bound.undetermined == ()
     # an independent calculation gives 0.0014 to 0.0018 waves over wavefronts; read noise is 0.79 here, 0.68 there
@@ -88,7 +100,10 @@ def test_fits_err_by_the_bound() -> None:
     for _ in range(10):
         drawn = draw_trial(rng)
         solution = maximize(drawn.problem, drawn.state(drawn.waves))
-        bound = bound_of(fisher_information(drawn.problem, drawn.state(drawn.waves)), ["?"] * len(solution.information))
+        bound = bound_of(
+            fisher_information(drawn.problem, drawn.state(drawn.waves)),
+            ["?"] * len(solution.information),
+        )
         error = solution.state.waves - drawn.waves
         scaled.append(error @ np.linalg.solve(bound.covariance[:12, :12], error))
     # a chi-squared of 120 freedoms errs by sqrt(240); allow four of them
@@ -98,23 +113,37 @@ def test_fits_err_by_the_bound() -> None:
 def test_five_detector_numbers_are_one_too_many(trial: Trial) -> None:
     relative = trial.problem.relative(trial.state(trial.waves))[0]
     light = np.linspace(0.8, 1.2, relative.size)
-    singular = bound_of(detector_information(relative, light * 0 + 1, np.array([4e5, 2e3, 5e-4, 30.0, 0.8])), DETECTOR)
+    singular = bound_of(
+        detector_information(
+            relative, light * 0 + 1, np.array([4e5, 2e3, 5e-4, 30.0, 0.8])
+        ),
+        DETECTOR,
+    )
     (words,) = singular.undetermined
     assert "ambient light c2" in words
     assert np.isinf(singular.std[1])
     fixed = [0, 1, 2, 4]  # black level known
-    known = detector_information(relative, light, np.array([4e5, 2e3, 5e-4, 30.0, 0.8]))[np.ix_(fixed, fixed)]
+    known = detector_information(relative, light, np.array([4e5, 2e3, 5e-4, 30.0, 0.8]))[
+        np.ix_(fixed, fixed)
+    ]
     assert bound_of(known, [DETECTOR[k] for k in fixed]).undetermined == ()
 
 
 def test_a_singular_information_is_told_in_words() -> None:
-    bound = bound_of(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]), ("a", "b", "c"))
+    bound = bound_of(
+        np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]), ("a", "b", "c")
+    )
     assert bound.undetermined in (("+1 a -1 b",), ("-1 a +1 b",))
-    assert bound_of(np.diag([1.0, 0.0, 4.0, 0.0]), ("a", "b", "c", "d")).undetermined == ("b", "d")
+    assert bound_of(np.diag([1.0, 0.0, 4.0, 0.0]), ("a", "b", "c", "d")).undetermined == (
+        "b",
+        "d",
+    )
     np.testing.assert_allclose(bound.std, [np.inf, np.inf, 0.5])
 
 
-@pytest.mark.parametrize("bad", [np.ones((2, 3)), np.full((2, 2), np.nan), np.array([[1.0, 2.0], [0.0, 1.0]])])
+@pytest.mark.parametrize(
+    "bad", [np.ones((2, 3)), np.full((2, 2), np.nan), np.array([[1.0, 2.0], [0.0, 1.0]])]
+)
 def test_what_is_no_information_is_refused(bad: Floats) -> None:
     with pytest.raises(ValueError, match="information"):
         bound_of(bad, ("a", "b"))
@@ -134,7 +163,11 @@ def test_the_uniform_bound_is_the_least_under_its_constraint(norm: Floats | None
         return float(biased @ covariance @ biased)
 
     limit = NonlinearConstraint(lambda d: d @ weight @ d, -np.inf, delta**2)
-    found = minimize(variance, np.full(3, -0.01), method="SLSQP", constraints=limit, tol=1e-14)
+    found = minimize(
+        variance, np.full(3, -0.01), method="SLSQP", constraints=limit, tol=1e-14
+    )
     assert found.fun == pytest.approx(least, rel=1e-6)
     (small,), (near,) = uniform_bound(covariance, 0, np.array([1e6]), norm)
-    assert (near - covariance[0, 0]) / small == pytest.approx(bias_sensitivity(covariance, 0, norm), rel=1e-4)
+    assert (near - covariance[0, 0]) / small == pytest.approx(
+        bias_sensitivity(covariance, 0, norm), rel=1e-4
+    )

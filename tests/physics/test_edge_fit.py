@@ -16,21 +16,35 @@ from labkit.imaging.optics import Optics
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 12))
-OPTICS = Optics(wavelength_um=0.5, reference_um=0.5, f_number=4.0, pitch_um=4.78, active_um=4.78, noll=NOLL)
+OPTICS = Optics(
+    wavelength_um=0.5,
+    reference_um=0.5,
+    f_number=4.0,
+    pitch_um=4.78,
+    active_um=4.78,
+    noll=NOLL,
+)
 CAMERA = EdgeCamera(0.5, 4.0, 4.78, frame=28, finer=6, reach_px=40)
 MODES = np.array([0.03, -0.04, 0.02, 0.03, -0.02, 0.01, 0.05])
 GAIN, READ = 0.5, 2.0
 NOISE = NoisePrior(GAIN, 2.0, READ**2, 2.0)
-KNOWN, UNKNOWN = LensPrior(MODES, 0.002**2 * np.eye(len(MODES))), LensPrior.unknown(len(MODES))
+KNOWN, UNKNOWN = (
+    LensPrior(MODES, 0.002**2 * np.eye(len(MODES))),
+    LensPrior.unknown(len(MODES)),
+)
 ANGLES = (0.2, 1.75)
 
 
 @cache
 def mean(defocus: float, angle: float) -> Floats:
-    return CAMERA.mean(angle, 0.6, (1000.0, 6000.0), np.concatenate([[defocus], MODES]), NOLL)
+    return CAMERA.mean(
+        angle, 0.6, (1000.0, 6000.0), np.concatenate([[defocus], MODES]), NOLL
+    )
 
 
-def region(defocus: float, angle: float, rng: np.random.Generator, depth: int = 0) -> Region:
+def region(
+    defocus: float, angle: float, rng: np.random.Generator, depth: int = 0
+) -> Region:
     counts = GAIN * rng.poisson(mean(defocus, angle) / GAIN) + rng.normal(0, READ, (28, 28))
     rows, columns = (a.ravel() for a in np.mgrid[0:28.0, 0:28.0])
     return Region(rows, columns, counts.ravel(), (13.5, 13.5), 0, depth)
@@ -46,8 +60,15 @@ def searched(*regions: Region, lens: LensPrior = KNOWN) -> tuple[EdgeFit, ...]:
 
 def test_the_gradient_over_all_unknowns_is_that_of_differences() -> None:
     rng = np.random.default_rng(1)
-    of = problem(*(region(d, a, rng, k) for k, (d, a) in enumerate(zip((0.3, 0.9), ANGLES, strict=True))))
-    state = of.start([0.27, 0.95], [Edge(0.21, 0.5, 1100.0, 5900.0), Edge(1.74, 0.7, 900.0, 6100.0)])
+    of = problem(
+        *(
+            region(d, a, rng, k)
+            for k, (d, a) in enumerate(zip((0.3, 0.9), ANGLES, strict=True))
+        )
+    )
+    state = of.start(
+        [0.27, 0.95], [Edge(0.21, 0.5, 1100.0, 5900.0), Edge(1.74, 0.7, 900.0, 6100.0)]
+    )
     _, gradient, information = of.score(state)
     at, unit = state.vector, np.eye(state.vector.size)
     steps = 1e-5 * np.maximum(1.0, np.abs(at))
@@ -57,9 +78,17 @@ def test_the_gradient_over_all_unknowns_is_that_of_differences() -> None:
     ]
     assert of.names(state)[: len(MODES) + 5] == (
         *(f"mode {j}" for j in NOLL[1:]),
-        *("gain of frame 0", "read variance of frame 0", "defocus 0", "defocus 1", "angle of edge 0"),
+        *(
+            "gain of frame 0",
+            "read variance of frame 0",
+            "defocus 0",
+            "defocus 1",
+            "angle of edge 0",
+        ),
     )
-    np.testing.assert_allclose((slopes - gradient) / np.sqrt(np.diag(information)), 0, atol=3e-4)
+    np.testing.assert_allclose(
+        (slopes - gradient) / np.sqrt(np.diag(information)), 0, atol=3e-4
+    )
 
 
 def test_the_information_is_the_covariance_of_the_gradient() -> None:
@@ -75,8 +104,12 @@ def test_the_information_is_the_covariance_of_the_gradient() -> None:
     information[inside][-2:, -2:] -= np.diag(noise)
     scores = []
     for _ in range(400):
-        by_mean, by_variance = slopes.pulls(rng.normal(slopes.mean, np.sqrt(slopes.variance)))
-        scores.append(np.concatenate([slopes.of_mean @ by_mean, slopes.of_variance @ by_variance]))
+        by_mean, by_variance = slopes.pulls(
+            rng.normal(slopes.mean, np.sqrt(slopes.variance))
+        )
+        scores.append(
+            np.concatenate([slopes.of_mean @ by_mean, slopes.of_variance @ by_variance])
+        )
     ratio = np.var(scores, axis=0) / np.diag(information)[places][: len(places)]
     assert np.all(np.abs(ratio[:-2] - 1) < 0.28)
 
@@ -86,7 +119,10 @@ def test_errors_of_defocus_angle_and_radiances_are_as_reported() -> None:
     rng = np.random.default_rng(3)
     pulls = []
     for _ in range(16):
-        fit = fit_edges(of := problem(region(0.4, 0.2, rng)), of.start([0.38], [Edge(0.2, 0.6, 1000.0, 6000.0)]))
+        fit = fit_edges(
+            of := problem(region(0.4, 0.2, rng)),
+            of.start([0.38], [Edge(0.2, 0.6, 1000.0, 6000.0)]),
+        )
         value, std = fit.defocus()
         error = (fit.state.edges[0] - [0.2, 0.6, 1000.0, 6000.0]) / fit.edge_std(0)
         pulls.append([(value - 0.4) / std, *error])
@@ -105,7 +141,9 @@ def test_an_unknown_wavefront_does_not() -> None:
     best, other = searched(region(-0.5, 0.2, np.random.default_rng(4)), lens=UNKNOWN)
     assert best.defocus()[0] == -other.defocus()[0]
     assert best.objective == other.objective
-    assert best.problem.objective(other.state) == pytest.approx(best.objective, abs=1e-6)  # the twin of thesis 3.6
+    assert best.problem.objective(other.state) == pytest.approx(
+        best.objective, abs=1e-6
+    )  # the twin of thesis 3.6
     assert twin(other).state.defoci[0] == best.state.defoci[0]
 
 
@@ -128,7 +166,9 @@ def test_edges_of_several_angles_tell_the_wavefront_that_is_fitted_along() -> No
     edges = np.array([fit.state.edges[0] for fit in apart])
     noise = np.median([fit.state.log_noise for fit in apart], axis=0)
     of = problem(*regions, lens=UNKNOWN)
-    joint = fit_jointly(of, [f.defocus()[0] for f in apart], edges, range(len(regions)), noise)
+    joint = fit_jointly(
+        of, [f.defocus()[0] for f in apart], edges, range(len(regions)), noise
+    )
     joint = joint if joint.state.defoci[0] > 0 else twin(joint)
     pulls = (joint.state.defoci - defoci) / [joint.defocus(k)[1] for k in range(4)]
     assert np.abs(pulls).max() < 3
@@ -162,8 +202,13 @@ def test_the_fitted_response_is_the_cameras_mtf_across_the_edge() -> None:
     psf = CAMERA.psf(np.concatenate([[0.4], MODES]), NOLL)
     at_um = np.arange(-240, 241) * 4.78 / 6
     frequency = np.array([20.0, 50.0, 80.0]) * 1e-3
-    phase = [np.exp(-2j * np.pi * f * (np.cos(0.2) * at_um + np.sin(0.2) * at_um[:, None])) for f in frequency]
-    pixel = np.sinc(frequency * np.cos(0.2) * 4.78) * np.sinc(frequency * np.sin(0.2) * 4.78)
+    phase = [
+        np.exp(-2j * np.pi * f * (np.cos(0.2) * at_um + np.sin(0.2) * at_um[:, None]))
+        for f in frequency
+    ]
+    pixel = np.sinc(frequency * np.cos(0.2) * 4.78) * np.sinc(
+        frequency * np.sin(0.2) * 4.78
+    )
     truth = [abs(np.sum(psf * turn)) for turn in phase] * pixel
     found = np.interp(1e3 * frequency, response.frequency_per_mm, response.value)
     std = np.interp(1e3 * frequency, response.frequency_per_mm, response.std)

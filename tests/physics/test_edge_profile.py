@@ -14,12 +14,16 @@ from tests.physics.test_edge_fit import region, searched
 def of_normals(*places: float, std: float = 1.0) -> tuple[Side, ...]:
     """Sides of a likelihood that is a sum of normal ones, known at steps of half their width."""
     values = np.arange(min(places) - 4, max(places) + 4.1, 0.5) * std
-    return _sides(values, np.log(sum(norm.pdf(values, place * std, std) for place in places)))
+    return _sides(
+        values, np.log(sum(norm.pdf(values, place * std, std) for place in places))
+    )
 
 
 def test_a_parabola_is_one_side_with_its_own_error() -> None:
     (side,) = of_normals(0.3, std=0.02)
-    assert (side.defocus, side.std) == pytest.approx((0.006, 0.02), rel=5e-3)  # cut off at four errors: 1e-3
+    assert (side.defocus, side.std) == pytest.approx(
+        (0.006, 0.02), rel=5e-3
+    )  # cut off at four errors: 1e-3
 
 
 def test_sides_with_a_valley_between_are_two() -> None:
@@ -30,7 +34,9 @@ def test_sides_with_a_valley_between_are_two() -> None:
 
 def test_sides_that_run_together_are_one_as_wide_as_both() -> None:
     (side,) = of_normals(-1.2, 1.2)
-    assert abs(side.defocus) == pytest.approx(1.0007, abs=0.01)  # where the sum of both is largest
+    assert abs(side.defocus) == pytest.approx(
+        1.0007, abs=0.01
+    )  # where the sum of both is largest
     assert side.std == pytest.approx(np.sqrt(1 + 1.2**2 + side.defocus**2), rel=5e-3)
 
 

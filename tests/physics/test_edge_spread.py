@@ -14,13 +14,22 @@ from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 12))
-OPTICS = Optics(wavelength_um=0.5, reference_um=0.5, f_number=4.0, pitch_um=4.78, active_um=4.78, noll=NOLL)
+OPTICS = Optics(
+    wavelength_um=0.5,
+    reference_um=0.5,
+    f_number=4.0,
+    pitch_um=4.78,
+    active_um=4.78,
+    noll=NOLL,
+)
 AIRY_UM = 2.0
 PERFECT = replace(OPTICS, active_um=1e-6)
 
 
 def waves(defocus: float) -> Floats:
-    return np.concatenate([[defocus], np.random.default_rng(2).normal(0, 0.04, len(NOLL) - 1)])
+    return np.concatenate(
+        [[defocus], np.random.default_rng(2).normal(0, 0.04, len(NOLL) - 1)]
+    )
 
 
 def test_a_perfect_lens_has_the_line_spread_of_the_closed_form_at_its_middle() -> None:
@@ -52,7 +61,9 @@ def test_slopes_are_those_of_differences(defocus: float) -> None:
     slopes = edge_spread(optics, here, 0.4, 80.0).read(at)[1:]
     unit = step * np.eye(len(NOLL))
     differences = [edge(0.4, here, step) - edge(0.4, here, -step)]
-    differences += [edge(0.4, here + unit[k]) - edge(0.4, here - unit[k]) for k in range(len(NOLL))]
+    differences += [
+        edge(0.4, here + unit[k]) - edge(0.4, here - unit[k]) for k in range(len(NOLL))
+    ]
     differences += [edge(0.4 + step, here) - edge(0.4 - step, here)]
     np.testing.assert_allclose(
         slopes, np.array(differences) / (2 * step), atol=2e-7
@@ -61,7 +72,9 @@ def test_slopes_are_those_of_differences(defocus: float) -> None:
 
 def test_a_longer_train_of_edges_changes_nothing() -> None:
     at = np.linspace(-79, 79, 300)
-    near, far = (edge_spread(OPTICS, waves(0.4), 1.1, reach).read(at) for reach in (80.0, 800.0))
+    near, far = (
+        edge_spread(OPTICS, waves(0.4), 1.1, reach).read(at) for reach in (80.0, 800.0)
+    )
     assert np.abs(near - far)[:2].max() < 1.5e-6  # 8e-7 measured: the halo's next order
 
 
@@ -70,11 +83,17 @@ def test_the_slice_is_the_transform_of_the_line_spread_function() -> None:
     r = np.arange(-3000, 3000, 0.25)
     line = edge_spread(OPTICS, waves(0.4), 1.1, 3001.0).read(r)[1]
     direct = 0.25 * np.exp(-2j * np.pi * np.outer(frequency, r)) @ line
-    np.testing.assert_allclose(direct, camera_slice(OPTICS, waves(0.4), 1.1, frequency).value, atol=2e-5)
+    np.testing.assert_allclose(
+        direct, camera_slice(OPTICS, waves(0.4), 1.1, frequency).value, atol=2e-5
+    )
 
 
-@pytest.mark.parametrize(("defocus", "angle", "step"), [(0.3, 0.2, 1), (1.2, 1.75, 2), (-0.7, -2.6, 1)])
-def test_an_edge_looks_as_to_a_camera_that_sums_up_areas(defocus: float, angle: float, step: int) -> None:
+@pytest.mark.parametrize(
+    ("defocus", "angle", "step"), [(0.3, 0.2, 1), (1.2, 1.75, 2), (-0.7, -2.6, 1)]
+)
+def test_an_edge_looks_as_to_a_camera_that_sums_up_areas(
+    defocus: float, angle: float, step: int
+) -> None:
     camera = EdgeCamera(0.5, 4.0, 4.78, step=step, frame=20, finer=6, reach_px=40)
     seen = camera.mean(angle, 0.8, (0.0, 1.0), waves(defocus), NOLL)
     places = step * np.arange(20.0)

@@ -20,7 +20,9 @@ from labkit.target import open_target
 
 GOLDEN = Path(__file__).parents[2].parent / "shared" / "golden"
 
-pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the shared sessions are not here")
+pytestmark = pytest.mark.skipif(
+    not GOLDEN.is_dir(), reason="the shared sessions are not here"
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +48,14 @@ def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("range_mm", [2000, 2080, 2160])
-def test_a_still_target_is_found_twice_in_the_same_place_and_of_the_right_size(range_mm: int) -> None:
+def test_a_still_target_is_found_twice_in_the_same_place_and_of_the_right_size(
+    range_mm: int,
+) -> None:
     folder = GOLDEN / "bench-open"
-    first, second = (found_in(folder / f"target_{range_mm}_{k}.dng", folder / "plan.toml") for k in range(2))
+    first, second = (
+        found_in(folder / f"target_{range_mm}_{k}.dng", folder / "plan.toml")
+        for k in range(2)
+    )
     assert np.max(np.abs(first - second)) < 0.05
     plan = Plan.load(folder / "plan.toml")
     f, pitch = plan.lens.focal_length_mm, plan.sensor.pixel_pitch_um * 1e-3
@@ -59,12 +66,16 @@ def test_a_still_target_is_found_twice_in_the_same_place_and_of_the_right_size(r
 
 @pytest.mark.parametrize("trial", range(4))
 def test_an_undersampled_target_is_found(trial: int) -> None:
-    corners = found_in(GOLDEN / "thesis-open" / f"trial{trial}.tif", GOLDEN / "thesis-open" / "plan.toml")
+    corners = found_in(
+        GOLDEN / "thesis-open" / f"trial{trial}.tif", GOLDEN / "thesis-open" / "plan.toml"
+    )
     assert np.max(np.abs(corners - np.array([[17, 17], [17, 88], [88, 88], [88, 17]]))) < 4
 
 
 @pytest.mark.parametrize("channel", ["R", "G", "B"])
-def test_gain_and_read_noise_are_the_simulators(calibration: Calibration, channel: str) -> None:
+def test_gain_and_read_noise_are_the_simulators(
+    calibration: Calibration, channel: str
+) -> None:
     truth = json.loads((GOLDEN / "truth-bench-open.json").read_text())
     found = calibration.noise[channel]
     assert found.gain is not None
@@ -75,14 +86,24 @@ def test_gain_and_read_noise_are_the_simulators(calibration: Calibration, channe
     assert abs(found.read_noise - truth["read_noise_dn"]) < 4 * found.read_noise_std < 0.02
 
 
-def test_a_flat_over_its_model_is_photon_noise_at_every_scale(session: Session, calibration: Calibration) -> None:
+def test_a_flat_over_its_model_is_photon_noise_at_every_scale(
+    session: Session, calibration: Calibration
+) -> None:
     for frame in (frame for frame in session.frames if frame.kind == "flat"):
-        data = channel_data(calibration, frame, read_raw(frame.path, session.plan.sensor), "G")
+        data = channel_data(
+            calibration, frame, read_raw(frame.path, session.plan.sensor), "G"
+        )
         assert data.noise.gain is not None
         assert data.noise.read_noise is not None
-        model = data.illumination * (data.counts[data.mask].sum() / data.illumination[data.mask].sum())
-        z = (data.counts - model) / np.sqrt(data.noise.gain * model + data.noise.read_noise**2 + 1 / 12)
+        model = data.illumination * (
+            data.counts[data.mask].sum() / data.illumination[data.mask].sum()
+        )
+        z = (data.counts - model) / np.sqrt(
+            data.noise.gain * model + data.noise.read_noise**2 + 1 / 12
+        )
         # the frame is one of twelve that made its own model
         assert z[data.mask].std() == pytest.approx(np.sqrt(11 / 12), abs=0.02)
-        blocks = np.where(data.mask, z, 0.0).reshape(6, 40, 6, 40).sum(axis=(1, 3)) / np.sqrt(800)
+        blocks = np.where(data.mask, z, 0.0).reshape(6, 40, 6, 40).sum(
+            axis=(1, 3)
+        ) / np.sqrt(800)
         assert blocks.std() < 1 + 4 / np.sqrt(72)

@@ -21,7 +21,9 @@ def counts() -> Floats:
 
 
 def test_a_photograph_in_memory_gives_its_wavefront(counts: Floats) -> None:
-    w = labkit.fit_image(counts, CARPET, OPTICS, corners_px=CORNERS + 0.4, gain=GAIN, read_noise=READ_NOISE)
+    w = labkit.fit_image(
+        counts, CARPET, OPTICS, corners_px=CORNERS + 0.4, gain=GAIN, read_noise=READ_NOISE
+    )
     assert np.all(np.abs(w.waves - WAVES) < 4 * w.std)
     assert w.f_number == pytest.approx(OPTICS.f_number, rel=1e-6)
     assert w.test is not None
@@ -40,14 +42,23 @@ def test_pixels_of_other_colours_and_masked_ones_do_not_count(counts: Floats) ->
     mask = np.ones(FRAME, bool)
     mask[20:22] = False
     w = labkit.fit_image(
-        spoilt, CARPET, OPTICS, cfa_pattern="RGGB", channel="G", mask=mask, corners_px=CORNERS, gain=GAIN
+        spoilt,
+        CARPET,
+        OPTICS,
+        cfa_pattern="RGGB",
+        channel="G",
+        mask=mask,
+        corners_px=CORNERS,
+        gain=GAIN,
     )
     assert np.all(np.abs(w.waves - WAVES) < 4 * w.std)
 
 
 def test_several_photographs_are_fitted_together(counts: Floats) -> None:
     twice = np.stack([counts, counts])
-    w = labkit.fit_image(twice, CARPET, OPTICS, corners_px=CORNERS, gain=GAIN, read_noise=READ_NOISE)
+    w = labkit.fit_image(
+        twice, CARPET, OPTICS, corners_px=CORNERS, gain=GAIN, read_noise=READ_NOISE
+    )
     assert len(w.poses) == 2
     assert np.all(np.abs(w.waves - WAVES) < 4 * np.sqrt(2) * w.std)  # the same noise twice
 
@@ -60,4 +71,6 @@ def test_what_is_no_photograph_is_refused(counts: Floats) -> None:
     with pytest.raises(DataError, match="black level removed"):
         labkit.fit_image(-counts, CARPET, OPTICS, corners_px=CORNERS)
     with pytest.raises(DataError, match="no usable pixel"):
-        labkit.fit_image(counts, CARPET, OPTICS, corners_px=CORNERS, mask=np.zeros(FRAME, bool))
+        labkit.fit_image(
+            counts, CARPET, OPTICS, corners_px=CORNERS, mask=np.zeros(FRAME, bool)
+        )

@@ -16,7 +16,15 @@ from labkit.optics.psf import Pupil
 from labkit.target import CellTarget
 from labkit.types import Floats
 
-from .brute_force import CARPET, CORNERS, FRAME, OPTICS, WAVES, brute_force_mean, points_seen
+from .brute_force import (
+    CARPET,
+    CORNERS,
+    FRAME,
+    OPTICS,
+    WAVES,
+    brute_force_mean,
+    points_seen,
+)
 
 USED = np.ones(FRAME, bool)
 POSE = Pose.from_corners(CORNERS, CARPET.size_mm)
@@ -36,7 +44,9 @@ def test_sampling_is_point_evaluation_of_a_band_limited_image() -> None:
     torus = Torus((12, 15), (2, 3), (7, 9), 4, 5.0, 0.3)
     rng = np.random.default_rng(3)
 
-    def waves(row: Floats, column: Floats) -> Floats:  # up to 0.29 cycles/um: far beyond the pixels' Nyquist frequency
+    def waves(
+        row: Floats, column: Floats
+    ) -> Floats:  # up to 0.29 cycles/um: far beyond the pixels' Nyquist frequency
         total = np.full(np.broadcast_shapes(row.shape, column.shape), 2.0)
         for u, v, a, b in zip(rng_u, rng_v, rng_a, rng_b, strict=True):
             total = total + a * np.cos(2 * np.pi * (u * row / 12 + v * column / 15) + b)
@@ -46,7 +56,9 @@ def test_sampling_is_point_evaluation_of_a_band_limited_image() -> None:
     rng_a, rng_b = rng.normal(size=8), rng.uniform(0, 6, 8)
     fine = waves(np.arange(48)[:, None] / 4, np.arange(60)[None] / 4)
     expected = waves(np.arange(2.0, 9)[:, None], np.arange(3.0, 12)[None])
-    np.testing.assert_allclose(torus.sample(torus.half_spectrum(fine)), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        torus.sample(torus.half_spectrum(fine)), expected, atol=1e-12
+    )
 
 
 def test_a_torus_too_coarse_for_its_band_is_refused() -> None:
@@ -65,7 +77,9 @@ def test_pixels_and_target_lead_back_to_each_other(pose: Pose) -> None:
     y, x = np.random.default_rng(4).uniform(-1, 1, (2, 50))
     where = pose.to_pixels(y, x)
     np.testing.assert_allclose(pose.to_target(where[:, 0], where[:, 1]), (y, x), atol=1e-12)
-    np.testing.assert_allclose(pose.shifted(3, -5).to_pixels(y, x), where - [3, -5], atol=1e-11)
+    np.testing.assert_allclose(
+        pose.shifted(3, -5).to_pixels(y, x), where - [3, -5], atol=1e-11
+    )
 
 
 def pinhole(tilts_deg: tuple[float, float], aside_mm: float) -> Pose:
@@ -74,8 +88,12 @@ def pinhole(tilts_deg: tuple[float, float], aside_mm: float) -> Pose:
     about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
     y, x = np.array([-10.0, -10, 10, 10]), np.array([-15.0, 15, 15, -15])
-    right, down, away = about_y @ about_x @ np.stack([x, y, 0 * x]) + np.array([[aside_mm], [0], [400]])
-    return Pose.from_corners(12000 * np.stack([down / away, right / away], axis=1), (20.0, 30.0))
+    right, down, away = about_y @ about_x @ np.stack([x, y, 0 * x]) + np.array(
+        [[aside_mm], [0], [400]]
+    )
+    return Pose.from_corners(
+        12000 * np.stack([down / away, right / away], axis=1), (20.0, 30.0)
+    )
 
 
 @pytest.mark.parametrize("tilts_deg", [(0.0, 0.0), (8.0, 0.0), (0.0, -5.0), (6.0, 9.0)])
@@ -84,12 +102,18 @@ def test_the_scale_along_the_line_that_does_not_recede_is_that_of_a_target_that_
     tilts_deg: tuple[float, float], aside_mm: float
 ) -> None:
     pose = pinhole(tilts_deg, aside_mm)
-    assert pose.log_scale()[0] + pose.log_foreshortening() == pytest.approx(np.log(12000 / 400), abs=1e-12)
+    assert pose.log_scale()[0] + pose.log_foreshortening() == pytest.approx(
+        np.log(12000 / 400), abs=1e-12
+    )
 
 
-def test_the_mean_scale_is_less_by_half_of_ln_cos_of_a_tilt_and_its_slopes_are_differences() -> None:
+def test_the_mean_scale_is_less_by_half_of_ln_cos_of_a_tilt_and_its_slopes_are_differences() -> (
+    None
+):
     pose = pinhole((8.0, 0.0), 0.0)
-    assert pose.log_foreshortening() == pytest.approx(-0.5 * np.log(np.cos(np.radians(8.0))), abs=1e-12)
+    assert pose.log_foreshortening() == pytest.approx(
+        -0.5 * np.log(np.cos(np.radians(8.0))), abs=1e-12
+    )
     size = np.array([1e-3] * 6 + [1e-6] * 2)
     for slope, step in zip(pose.log_scale()[1], np.diag(size), strict=True):
         high, low = (pose.moved(s).log_scale()[0] for s in (step, -step))
@@ -101,14 +125,20 @@ def test_the_motion_of_points_is_its_finite_difference(pose: Pose) -> None:
     y, x = pose.to_target(row, col)
     rows, cols = pose.jacobian(row, col)
     for k, step in enumerate(1e-6 * np.eye(8)):
-        change = (pose.moved(step).to_pixels(y, x) - pose.moved(-step).to_pixels(y, x)) / 2e-6
+        change = (
+            pose.moved(step).to_pixels(y, x) - pose.moved(-step).to_pixels(y, x)
+        ) / 2e-6
         np.testing.assert_allclose(np.stack([rows[k], cols[k]], -1), change, atol=1e-6)
 
 
-def test_a_drawn_target_has_the_means_of_a_raster_of_points(model: ForwardModel, pose: Pose) -> None:
+def test_a_drawn_target_has_the_means_of_a_raster_of_points(
+    model: ForwardModel, pose: Pose
+) -> None:
     scene = model.scene
     many, (top, left) = scene.torus.oversampling, scene.torus.margin
-    fine = np.roll(scene.image(pose), (-top * many + many // 2, -left * many + many // 2), axis=(0, 1))
+    fine = np.roll(
+        scene.image(pose), (-top * many + many // 2, -left * many + many // 2), axis=(0, 1)
+    )
     ours = fine[: 54 * many, : 56 * many].reshape(54, many, 56, many).mean(axis=(1, 3))
     # the raster of points errs by a step of 0.05 pixels along some edges, with either sign
     assert ours.sum() == pytest.approx(area_of_white(), rel=2e-3)
@@ -120,7 +150,9 @@ def area_of_white() -> float:
     return float(points_seen(rows, cols).sum()) * step**2
 
 
-def test_the_mean_is_that_of_a_brute_force_simulation(model: ForwardModel, pose: Pose) -> None:
+def test_the_mean_is_that_of_a_brute_force_simulation(
+    model: ForwardModel, pose: Pose
+) -> None:
     ours = model.means(WAVES, model.draw([pose]), [USED])[0].reshape(FRAME)
     difference = ours - brute_force_mean()
     # its raster of points errs by up to 1/48 of a pixel along an edge, and its window folds the halo beyond 73 lambda N
@@ -132,16 +164,24 @@ def test_the_mean_is_that_of_a_brute_force_simulation(model: ForwardModel, pose:
 def test_a_uniform_scene_stays_uniform(pose: Pose) -> None:
     white = CellTarget(np.ones((1, 1)), (30.0, 30.0), 1.0)
     one = ForwardModel.build(OPTICS, white, (20, 24), pose)
-    np.testing.assert_allclose(one.means(WAVES, one.draw([pose]), [np.ones((20, 24), bool)])[0], 1.0, atol=1e-9)
+    np.testing.assert_allclose(
+        one.means(WAVES, one.draw([pose]), [np.ones((20, 24), bool)])[0], 1.0, atol=1e-9
+    )
     # the PSF's light beyond its window is what both wavefronts share; the rest must cancel
     assert one.blur.transfer(WAVES)[0, 0] == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("nu", "mtf"), [(0.1, 0.872889), (0.25, 0.685038), (0.5, 0.391002), (0.75, 0.144294)])
+@pytest.mark.parametrize(
+    ("nu", "mtf"), [(0.1, 0.872889), (0.25, 0.685038), (0.5, 0.391002), (0.75, 0.144294)]
+)
 def test_the_blur_of_a_perfect_lens_has_the_published_mtf(nu: float, mtf: float) -> None:
-    torus = Torus((400, 400), (0, 0), (9, 9), 3, 4.4, 1 / 4.4)  # row k is at k/400 of the cutoff 1/(lambda N)
+    torus = Torus(
+        (400, 400), (0, 0), (9, 9), 3, 4.4, 1 / 4.4
+    )  # row k is at k/400 of the cutoff 1/(lambda N)
     blur = Blur(torus, Pupil(0.55, 0.45, 8.0, 4.4 / 3, 600, (4,)), 0.0)
-    assert blur.transfer(np.zeros(1))[round(400 * nu), 0].real == pytest.approx(mtf, abs=1e-6)
+    assert blur.transfer(np.zeros(1))[round(400 * nu), 0].real == pytest.approx(
+        mtf, abs=1e-6
+    )
 
 
 def test_what_comes_around_the_torus_is_taken_off(model: ForwardModel, pose: Pose) -> None:
@@ -161,19 +201,30 @@ def test_what_comes_around_the_torus_is_taken_off(model: ForwardModel, pose: Pos
     assert np.abs(ours - theirs).max() < 1.6e-5
 
 
-def test_derivatives_by_the_wavefront_are_finite_differences(model: ForwardModel, pose: Pose) -> None:
+def test_derivatives_by_the_wavefront_are_finite_differences(
+    model: ForwardModel, pose: Pose
+) -> None:
     slopes = model.evaluate(WAVES, model.draw([pose]), [USED])[0].by_waves
     for k, step in enumerate(1e-4 * np.eye(WAVES.size)):
-        high, low = (model.means(WAVES + s, model.draw([pose]), [USED])[0] for s in (step, -step))
+        high, low = (
+            model.means(WAVES + s, model.draw([pose]), [USED])[0] for s in (step, -step)
+        )
         # the third derivative, about (4 pi)^3, over 6, times 1e-8
         assert np.abs(slopes[k] - (high - low) / 2e-4).max() < 1e-5 * np.abs(slopes).max()
 
 
-def test_derivatives_by_the_pose_are_finite_differences(model: ForwardModel, pose: Pose) -> None:
+def test_derivatives_by_the_pose_are_finite_differences(
+    model: ForwardModel, pose: Pose
+) -> None:
     slopes = model.evaluate(WAVES, model.draw([pose]), [USED], by_waves=False)[0].by_pose
-    size = np.array([1e-3] * 6 + [1e-3 / 30] * 2)  # v6 and v7 move a corner by as many pixels times 40
+    size = np.array(
+        [1e-3] * 6 + [1e-3 / 30] * 2
+    )  # v6 and v7 move a corner by as many pixels times 40
     for k, step in enumerate(np.diag(size)):
-        high, low = (model.means(WAVES, model.draw([pose.moved(s)]), [USED])[0] for s in (step, -step))
+        high, low = (
+            model.means(WAVES, model.draw([pose.moved(s)]), [USED])[0]
+            for s in (step, -step)
+        )
         difference = (high - low) / (2 * size[k])
         # perspective is exact up to the square of blur over distance, about 1e-3
         assert np.abs(slopes[k] - difference).max() < 3e-3 * np.abs(slopes[k]).max()

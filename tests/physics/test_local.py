@@ -13,7 +13,15 @@ import pytest
 from labkit.estimation import starts
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
-from labkit.estimation.local import Found, Guesses, Optimum, Views, find_optima, first_state, residuals
+from labkit.estimation.local import (
+    Found,
+    Guesses,
+    Optimum,
+    Views,
+    find_optima,
+    first_state,
+    residuals,
+)
 from labkit.estimation.sketches import Sketches, sweep
 from labkit.estimation.starts import Log
 from labkit.imaging.parts import LowPass
@@ -47,7 +55,11 @@ def seen(seed: int, frames: int = 1, noise: NoisePrior = PRIOR) -> Views:
     rng = np.random.default_rng(seed)
     photographs = tuple(photograph(rng) for _ in range(frames))
     rough = tuple(CORNERS + rng.uniform(-ROUGH_PX, ROUGH_PX, (4, 2)) for _ in range(frames))
-    return Views(photographs, tuple(Pose.from_corners(corners, CARPET.size_mm) for corners in rough), noise)
+    return Views(
+        photographs,
+        tuple(Pose.from_corners(corners, CARPET.size_mm) for corners in rough),
+        noise,
+    )
 
 
 def searched(views: Views, **guesses: Any) -> Found:
@@ -85,7 +97,9 @@ def test_from_nothing_every_mode_ends_within_four_standard_errors(seed: int) -> 
     assert std(optimum).max() < 1e-3
     assert optimum.verdict.accepted
     # of n normals squared the mean has a standard deviation of sqrt(2/n); allow four
-    assert optimum.chi2_per_pixel == pytest.approx(1, abs=4 * np.sqrt(2 / (FRAME[0] * FRAME[1])))
+    assert optimum.chi2_per_pixel == pytest.approx(
+        1, abs=4 * np.sqrt(2 / (FRAME[0] * FRAME[1]))
+    )
 
 
 def test_the_light_and_the_pose_come_with_it(best: Optimum) -> None:
@@ -101,7 +115,9 @@ def test_two_frames_tell_more_than_one(best: Optimum) -> None:
     np.testing.assert_allclose(std(both) / std(best), np.sqrt(0.5), rtol=0.05)
 
 
-def test_a_predicted_start_leads_to_the_same_optimum_and_no_other_is_made(views: Views, best: Optimum) -> None:
+def test_a_predicted_start_leads_to_the_same_optimum_and_no_other_is_made(
+    views: Views, best: Optimum
+) -> None:
     near = searched(views, starts=(WAVES + 0.03,))
     assert_right(near.best)
     assert near.best.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
@@ -120,7 +136,9 @@ def test_a_climb_begins_at_poses_that_another_channel_determined(best: Optimum) 
     assert near.best.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
 
 
-def test_a_climb_goes_on_from_a_state_where_an_earlier_one_ended(views: Views, best: Optimum) -> None:
+def test_a_climb_goes_on_from_a_state_where_an_earlier_one_ended(
+    views: Views, best: Optimum
+) -> None:
     again = searched(views, state=best.state, deep=False)
     assert again.starts == 0
     assert again.best.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
@@ -135,14 +153,18 @@ def test_of_several_starts_the_likeliest_end_is_first(views: Views, best: Optimu
     assert values == sorted(values, reverse=True)
 
 
-def test_a_wrong_start_alone_is_rejected_and_others_are_tried(views: Views, best: Optimum) -> None:
+def test_a_wrong_start_alone_is_rejected_and_others_are_tried(
+    views: Views, best: Optimum
+) -> None:
     deep = searched(views, starts=(WRONG,))
     assert deep.starts > 1
     assert deep.best.verdict.accepted
     assert deep.best.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
 
 
-def test_a_search_that_is_not_deep_ends_with_its_starts(views: Views, best: Optimum) -> None:
+def test_a_search_that_is_not_deep_ends_with_its_starts(
+    views: Views, best: Optimum
+) -> None:
     shallow = searched(views, starts=(WRONG,), deep=False)
     assert shallow.starts == 1
     assert not shallow.best.verdict.accepted
@@ -173,7 +195,9 @@ def test_a_sweep_yields_a_state_though_its_end_is_doubted_and_no_time_is_left(
     excess = iter([0.0, 1.0])  # of the end, and of where it began
     monkeypatch.setattr(starts, "_excess", lambda sketches, state: next(excess))
     monkeypatch.setattr(Sketches, "near", lambda sketches, state: True)
-    monkeypatch.setattr(starts, "sweep", lambda sketches, state: sweep(sketches, state)[:1])  # whose end is the best
+    monkeypatch.setattr(
+        starts, "sweep", lambda sketches, state: sweep(sketches, state)[:1]
+    )  # whose end is the best
     first = first_state(views.frames[0], views.poses[0], views.noise, len(OPTICS.noll))
     sketches = Sketches(OPTICS, CARPET, views.frames[0], views.poses[0], views.noise)
     late = Log(40, 0.0, lambda step: None)
@@ -196,7 +220,9 @@ def test_photographs_of_a_complete_model_call_for_no_part(views: Views) -> None:
     assert max(call.gain for call in optimum.scores.values()) < 10
 
 
-def test_the_same_frames_and_seed_give_the_same_numbers(views: Views, best: Optimum) -> None:
+def test_the_same_frames_and_seed_give_the_same_numbers(
+    views: Views, best: Optimum
+) -> None:
     again = searched(views).best
     np.testing.assert_array_equal(again.waves, best.waves)
     np.testing.assert_array_equal(again.covariance, best.covariance)
@@ -204,27 +230,41 @@ def test_the_same_frames_and_seed_give_the_same_numbers(views: Views, best: Opti
 
 def test_an_optimum_and_its_twin_are_alike_in_all_but_even_modes(best: Optimum) -> None:
     twin = best.twin()
-    np.testing.assert_array_equal(twin_signs(OPTICS.noll), [-1, -1, 1, 1, -1])  # Noll 4, 6 and 11 are even
+    np.testing.assert_array_equal(
+        twin_signs(OPTICS.noll), [-1, -1, 1, 1, -1]
+    )  # Noll 4, 6 and 11 are even
     np.testing.assert_array_equal(twin.waves, best.waves * [-1, -1, 1, 1, -1])
-    np.testing.assert_array_equal(twin.measured.waves, best.measured.waves * [-1, -1, 1, 1, -1])
+    np.testing.assert_array_equal(
+        twin.measured.waves, best.measured.waves * [-1, -1, 1, 1, -1]
+    )
     np.testing.assert_array_equal(std(twin), std(best))
     assert twin.covariance[0, 2] == -best.covariance[0, 2]
     assert twin.covariance[0, 1] == best.covariance[0, 1]
     np.testing.assert_array_equal(twin.twin().covariance, best.covariance)
 
 
-def test_of_twins_the_one_with_its_largest_even_mode_positive_is_canonical(best: Optimum) -> None:
+def test_of_twins_the_one_with_its_largest_even_mode_positive_is_canonical(
+    best: Optimum,
+) -> None:
     for one in (best, best.twin()):
         assert one.canonical().waves[0] > 0
-    odd = replace(best, optics=replace(OPTICS, noll=(7, 8)), state=replace(best.state, waves=np.array([-0.3, 0.1])))
+    odd = replace(
+        best,
+        optics=replace(OPTICS, noll=(7, 8)),
+        state=replace(best.state, waves=np.array([-0.3, 0.1])),
+    )
     assert odd.canonical() is odd
 
 
-def test_residuals_are_the_frames_less_the_fit_in_its_own_noise(views: Views, best: Optimum) -> None:
+def test_residuals_are_the_frames_less_the_fit_in_its_own_noise(
+    views: Views, best: Optimum
+) -> None:
     ((mean, noise_std),) = residuals(best, views.frames)
     z = (views.frames[0].counts.ravel() - mean) / noise_std
     assert np.mean(z**2) == pytest.approx(best.chi2_per_pixel, rel=1e-9)
-    np.testing.assert_allclose(noise_std, np.sqrt(best.state.gain * mean + best.state.read_noise**2), rtol=1e-12)
+    np.testing.assert_allclose(
+        noise_std, np.sqrt(best.state.gain * mean + best.state.read_noise**2), rtol=1e-12
+    )
 
 
 def by_name(name: str) -> Found:
@@ -235,10 +275,14 @@ def by_name(name: str) -> Found:
 def test_what_a_search_found_can_be_kept(views: Views, tmp_path: Path) -> None:
     made = searched(views, starts=(WAVES,), score=True, deep=False)
 
-    def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def run(
+        function: Callable[[Any], Any], tasks: Sequence[Any]
+    ) -> Iterator[tuple[int, Any]]:
         yield from ((index, made) for index, _ in enumerate(tasks))
 
-    def never(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def never(
+        function: Callable[[Any], Any], tasks: Sequence[Any]
+    ) -> Iterator[tuple[int, Any]]:
         pytest.fail("it was kept, and is made again")
 
     list(KeptFits(run, tmp_path)(by_name, ["a"]))

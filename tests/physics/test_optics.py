@@ -31,15 +31,22 @@ def test_modes_are_nolls_as_poppy_has_them(j: int) -> None:
     np.testing.assert_allclose(zernike(j, rho, theta), theirs, atol=1e-11)
 
 
-@pytest.mark.parametrize(("edge", "limits"), [(smooth_disc, (1e-7, 1.4e-6, 5e-6)), (disc_area, (5e-5, 2.5e-4, 1.6e-4))])
+@pytest.mark.parametrize(
+    ("edge", "limits"),
+    [(smooth_disc, (1e-7, 1.4e-6, 5e-6)), (disc_area, (5e-5, 2.5e-4, 1.6e-4))],
+)
 def test_the_transform_of_a_smooth_disc_is_airys_wherever_its_samples_lie(
     edge: Callable[[Floats, float], Floats], limits: tuple[float, ...]
 ) -> None:
     at = np.arange(-64.0, 65.0)
-    for reach, limit in zip((5.3, 10.7, 20.3), limits, strict=True):  # in lambda N, of a window of about 121
+    for reach, limit in zip(
+        (5.3, 10.7, 20.3), limits, strict=True
+    ):  # in lambda N, of a window of about 121
         airy = 2 * j1(np.pi * reach) / (np.pi * reach)
         off = [
-            (edge(at, radius) @ np.cos(np.pi * reach / radius * at)).sum() / (np.pi * radius**2) - airy
+            (edge(at, radius) @ np.cos(np.pi * reach / radius * at)).sum()
+            / (np.pi * radius**2)
+            - airy
             for radius in np.linspace(60, 61, 11)
         ]
         assert limit / 10 < np.abs(off).max() < limit
@@ -62,7 +69,8 @@ def test_a_perfect_lens_shows_airys_disc() -> None:
 
 
 @pytest.mark.parametrize(
-    ("nu", "mtf"), [(0.1, 0.872889), (0.25, 0.685038), (0.5, 0.391002), (0.75, 0.144294), (0.9, 0.037386)]
+    ("nu", "mtf"),
+    [(0.1, 0.872889), (0.25, 0.685038), (0.5, 0.391002), (0.75, 0.144294), (0.9, 0.037386)],
 )
 def test_a_perfect_lens_has_the_published_mtf(nu: float, mtf: float) -> None:
     assert diffraction_mtf(np.array([nu]))[0] == pytest.approx(mtf, abs=6e-7)
@@ -92,7 +100,9 @@ def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:
 
 
 @pytest.mark.parametrize(("mode", "axis"), [(2, 1), (3, 0)])
-def test_a_path_that_grows_to_the_right_or_down_throws_light_there(mode: int, axis: int) -> None:
+def test_a_path_that_grows_to_the_right_or_down_throws_light_there(
+    mode: int, axis: int
+) -> None:
     # Z2 = 2 rho cos(theta) is x, Z3 is y: one wave RMS is four waves across the pupil, 4 lambda N
     psf = Pupil(0.5, 0.5, 4.0, 1.0, 128, (mode,)).psf(np.array([0.5]))
     peak = np.array(np.unravel_index(psf.argmax(), psf.shape)) - 64
@@ -113,7 +123,9 @@ def test_psf_derivatives_are_finite_differences() -> None:
 def test_slopes_in_single_precision_are_the_jacobian() -> None:
     pupil = Pupil(0.55, 0.45, 4.0, 1.0, 96, EVERY_MODE)
     waves = np.random.default_rng(1).normal(0, 0.1, 12)
-    for slope, exact in zip(pupil.psf_slopes(waves), pupil.psf_jacobian(waves)[1], strict=True):
+    for slope, exact in zip(
+        pupil.psf_slopes(waves), pupil.psf_jacobian(waves)[1], strict=True
+    ):
         assert slope.dtype == np.float32
         assert np.abs(slope - exact).max() < 1e-6 * np.abs(exact).max()
 
@@ -121,9 +133,18 @@ def test_slopes_in_single_precision_are_the_jacobian() -> None:
 @pytest.mark.parametrize(
     ("waves", "says"),
     [
-        ([0.1], r"waves has shape \(1,\); \(2,\) is needed \(waves RMS, one for each mode\)"),
-        ([0.1, np.nan], r"waves, shape \(2,\): 1 of 2 values are not finite \(waves RMS, one for each mode\)"),
-        ([0.1, 1j], r"waves: real numbers are needed \(waves RMS, one for each mode\), not complex128"),
+        (
+            [0.1],
+            r"waves has shape \(1,\); \(2,\) is needed \(waves RMS, one for each mode\)",
+        ),
+        (
+            [0.1, np.nan],
+            r"waves, shape \(2,\): 1 of 2 values are not finite \(waves RMS, one for each mode\)",
+        ),
+        (
+            [0.1, 1j],
+            r"waves: real numbers are needed \(waves RMS, one for each mode\), not complex128",
+        ),
     ],
 )
 def test_a_wavefront_that_is_none_is_refused(waves: list[complex], says: str) -> None:
@@ -138,17 +159,25 @@ def test_a_wavefront_that_is_none_is_refused(waves: list[complex], says: str) ->
 def test_the_twin_has_the_same_psf(waves: list[float]) -> None:
     pupil = Pupil(0.5, 0.5, 4.0, 1.0, 64, EVERY_MODE)
     twin = [-w if is_even(j) else w for j, w in zip(EVERY_MODE, waves, strict=True)]
-    np.testing.assert_allclose(pupil.psf(np.array(twin)), pupil.psf(np.array(waves)), atol=1e-12)
+    np.testing.assert_allclose(
+        pupil.psf(np.array(twin)), pupil.psf(np.array(waves)), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("range_mm", "corrected", "thesis"),
     [(3013.2, 0.07484, 0.07049), (3200.0, 1.06783, 1.00566), (3300.0, 1.55325, 1.46279)],
 )
-def test_defocus_against_range_has_the_published_values(range_mm: float, corrected: float, thesis: float) -> None:
+def test_defocus_against_range_has_the_published_values(
+    range_mm: float, corrected: float, thesis: float
+) -> None:
     lens = ThinLens(70.0, 2.8, 0.985)
-    assert defocus_waves(lens, range_mm, 3000.0, 450.0) == pytest.approx(corrected, abs=6e-6)
-    assert defocus_waves(lens, range_mm, 3000.0, 450.0, "thesis") == pytest.approx(thesis, abs=6e-6)
+    assert defocus_waves(lens, range_mm, 3000.0, 450.0) == pytest.approx(
+        corrected, abs=6e-6
+    )
+    assert defocus_waves(lens, range_mm, 3000.0, 450.0, "thesis") == pytest.approx(
+        thesis, abs=6e-6
+    )
 
 
 def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:
@@ -157,27 +186,43 @@ def test_the_blur_of_a_point_is_the_slope_of_its_defocus() -> None:
     path_mm = defocus_waves(lens, 3050.0, 3000.0, 450.0) * np.sqrt(12) * 450e-6
     working = lens.pupil_to_image_mm(3000.0) / lens.exit_pupil_mm
     # corrections: NA^2 and the relative change of the image distance, each about 1e-3
-    assert circle_of_confusion_mm(lens, 3050.0, 3000.0) == pytest.approx(8 * working * path_mm, rel=3e-3)
+    assert circle_of_confusion_mm(lens, 3050.0, 3000.0) == pytest.approx(
+        8 * working * path_mm, rel=3e-3
+    )
 
 
 def test_a_lens_in_another_colour_has_the_same_sensor_and_aperture() -> None:
     lens, best_mm, other_mm = ThinLens(39.1, 7.47, 1.14), 523.3, 544.3
     other = lens.in_colour(other_mm, best_mm)
-    assert other.focal_length_mm == pytest.approx(1 / (1 / 39.1 - 1 / best_mm + 1 / other_mm), rel=1e-12)
+    assert other.focal_length_mm == pytest.approx(
+        1 / (1 / 39.1 - 1 / best_mm + 1 / other_mm), rel=1e-12
+    )
     assert other.exit_pupil_mm == pytest.approx(lens.exit_pupil_mm, rel=1e-12)
-    assert other.image_distance_mm(other_mm) == pytest.approx(lens.image_distance_mm(best_mm), rel=1e-12)
+    assert other.image_distance_mm(other_mm) == pytest.approx(
+        lens.image_distance_mm(best_mm), rel=1e-12
+    )
     # defocus is told by the entrance pupil alone, about; the cone by the sensor, which the law of one focal length would move
     assert defocus_waves(other, 687.3, other_mm, 450.0) == pytest.approx(
         defocus_waves(lens, 687.3, other_mm, 450.0), rel=1e-4
     )
-    cone = (lens.image_distance_mm(best_mm) + 0.14 * other.focal_length_mm) / lens.exit_pupil_mm
+    cone = (
+        lens.image_distance_mm(best_mm) + 0.14 * other.focal_length_mm
+    ) / lens.exit_pupil_mm
     assert other.working_f_number(other_mm) == pytest.approx(cone, rel=1e-12)
     assert lens.working_f_number(other_mm) / cone - 1 == pytest.approx(-0.0031, abs=1e-4)
 
 
-def test_working_f_number_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> None:
+def test_working_f_number_and_scale_are_those_of_rays_through_two_lenses_and_a_stop() -> (
+    None
+):
     """Paraxial rays (height, angle) traced by matrices through f1 | stop | f2; pupils are images of the stop."""
-    f1, f2, first, second, stop_mm = 90.0, 160.0, 12.0, 25.0, 14.0  # lengths before and behind the stop, its radius
+    f1, f2, first, second, stop_mm = (
+        90.0,
+        160.0,
+        12.0,
+        25.0,
+        14.0,
+    )  # lengths before and behind the stop, its radius
 
     def gap(d: float) -> NDArray[np.float64]:
         return np.array([[1, d], [0, 1]])
@@ -187,20 +232,34 @@ def test_working_f_number_and_scale_are_those_of_rays_through_two_lenses_and_a_s
 
     before, behind = gap(first) @ thin(f1), thin(f2) @ gap(second)
     (a, _), (c, d) = system = behind @ before
-    f, front, back = -1 / c, (d - 1) / c, (1 - a) / c  # principal planes: from the first lens, from the second
+    f, front, back = (
+        -1 / c,
+        (d - 1) / c,
+        (1 - a) / c,
+    )  # principal planes: from the first lens, from the second
     assert np.linalg.det(system) == pytest.approx(1)
-    entrance = stop_mm / before[0, 0]  # a ray parallel to the axis that meets the stop's rim
-    exit_ = stop_mm / behind[1, 1]  # one that leaves parallel to the axis, from the stop's rim
+    entrance = (
+        stop_mm / before[0, 0]
+    )  # a ray parallel to the axis that meets the stop's rim
+    exit_ = (
+        stop_mm / behind[1, 1]
+    )  # one that leaves parallel to the axis, from the stop's rim
     lens = ThinLens(f, f / (2 * entrance), exit_ / entrance)
     focus, target = 700.0, 650.0  # from the front principal plane
     sensor = lens.image_distance_mm(focus) + back  # from the second lens
     onto_sensor = gap(float(sensor)) @ system @ gap(focus - front)
     assert onto_sensor[0, 1] == pytest.approx(0, abs=1e-9)  # an image
-    rim = stop_mm / (before @ gap(focus - front))[0, 1]  # angle of the ray from the axis to the stop's rim
+    rim = (
+        stop_mm / (before @ gap(focus - front))[0, 1]
+    )  # angle of the ray from the axis to the stop's rim
     cone = abs((system @ gap(focus - front) @ [0, rim])[1])
     assert lens.working_f_number(focus) == pytest.approx(1 / (2 * cone), rel=1e-9)
     to_first = before @ gap(target - front)
-    chief = -to_first[0, 0] / to_first[0, 1]  # angle of the ray of unit height through the stop's middle
+    chief = (
+        -to_first[0, 0] / to_first[0, 1]
+    )  # angle of the ray of unit height through the stop's middle
     height = (gap(float(sensor)) @ system @ gap(target - front) @ [1, chief])[0]
     assert lens.chief_ray_scale(target, focus) == pytest.approx(-height, rel=1e-9)
-    assert lens.chief_ray_scale(focus, focus) == pytest.approx(lens.focused_magnification(focus), rel=1e-12)
+    assert lens.chief_ray_scale(focus, focus) == pytest.approx(
+        lens.focused_magnification(focus), rel=1e-12
+    )

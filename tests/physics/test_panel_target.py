@@ -46,16 +46,26 @@ def summed(target: PanelTarget) -> Floats:
 def test_stripes_are_drawn_as_sums_over_them(place: int, lying: bool) -> None:
     target = striped(place, lying)
     # measured: 9e-5 to 1.1e-4, of the points' spacing: (2 pi 7 h)^2 / 24 of a stripe's 5.4
-    np.testing.assert_allclose(target.sample(Y, X, BANDWIDTH), summed(target), rtol=0, atol=2e-4)
+    np.testing.assert_allclose(
+        target.sample(Y, X, BANDWIDTH), summed(target), rtol=0, atol=2e-4
+    )
 
 
 def test_a_stripe_lies_where_its_colour_does() -> None:
     one = PanelTarget(np.ones((1, 1)), (1.0, 1.0), 0, aperture=(1.0, 0.5))
     x = np.array([-0.4, -0.2, -0.1, 0.0, 0.3])
-    np.testing.assert_array_equal(one.radiance(0.0, x) > 0, [True, True, False, False, False])
-    np.testing.assert_array_equal(replace(one, place=2).radiance(0.0, x) > 0, [False, False, False, False, True])
-    np.testing.assert_array_equal(replace(one, lying=True).radiance(x, 0.0) > 0, [True, True, False, False, False])
-    assert one.radiance(0.0, -0.3) == pytest.approx(3 / 0.5)  # so that a pixel's mean is what it shows
+    np.testing.assert_array_equal(
+        one.radiance(0.0, x) > 0, [True, True, False, False, False]
+    )
+    np.testing.assert_array_equal(
+        replace(one, place=2).radiance(0.0, x) > 0, [False, False, False, False, True]
+    )
+    np.testing.assert_array_equal(
+        replace(one, lying=True).radiance(x, 0.0) > 0, [True, True, False, False, False]
+    )
+    assert one.radiance(0.0, -0.3) == pytest.approx(
+        3 / 0.5
+    )  # so that a pixel's mean is what it shows
 
 
 def test_far_away_stripes_are_the_target_moved_by_a_third_of_a_pixel() -> None:
@@ -72,8 +82,13 @@ def test_far_away_stripes_are_the_target_moved_by_a_third_of_a_pixel() -> None:
 def test_slopes_by_the_aperture_are_differences(lying: bool) -> None:
     target = striped(2, lying)
     for slope, step in zip(target.slopes(Y, X, BANDWIDTH), 1e-5 * np.eye(2), strict=True):
-        up, down = (target.lit(*(np.array(APERTURE) + s * step)).sample(Y, X, BANDWIDTH) for s in (1, -1))
-        np.testing.assert_allclose(slope, (up - down) / 2e-5, atol=1e-8 * np.abs(slope).max())
+        up, down = (
+            target.lit(*(np.array(APERTURE) + s * step)).sample(Y, X, BANDWIDTH)
+            for s in (1, -1)
+        )
+        np.testing.assert_allclose(
+            slope, (up - down) / 2e-5, atol=1e-8 * np.abs(slope).max()
+        )
 
 
 def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
@@ -83,10 +98,15 @@ def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
     assert isinstance(model.scene.target, PanelTarget)
     assert model.scene.target.aperture == pytest.approx((0.88, 0.83))
     used = [np.ones((58, 60), bool)]
-    slopes = model.evaluate(TRUTH.waves, model.draw([POSE]), used, by_camera=True)[0].by_waves[len(TRUTH.waves) :]
+    slopes = model.evaluate(TRUTH.waves, model.draw([POSE]), used, by_camera=True)[
+        0
+    ].by_waves[len(TRUTH.waves) :]
     for k, step in enumerate(1e-2 * np.eye(3)[:2]):
         up, down = (
-            model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)) for sign in (1, -1)
+            model.with_optics(
+                optics.with_camera_parameters(optics.camera_parameters + sign * step)
+            )
+            for sign in (1, -1)
         )
         means = [each.means(TRUTH.waves, each.draw([POSE]), used)[0] for each in (up, down)]
         difference = (means[0] - means[1]) / 2e-2
@@ -94,7 +114,9 @@ def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
         assert np.std(slopes[k] - difference) < 2.4e-4 * np.abs(difference).max()
 
 
-@pytest.mark.parametrize("wrong", [{"place": 3}, {"aperture": (0.0, 0.9)}, {"surround": 1.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"place": 3}, {"aperture": (0.0, 0.9)}, {"surround": 1.0}]
+)
 def test_impossible_stripes_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(TargetError, match=r"stripe|pixels"):
         replace(striped(0, False), **wrong)  # type: ignore[arg-type]

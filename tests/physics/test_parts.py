@@ -36,12 +36,17 @@ def named(part: Part) -> str:
 
 def spots(*places: tuple[float, float]) -> Floats:
     """Transfer function of equal points at (row, column), pixels."""
-    return np.asarray(np.mean([np.cos(2 * np.pi * (r * ROWS + c * COLUMNS)) for r, c in places], axis=0))
+    return np.asarray(
+        np.mean([np.cos(2 * np.pi * (r * ROWS + c * COLUMNS)) for r, c in places], axis=0)
+    )
 
 
 def sampled(density: Floats, at: Floats) -> Floats:
     """Transfer function of a kernel (n, n) sampled at `at` (n,) along both axes, by summing."""
-    down, across = np.exp(-2j * np.pi * ROWS * at[None, :]), np.exp(-2j * np.pi * COLUMNS.T * at[None, :])
+    down, across = (
+        np.exp(-2j * np.pi * ROWS * at[None, :]),
+        np.exp(-2j * np.pi * COLUMNS.T * at[None, :]),
+    )
     return np.asarray((down @ density @ across.T).real / density.sum())
 
 
@@ -54,7 +59,9 @@ def test_a_low_pass_filter_makes_four_spots_of_a_point() -> None:
 def test_a_turned_one_has_its_spots_on_the_axes() -> None:
     s = np.sqrt(0.5) * 0.7
     expected = spots((s, 0), (-s, 0), (0, s), (0, -s))
-    assert LowPass(0.49, 0.49, turned=True).transfer(ROWS, COLUMNS) == pytest.approx(expected, abs=1e-14)
+    assert LowPass(0.49, 0.49, turned=True).transfer(ROWS, COLUMNS) == pytest.approx(
+        expected, abs=1e-14
+    )
 
 
 def test_diffusion_and_smear_are_the_transforms_of_their_kernels() -> None:
@@ -64,17 +71,26 @@ def test_diffusion_and_smear_are_the_transforms_of_their_kernels() -> None:
         sampled(np.exp(-(y**2 + x**2) / 0.08), at), abs=1e-12
     )
     inverse = np.linalg.inv([[0.05, 0.02], [0.02, 0.04]])
-    tilted = np.exp(-0.5 * (inverse[0, 0] * y**2 + 2 * inverse[0, 1] * y * x + inverse[1, 1] * x**2))
-    assert Smear(0.05, 0.04, 0.02).transfer(ROWS, COLUMNS) == pytest.approx(sampled(tilted, at), abs=1e-12)
+    tilted = np.exp(
+        -0.5 * (inverse[0, 0] * y**2 + 2 * inverse[0, 1] * y * x + inverse[1, 1] * x**2)
+    )
+    assert Smear(0.05, 0.04, 0.02).transfer(ROWS, COLUMNS) == pytest.approx(
+        sampled(tilted, at), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("frequency", [0.0, 0.01, 0.03, 0.2])
 def test_a_veil_is_the_hankel_transform_of_its_kernel(frequency: float) -> None:
     scale = 8.0
     spread, _ = quad(
-        lambda r: np.exp(-r / scale) * j0(2 * np.pi * frequency * r) * r / scale**2, 0, 60 * scale, limit=500
+        lambda r: np.exp(-r / scale) * j0(2 * np.pi * frequency * r) * r / scale**2,
+        0,
+        60 * scale,
+        limit=500,
     )
-    seen = Veil(0.1, scale).transfer(np.array([[0.6 * frequency]]), np.array([[0.8 * frequency]]))
+    seen = Veil(0.1, scale).transfer(
+        np.array([[0.6 * frequency]]), np.array([[0.8 * frequency]])
+    )
     assert seen == pytest.approx(0.9 + 0.1 * spread, abs=1e-9)
 
 
@@ -82,16 +98,23 @@ def test_a_veil_is_the_hankel_transform_of_its_kernel(frequency: float) -> None:
 def test_slopes_of_a_part_are_its_differences(part: Part) -> None:
     for k, slope in enumerate(part.slopes(ROWS, COLUMNS)):
         step = 1e-5 * np.eye(len(part.values))[k]
-        up, down = (part.at(np.array(part.values) + sign * step).transfer(ROWS, COLUMNS) for sign in (1, -1))
+        up, down = (
+            part.at(np.array(part.values) + sign * step).transfer(ROWS, COLUMNS)
+            for sign in (1, -1)
+        )
         assert slope == pytest.approx((up - down) / 2e-5, rel=1e-7, abs=1e-9)
 
 
-@pytest.mark.parametrize("part", [LowPass(), LowPass(turned=True), Diffusion(), Smear(), Veil()], ids=named)
+@pytest.mark.parametrize(
+    "part", [LowPass(), LowPass(turned=True), Diffusion(), Smear(), Veil()], ids=named
+)
 def test_a_part_of_nothing_does_nothing(part: Part) -> None:
     assert part.transfer(ROWS, COLUMNS) == pytest.approx(np.ones((7, 8)), abs=1e-15)
     # and has slopes there, which an estimate that begins there goes by; only a veil of no light has no scale
     slopes = dict(zip(part.labels, part.slopes(ROWS, COLUMNS), strict=True))
-    assert [label for label, slope in slopes.items() if np.abs(slope).max() < 0.1] == ["log_scale"] * (part == Veil())
+    assert [label for label, slope in slopes.items() if np.abs(slope).max() < 0.1] == [
+        "log_scale"
+    ] * (part == Veil())
 
 
 def test_a_veil_is_neither_broader_nor_narrower_than_can_be_told() -> None:
@@ -106,7 +129,9 @@ def test_a_few_wavelengths_have_a_spectrums_moments() -> None:
     assert len(spectrum.nodes) == 7
     for power in range(14):
         moment = np.average((nm / 540) ** power, weights=weights)
-        assert np.dot(spectrum.weights, np.power(spectrum.nodes, power)) == pytest.approx(moment, rel=1e-12)
+        assert np.dot(spectrum.weights, np.power(spectrum.nodes, power)) == pytest.approx(
+            moment, rel=1e-12
+        )
 
 
 def test_a_spectrum_of_one_or_two_wavelengths_is_itself() -> None:
@@ -125,7 +150,9 @@ def test_a_spectrum_without_light_is_refused(weights: list[float]) -> None:
 def test_a_spectrum_of_a_width_has_it() -> None:
     spectrum = Spectrum.of_width(0.03**2)
     nodes, weights = np.array(spectrum.nodes), np.array(spectrum.weights)
-    assert [weights.sum(), weights @ nodes, weights @ (nodes - 1) ** 2] == pytest.approx([1, 1, 0.03**2])
+    assert [weights.sum(), weights @ nodes, weights @ (nodes - 1) ** 2] == pytest.approx(
+        [1, 1, 0.03**2]
+    )
     assert spectrum.physical == spectrum
     assert Spectrum.of_width(-1e-4).physical == Spectrum()
 
@@ -133,7 +160,9 @@ def test_a_spectrum_of_a_width_has_it() -> None:
 def test_optics_spare_the_shortest_wavelength_that_an_estimate_may_reach() -> None:
     width = SpectrumWidth(0.03**2)
     fitted, given = replace(OPTICS, parts=(width,)), replace(OPTICS, given=(width,))
-    assert min(fitted.light.nodes) > fitted.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+    assert (
+        min(fitted.light.nodes) > fitted.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+    )
     assert given.shortest == min(given.light.nodes) == pytest.approx(1 - np.sqrt(2) * 0.03)
 
 
@@ -153,7 +182,10 @@ def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before(
     torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
     blur = Blur(torus, Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), 5.0)
     before, there = (
-        next(replace(blur, parts=(SpectrumWidth().at([share * WIDEST**2]),)).by_parts(waves)) for share in (0.9, 2)
+        next(
+            replace(blur, parts=(SpectrumWidth().at([share * WIDEST**2]),)).by_parts(waves)
+        )
+        for share in (0.9, 2)
     )
     assert np.linalg.norm(there - before) < 0.06 * np.linalg.norm(before)  # 0.03
 
@@ -164,15 +196,19 @@ def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None
     optics = replace(OPTICS, parts=(*EVERY[1:2], *EVERY[3:], *light))
     model = ForwardModel.build(optics, CARPET, (58, 60), POSE, cone_margin=0.02)
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
-    slopes = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[len(TRUTH.waves) :]
+    slopes = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[
+        len(TRUTH.waves) :
+    ]
     steps = np.array([1e-3] * 8 + [4e-4] * (variance is not None) + [1e-3])
     limits = [1.2e-5] * 8 + [7e-3] * (variance is not None) + [3e-3]
     for k, (step, limit) in enumerate(zip(np.diag(steps), limits, strict=True)):
         up, down = (
-            model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)).means(
-                TRUTH.waves, drawing, used
-            )[0]
+            model.with_optics(
+                optics.with_camera_parameters(optics.camera_parameters + sign * step)
+            ).means(TRUTH.waves, drawing, used)[0]
             for sign in (1, -1)
         )
         difference = (up - down) / (2 * step[k])
-        assert np.abs(slopes[k] - difference).max() < limit * np.abs(difference).max(), optics.camera_labels[k : k + 1]
+        assert np.abs(slopes[k] - difference).max() < limit * np.abs(difference).max(), (
+            optics.camera_labels[k : k + 1]
+        )

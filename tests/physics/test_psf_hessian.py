@@ -15,7 +15,10 @@ def test_a_psf_leaves_a_remainder_of_third_order_after_its_first_two_derivatives
     waves = rng.normal(0, 0.1, 13)
     way = rng.normal(size=13)
     psf, slopes = pupil.psf_jacobian(waves)
-    bend = sum(((1 if i == j else 2) * way[i] * way[j]) * second for i, j, second in psf_hessian(pupil, waves))
+    bend = sum(
+        ((1 if i == j else 2) * way[i] * way[j]) * second
+        for i, j, second in psf_hessian(pupil, waves)
+    )
 
     def remainder(h: float) -> float:
         series = psf + h * np.tensordot(way, slopes, 1) + h**2 / 2 * bend
@@ -32,7 +35,9 @@ def test_each_second_derivative_of_a_psf_is_the_slope_of_a_slope() -> None:
     assert list(seconds) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
     for (i, j), second in seconds.items():
         step = 1e-4 * np.eye(3)[j]
-        difference = (pupil.psf_jacobian(waves + step)[1][i] - pupil.psf_jacobian(waves - step)[1][i]) / 2e-4
+        difference = (
+            pupil.psf_jacobian(waves + step)[1][i] - pupil.psf_jacobian(waves - step)[1][i]
+        ) / 2e-4
         # of the fourth derivative a share of (2 pi 1e-4 Z)^2 / 6, Z up to 3 at the rim
         assert np.abs(second - difference).max() < 2e-6 * np.abs(second).max()
 
@@ -42,4 +47,6 @@ def test_without_wavefront_the_psfs_curvature_in_defocus_is_the_strehl_ratios() 
     _, _, second = next(psf_hessian(pupil, np.zeros(1)))
     centre = (300, 300)
     # sinc(sqrt(12) a)^2 = 1 - (2 pi)^2 a^2 + ...; a pupil 240 samples across counts its rim to 1e-3
-    assert second[centre] / pupil.psf(np.zeros(1))[centre] == pytest.approx(-2 * (2 * np.pi) ** 2, rel=2e-3)
+    assert second[centre] / pupil.psf(np.zeros(1))[centre] == pytest.approx(
+        -2 * (2 * np.pi) ** 2, rel=2e-3
+    )

@@ -24,7 +24,12 @@ def two_colours(frame: int = 16, guard_px: int = 4) -> Views:
     """Green's two planes and red's, the latter shifted."""
     counts = RNG.uniform(200, 300, (frame, frame))
     base = job(counts, places=((0, 1), (1, 0)), guard_px=guard_px)
-    red = replace(base.colours[0], name="R", places=((0, 0),), motion=np.array([[0, 0, 0.3], [0, 0, -0.2]]))
+    red = replace(
+        base.colours[0],
+        name="R",
+        places=((0, 0),),
+        motion=np.array([[0, 0, 0.3], [0, 0, -0.2]]),
+    )
     both = replace(base, colours=(base.colours[0], red), coupling=COUPLING)
     views = both.views((slice(0, frame), slice(0, frame)))
     assert views is not None
@@ -36,7 +41,9 @@ def scene_on(views: Views) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -1.3)])
-def test_a_scene_looks_as_the_independent_camera_photographs_it(shift: tuple[float, float]) -> None:
+def test_a_scene_looks_as_the_independent_camera_photographs_it(
+    shift: tuple[float, float],
+) -> None:
     # the camera's torus is the scene's whole period, so that nothing is cut off; squares are drawn by four samples
     whole = replace(world(), camera=replace(world().camera, frame=80))
     base = job(np.zeros((80, 80)), samples=8, guard_px=0)
@@ -45,13 +52,18 @@ def test_a_scene_looks_as_the_independent_camera_photographs_it(shift: tuple[flo
     assert views is not None
     spectra = views.grid.spectrum(whole.truth(8)[None])
     # 0.2 %: a mean over a sample is not the scene's band-limited value there, 5e-4 in measurement
-    np.testing.assert_allclose(views.means(spectra)[0], whole.mean(shift)[::2, ::2], atol=1e-3)
+    np.testing.assert_allclose(
+        views.means(spectra)[0], whole.mean(shift)[::2, ::2], atol=1e-3
+    )
 
 
 def test_spread_is_the_transpose_of_the_means() -> None:
     views = two_colours()
     scene, planes = scene_on(views), [RNG.normal(size=view.counts.shape) for view in views]
-    forward = sum(float(np.sum(m * p)) for m, p in zip(views.means(views.grid.spectrum(scene)), planes, strict=True))
+    forward = sum(
+        float(np.sum(m * p))
+        for m, p in zip(views.means(views.grid.spectrum(scene)), planes, strict=True)
+    )
     back = float(np.sum(scene * views.grid.image(views.spread(planes))))
     assert back == pytest.approx(forward, rel=1e-5)  # single precision
 
@@ -68,18 +80,33 @@ def test_the_penaltys_derivatives_are_differences_of_it(held: bool) -> None:
         return penalty.value(scene + t * step, grid.spectrum(scene + t * step))
 
     def gradient(t: float) -> np.ndarray:
-        spectral, beside = penalty.gradient(scene + t * step, grid.spectrum(scene + t * step))
+        spectral, beside = penalty.gradient(
+            scene + t * step, grid.spectrum(scene + t * step)
+        )
         return np.asarray(grid.image(spectral) + beside)
 
-    assert np.sum(gradient(0) * step) == pytest.approx((value(0.01) - value(-0.01)) / 0.02, rel=1e-5)
-    spectral, beside = penalty.curvature(scene, grid.spectrum(scene), step, grid.spectrum(step))
+    assert np.sum(gradient(0) * step) == pytest.approx(
+        (value(0.01) - value(-0.01)) / 0.02, rel=1e-5
+    )
+    spectral, beside = penalty.curvature(
+        scene, grid.spectrum(scene), step, grid.spectrum(step)
+    )
     by_differences = (gradient(0.01) - gradient(-0.01)) / 0.02
-    np.testing.assert_allclose(grid.image(spectral) + beside, by_differences, atol=2e-3 * np.abs(by_differences).max())
+    np.testing.assert_allclose(
+        grid.image(spectral) + beside,
+        by_differences,
+        atol=2e-3 * np.abs(by_differences).max(),
+    )
 
 
-def test_neither_scale_nor_level_nor_a_turn_around_the_torus_changes_the_roughness() -> None:
+def test_neither_scale_nor_level_nor_a_turn_around_the_torus_changes_the_roughness() -> (
+    None
+):
     views = two_colours()
-    grid, seen = views.grid, np.ones(views.grid.shape, bool)  # (K.11) as printed: the whole torus is seen
+    grid, seen = (
+        views.grid,
+        np.ones(views.grid.shape, bool),
+    )  # (K.11) as printed: the whole torus is seen
     penalty, scene = Roughness(grid, seen, 50.0, COUPLING), scene_on(views)
     first = penalty.value(scene, grid.spectrum(scene))
     for other in (3 * scene + 700, np.roll(scene, (5, -9), axis=(1, 2)), scene[:, ::-1]):
@@ -102,19 +129,29 @@ def test_the_misfits_gradient_is_a_difference_of_it() -> None:
     views = two_colours()
     penalty = Roughness(views.grid, views.seen(), 50.0, COUPLING)
     scene = scene_on(views)
-    step = np.sign(Point.of(views, penalty, scene.astype(np.float32)).gradient(views, penalty))  # where it is large
+    step = np.sign(
+        Point.of(views, penalty, scene.astype(np.float32)).gradient(views, penalty)
+    )  # where it is large
     single = [(scene + t * step).astype(np.float32) for t in (0.5, -0.5, 0.0)]
     there = [Point.of(views, penalty, at).value for at in single[:2]]
     gradient = Point.of(views, penalty, single[2]).gradient(views, penalty)
-    assert np.sum(gradient * step) == pytest.approx(there[0] - there[1], rel=3e-4)  # single precision: 1.4e-4
+    assert np.sum(gradient * step) == pytest.approx(
+        there[0] - there[1], rel=3e-4
+    )  # single precision: 1.4e-4
 
 
-def test_the_misfits_curvature_is_the_mean_of_its_gradients_differences_over_the_noise() -> None:
+def test_the_misfits_curvature_is_the_mean_of_its_gradients_differences_over_the_noise() -> (
+    None
+):
     view = two_colours().views[0]
     mean, rng = np.full(view.counts.shape, 250.0), np.random.default_rng(1)
     slopes = []
     for _ in range(4000):
-        drawn = replace(view, counts=mean + rng.normal(size=mean.shape) * np.sqrt(view.expected(mean).variance))
+        drawn = replace(
+            view,
+            counts=mean
+            + rng.normal(size=mean.shape) * np.sqrt(view.expected(mean).variance),
+        )
         slopes.append(drawn.slope(mean + 0.5) - drawn.slope(mean - 0.5))
     # 64 pixels of 4000 draws each: the mean errs by 0.05 %
     assert np.mean(slopes) == pytest.approx(view.weight(mean).mean(), rel=5e-3)
@@ -128,7 +165,9 @@ def dense(views: Views, stiffness: Stiffness, weights: list[np.ndarray]) -> np.n
         unit.flat[k] = 1
         spectra = views.grid.spectrum(unit)
         seen = [w * m for w, m in zip(weights, views.means(spectra), strict=True)]
-        columns.append(views.grid.image(views.spread(seen) + spectra / stiffness.give).ravel())
+        columns.append(
+            views.grid.image(views.spread(seen) + spectra / stiffness.give).ravel()
+        )
     return np.array(columns)
 
 
@@ -141,12 +180,17 @@ def small(frame: int, guard_px: int, counts: float = 1000.0) -> tuple[Job, Views
 
 def test_kriging_solves_the_normal_equations() -> None:
     _, views = small(12, 2)
-    weights = [RNG.uniform(0.5, 2, v.counts.shape) * (RNG.uniform(size=v.counts.shape) > 0.2) for v in views]
+    weights = [
+        RNG.uniform(0.5, 2, v.counts.shape) * (RNG.uniform(size=v.counts.shape) > 0.2)
+        for v in views
+    ]
     stiffness = Stiffness(views.grid, np.eye(1), 0.02, 1e-3)
     data = RNG.normal(size=(2, 6, 6))
     kriging = Kriging(views, stiffness, weights)
     found = views.grid.image(kriging.scene(kriging.solve(data, tolerance=1e-8)))
-    right = views.grid.image(views.spread([w * d for w, d in zip(weights, data, strict=True)]))
+    right = views.grid.image(
+        views.spread([w * d for w, d in zip(weights, data, strict=True)])
+    )
     wanted = np.linalg.solve(dense(views, stiffness, weights), right.ravel())
     np.testing.assert_allclose(found.ravel(), wanted, atol=1e-4 * np.abs(wanted).max())
 
@@ -179,7 +223,9 @@ def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors(seed: int
     scene = 0.2 * WHITE * scene / scene.std() + WHITE
     assert scene.min() > 0
     counts = views.means(views.grid.spectrum(scene))[0] / WHITE
-    shown = replace(base, photographs=(replace(base.photographs[0], counts=exposed(counts, seed)),))
+    shown = replace(
+        base, photographs=(replace(base.photographs[0], counts=exposed(counts, seed)),)
+    )
     picture = restore_job(shown, "discrepancy", 64, 0)
     apart = np.abs(picture.scene[0] - scene[0][views.grid.inner]) / picture.std[0]
     weak = picture.by_penalty[0] < 0.5

@@ -32,17 +32,26 @@ def test_nothing_restored_is_below_nothing(one: Picture) -> None:
     assert np.mean(one.scene == 0) > 0.05  # the scene has black blocks
 
 
-def test_the_scene_is_nearer_the_truth_than_richardsons_and_lucys_of_any_number_of_steps(one: Picture) -> None:
+def test_the_scene_is_nearer_the_truth_than_richardsons_and_lucys_of_any_number_of_steps(
+    one: Picture,
+) -> None:
     taken = job(exposed(world().mean()))
     blurred, psf = interpolated(taken, 0) / WHITE, psf_of(taken, 0)
     wide = np.pad(blurred, 20, mode="reflect")
-    others = [rmse(WHITE * richardson_lucy(wide, psf, steps)[20:-20, 20:-20]) for steps in (10, 30, 100, 300)]
+    others = [
+        rmse(WHITE * richardson_lucy(wide, psf, steps)[20:-20, 20:-20])
+        for steps in (10, 30, 100, 300)
+    ]
     assert rmse(one.scene[0]) < min(others)
 
 
 def test_the_discrepancy_finds_nearly_the_best_strength(one: Picture) -> None:
     others = [
-        rmse(restore_job(job(exposed(world().mean())), one.strength * factor, FRAME, 0).scene[0])
+        rmse(
+            restore_job(
+                job(exposed(world().mean())), one.strength * factor, FRAME, 0
+            ).scene[0]
+        )
         for factor in (0.03, 0.2, 5.0, 30.0)
     ]
     assert rmse(one.scene[0]) < 1.03 * min(others)
@@ -62,7 +71,13 @@ def test_tiles_are_one_picture(one: Picture) -> None:
 def test_a_picture_of_one_tile_tells_its_steps() -> None:
     seen: list[tuple[int, int, str]] = []
     taken = job(exposed(world().mean())).cut((slice(0, 24), slice(0, 24)))
-    restore_job(taken, 100.0, 24, 0, progress=lambda done, total, step: seen.append((done, total, step)))
+    restore_job(
+        taken,
+        100.0,
+        24,
+        0,
+        progress=lambda done, total, step: seen.append((done, total, step)),
+    )
     done = [k for k, _, _ in seen]
     assert done == sorted(done)
     assert len({*done}) >= 3
@@ -85,7 +100,9 @@ def test_frames_of_an_aliased_scene_are_registered_to_an_eighth_of_a_pixel() -> 
     ]
     found = refined(replace(taken, photographs=tuple(begun)))
     at = [p.motion @ np.array([FRAME / 2, FRAME / 2, 1]) for p in found.photographs]
-    np.testing.assert_allclose(at, SHIFTS, atol=0.2)  # 0.12 measured; 0.01 on the study's blurred ones
+    np.testing.assert_allclose(
+        at, SHIFTS, atol=0.2
+    )  # 0.12 measured; 0.01 on the study's blurred ones
 
 
 def test_four_frames_show_a_tenth_more_than_one(one: Picture) -> None:
@@ -99,7 +116,9 @@ def test_four_frames_show_a_tenth_more_than_one(one: Picture) -> None:
     assert rmse(four.scene[0]) < 0.9 * rmse(one.scene[0])
 
 
-def test_a_bright_border_that_shifted_frames_show_more_or_less_of_does_not_spoil_the_strength() -> None:
+def test_a_bright_border_that_shifted_frames_show_more_or_less_of_does_not_spoil_the_strength() -> (
+    None
+):
     # each frame set to its own mean, the strength came out 80 times that of one frame; it is 2.1 times
     scene = np.full(world().scene.shape, 0.05) + 0.01 * world().scene
     scene[:48] = 0.9
@@ -110,16 +129,23 @@ def test_a_bright_border_that_shifted_frames_show_more_or_less_of_does_not_spoil
         for p, (down, right) in zip(job(*frames).photographs, SHIFTS, strict=True)
     ]
     four, alone = replace(job(*frames), photographs=tuple(shots)), job(frames[0])
-    chosen = [choose(parts_of(j), j.coupling, "discrepancy", np.random.default_rng(1)) for j in (four, alone)]
+    chosen = [
+        choose(parts_of(j), j.coupling, "discrepancy", np.random.default_rng(1))
+        for j in (four, alone)
+    ]
     assert 0.3 < chosen[0].stiffness / chosen[1].stiffness < 3
 
 
-def test_clipped_pixels_are_left_out_and_what_they_hide_is_not_restored(one: Picture) -> None:
+def test_clipped_pixels_are_left_out_and_what_they_hide_is_not_restored(
+    one: Picture,
+) -> None:
     taken = job(exposed(world().mean()))
     used = np.ones((FRAME, FRAME), bool)
     used[:, FRAME // 2 :] = False
     clipped = np.where(used, taken.photographs[0].counts, 9e9)
-    half = replace(taken, photographs=(replace(taken.photographs[0], counts=clipped, used=used),))
+    half = replace(
+        taken, photographs=(replace(taken.photographs[0], counts=clipped, used=used),)
+    )
     found = restore_job(half, one.strength, FRAME, 0)
     assert np.isnan(found.scene[0, :, FRAME + 16 :]).all()
     left = slice(0, FRAME - 16)  # eight pixels off, where what was clipped no longer counts
@@ -129,7 +155,11 @@ def test_clipped_pixels_are_left_out_and_what_they_hide_is_not_restored(one: Pic
 
 def test_dark_scenes_are_restored_too() -> None:
     # 20 electrons at white: most counts are noise, many below black
-    dark = np.round(world().mean() * 20 * GAIN + np.random.default_rng(2).normal(0, 1.2, (FRAME, FRAME)), 3)
+    dark = np.round(
+        world().mean() * 20 * GAIN
+        + np.random.default_rng(2).normal(0, 1.2, (FRAME, FRAME)),
+        3,
+    )
     found = restore_job(job(dark), "discrepancy", FRAME, 0)
     assert np.isfinite(found.scene).all()
     assert found.chi2_per_pixel < 1.2

@@ -22,17 +22,26 @@ def carpet(order: int) -> CellTarget:
 
 def upright(half: float, centre: float = 44.0) -> Pose:
     """Half its side, and where its centre stands along both axes: pixels."""
-    return Pose.from_corners(np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * half + centre, (2.0, 2.0))
+    return Pose.from_corners(
+        np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * half + centre, (2.0, 2.0)
+    )
 
 
-def spectrum_of_cells(torus: Torus, target: CellTarget, centre: float, half: float) -> Complexes:
+def spectrum_of_cells(
+    torus: Torus, target: CellTarget, centre: float, half: float
+) -> Complexes:
     """Half plane of the transform of cells that lie along rows and columns. centre, half side: pixels."""
     count = len(target.cells)
     width = 2 * half * torus.oversampling / count
-    places = (centre + torus.margin[0]) * torus.oversampling + (np.arange(count) - (count - 1) / 2) * width
+    places = (centre + torus.margin[0]) * torus.oversampling + (
+        np.arange(count) - (count - 1) / 2
+    ) * width
     along_rows, along_columns = (
         np.exp(-2j * np.pi * np.outer(k, places)) * (np.sinc(k * width) * width)[:, None]
-        for k in (torus.row_frequency.ravel() * torus.spacing_um, torus.column_frequency.ravel() * torus.spacing_um)
+        for k in (
+            torus.row_frequency.ravel() * torus.spacing_um,
+            torus.column_frequency.ravel() * torus.spacing_um,
+        )
     )
     return np.asarray(along_rows @ target.cells @ along_columns.T)
 
@@ -46,9 +55,17 @@ def test_a_carpet_behind_a_perfect_lens_is_the_closed_form(
 ) -> None:
     torus = Torus.around(FRAME, (40, 40), pitch_um, 1 / AIRY_UM)
     target = carpet(5)
-    (drawn,) = Scene(torus, target, 1 / AIRY_UM, upright(half * reference)).draw([upright(half, centre)]).spectra
+    (drawn,) = (
+        Scene(torus, target, 1 / AIRY_UM, upright(half * reference))
+        .draw([upright(half, centre)])
+        .spectra
+    )
     blur = diffraction_mtf(np.hypot(torus.row_frequency, torus.column_frequency) * AIRY_UM)
-    blur = blur * np.sinc(torus.row_frequency * pitch_um) * np.sinc(torus.column_frequency * pitch_um)
+    blur = (
+        blur
+        * np.sinc(torus.row_frequency * pitch_um)
+        * np.sinc(torus.column_frequency * pitch_um)
+    )
     ours = torus.sample(drawn * blur)
     exact = torus.sample(spectrum_of_cells(torus, target, centre, half) * blur)
     # the noise of a pixel of 25,000 electrons is 6e-3 of white, of the mean of 10,000 of them 6e-5; measured are 2.4e-6 to

@@ -51,17 +51,27 @@ def test_its_share_has_the_slope_that_differences_have() -> None:
 
 
 def test_a_curvature_round_about_the_middle_has_the_slope_that_differences_have() -> None:
-    bent_std = np.hypot(0.04 / 28**2, 0.03 / (27 * 28))  # as large as those of xx - yy and of xy
+    bent_std = np.hypot(
+        0.04 / 28**2, 0.03 / (27 * 28)
+    )  # as large as those of xx - yy and of xy
     bent = np.exp(0.1 * bent_std * ((ROWS - 27) ** 2 + (COLUMNS - 28) ** 2) / 2)
     one, other = (
-        ForwardModel.build(OPTICS, CARPET, FRAME, POSE, shine=Shine.seen(light(ROWS, COLUMNS) * by, USED))
+        ForwardModel.build(
+            OPTICS, CARPET, FRAME, POSE, shine=Shine.seen(light(ROWS, COLUMNS) * by, USED)
+        )
         for by in (1 / bent, bent)
     )
-    (evaluation,) = (flat := model(1.0)).evaluate(WAVES, flat.draw([POSE]), [USED], by_camera=True)
+    (evaluation,) = (flat := model(1.0)).evaluate(
+        WAVES, flat.draw([POSE]), [USED], by_camera=True
+    )
     inside = np.s_[8:-8, 8:-8]  # beyond the frame light is that of its edge
     difference = (mean(other) - mean(one))[inside].ravel()
     # brighter in all, which is the light's level, and a faint veil of second order
-    terms = np.stack([0.2 * evaluation.by_shine[1], evaluation.mean], axis=-1).reshape(*FRAME, 2)[inside].reshape(-1, 2)
+    terms = (
+        np.stack([0.2 * evaluation.by_shine[1], evaluation.mean], axis=-1)
+        .reshape(*FRAME, 2)[inside]
+        .reshape(-1, 2)
+    )
     (share, _), (left,) = np.linalg.lstsq(terms, difference, rcond=None)[:2]
     assert share == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(left / difference.size) < 0.25 * np.std(difference)
@@ -73,12 +83,17 @@ def test_slopes_by_modes_and_pose_are_those_of_the_uneven_target() -> None:
     (evaluation,) = uneven.evaluate(WAVES, drawing, [USED])
     for k in range(WAVES.size):
         moved = step * np.eye(WAVES.size)[k]
-        (up,), (down,) = (uneven.means(WAVES + by, drawing, [USED]) for by in (moved, -moved))
+        (up,), (down,) = (
+            uneven.means(WAVES + by, drawing, [USED]) for by in (moved, -moved)
+        )
         slope = (up - down) / (2 * step)
         assert np.abs(evaluation.by_waves[k] - slope).max() < 7e-7 * np.abs(slope).max()
     for k in range(8):
         moved = step * np.eye(8)[k]
-        (up,), (down,) = (uneven.means(WAVES, uneven.draw([POSE.moved(by)]), [USED]) for by in (moved, -moved))
+        (up,), (down,) = (
+            uneven.means(WAVES, uneven.draw([POSE.moved(by)]), [USED])
+            for by in (moved, -moved)
+        )
         slope = (up - down) / (2 * step)
         # slopes leave out that the light does not move with the target; this one is thirty times as steep as a panel's
         assert np.abs(evaluation.by_pose[k] - slope).max() < 0.035 * np.abs(slope).max()
@@ -86,7 +101,9 @@ def test_slopes_by_modes_and_pose_are_those_of_the_uneven_target() -> None:
 
 def test_beyond_the_frame_light_is_that_of_its_edge() -> None:
     seen = Shine.seen(light(ROWS, COLUMNS), USED)
-    far, edge = (seen.at(np.array(rows), np.array([5.0])) for rows in ([-30.0, 80.0], [0.0, 53.0]))
+    far, edge = (
+        seen.at(np.array(rows), np.array([5.0])) for rows in ([-30.0, 80.0], [0.0, 53.0])
+    )
     np.testing.assert_allclose(far, edge)
 
 
@@ -104,7 +121,8 @@ def test_the_middle_is_that_of_a_picture_in_colours_too() -> None:
     y, x = np.indices((90, 120), float)
     natural = np.exp(-0.3 * ((y - 44.5) ** 2 + (x - 59.5) ** 2) / (44.5**2 + 59.5**2))
     grey, colours = (
-        Falloff.of(part.astype(np.float32), (90, 120)) for part in (natural, np.repeat(natural, 3, axis=1))
+        Falloff.of(part.astype(np.float32), (90, 120))
+        for part in (natural, np.repeat(natural, 3, axis=1))
     )
     assert grey.powers == pytest.approx((-0.3, 0.0), abs=1e-5)
     assert colours.powers == pytest.approx(grey.powers, abs=1e-6)

@@ -12,7 +12,14 @@ from labkit.estimation.climb import State
 from labkit.estimation.likelihood import low_orders, predict
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
-from labkit.experiments.conditions import NOLL, Trial, carpet, draw_trial, optics, random_waves
+from labkit.experiments.conditions import (
+    NOLL,
+    Trial,
+    carpet,
+    draw_trial,
+    optics,
+    random_waves,
+)
 from labkit.imaging.model import ForwardModel
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
@@ -38,10 +45,14 @@ def knowing_nothing(trial: Trial) -> State:
 def test_components_make_up_the_psfs_of_wavefronts_they_were_not_drawn_from() -> None:
     pupil = Pupil(0.55, 0.55, 8.0, 2.2, 64, (2, 3, *NOLL))
     components, perfect = small_problem._components(pupil)
-    np.testing.assert_allclose(components @ components.T, np.eye(len(components)), atol=1e-4)
+    np.testing.assert_allclose(
+        components @ components.T, np.eye(len(components)), atol=1e-4
+    )
     rng = np.random.default_rng(1)
     for _ in range(10):
-        waves = np.concatenate([rng.normal(scale=0.1, size=2), random_waves(rng, len(NOLL), 0.25)])
+        waves = np.concatenate(
+            [rng.normal(scale=0.1, size=2), random_waves(rng, len(NOLL), 0.25)]
+        )
         departure = (pupil.psf(waves) - perfect).ravel()
         left = departure - components.T @ (components @ departure)
         assert np.linalg.norm(left) < 0.02 * np.linalg.norm(departure)
@@ -59,9 +70,13 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
 
     def squares(waves: np.ndarray) -> tuple[float, float]:
         components, perfect = small_problem._components(small.pupil)
-        departure = components @ (small.pupil.psf(np.append([0, 0], waves)) - perfect).ravel()
+        departure = (
+            components @ (small.pupil.psf(np.append([0, 0], waves)) - perfect).ravel()
+        )
         light = np.append(state.scales, state.ambients)
-        mine = np.sum((small.factor @ np.append(state.scales * departure, light) - small.data) ** 2)
+        mine = np.sum(
+            (small.factor @ np.append(state.scales * departure, light) - small.data) ** 2
+        )
         (relative,) = model.means(waves, drawing, [trial.frame.used])
         mean = predict(relative, trial.frame, detector)[0]
         return float(mine), float(np.sum((counts - mean) ** 2 / variance))
@@ -72,7 +87,9 @@ def test_its_misfit_is_that_of_the_whole_model(trial: Trial) -> None:
         assert mine - best == pytest.approx(whole - whole_best, rel=0.05)
 
 
-def test_it_is_prepared_without_copies_of_all_its_pictures(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_prepared_without_copies_of_all_its_pictures(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
     state = trial.state(trial.waves)
     whole = prepared(trial, state)
     # of 11 thousand pixels; of a large target a twentieth
@@ -81,12 +98,18 @@ def test_it_is_prepared_without_copies_of_all_its_pictures(trial: Trial, monkeyp
     small = prepared(trial, state)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    np.testing.assert_allclose(small.factor.T @ small.factor, whole.factor.T @ whole.factor, rtol=1e-5)
-    pictures = 4 * SETTINGS.psf_components * int(trial.frame.used.sum())  # bytes, in single precision
+    np.testing.assert_allclose(
+        small.factor.T @ small.factor, whole.factor.T @ whole.factor, rtol=1e-5
+    )
+    pictures = (
+        4 * SETTINGS.psf_components * int(trial.frame.used.sum())
+    )  # bytes, in single precision
     assert peak < 4 * pictures  # measured: 2.6, the model's own among them
 
 
-def searched(small: PhaseRetrieval, seed: int, given: Sequence[Floats] = ()) -> list[Retrieved]:
+def searched(
+    small: PhaseRetrieval, seed: int, given: Sequence[Floats] = ()
+) -> list[Retrieved]:
     """Records at every candidate, and at the end."""
     rng, records = np.random.default_rng(seed), [Retrieved(tuple(given))]
     while len(records) == 1 or records[-1].candidate is not None:
@@ -94,7 +117,9 @@ def searched(small: PhaseRetrieval, seed: int, given: Sequence[Floats] = ()) -> 
     return records[1:]
 
 
-def test_from_random_starts_the_truth_stands_out_and_the_pose_is_mended(trial: Trial) -> None:
+def test_from_random_starts_the_truth_stands_out_and_the_pose_is_mended(
+    trial: Trial,
+) -> None:
     small = prepared(trial, knowing_nothing(trial))
     best, second = searched(small, 3)[-1].optima[:2]
     assert np.linalg.norm(trial.error(best.state.waves)) < 0.03
@@ -137,7 +162,9 @@ def test_low_orders_of_the_illumination_cost_it_nothing(trial: Trial) -> None:
 def test_one_mode_alone_is_retrieved_too() -> None:
     rng = np.random.default_rng(8)
     trial = draw_trial(rng, noll=(4,))
-    small = PhaseRetrieval.prepare(optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1])))
+    small = PhaseRetrieval.prepare(
+        optics((4,)), carpet(), trial.frame, trial.noise, trial.state(np.array([0.1]))
+    )
     offer = small.to_next_candidate(Retrieved(), rng).candidate
     assert offer is not None
     assert abs(abs(offer.waves[0]) - abs(trial.waves[0])) < 0.01

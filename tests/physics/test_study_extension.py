@@ -17,7 +17,9 @@ def test_every_way_keeps_what_is_known_and_is_judged_as_scikit_image_judges() ->
     answer = work(Task("camera", "squares", exterior_known=True))
     assert len(answer.filled) == 4
     for name, image in answer.filled.items():
-        np.testing.assert_allclose(image[answer.known], answer.truth[answer.known], atol=1e-12)
+        np.testing.assert_allclose(
+            image[answer.known], answer.truth[answer.known], atol=1e-12
+        )
         want = peak_signal_noise_ratio(answer.truth, image, data_range=1)  # type: ignore[no-untyped-call]
         assert answer.psnr_db(name, whole=True) == pytest.approx(want)
 
@@ -38,16 +40,24 @@ def test_masks_leave_out_what_their_names_say() -> None:
     assert known["squares"] == 1 - (6 / 16) ** 2
 
 
-def test_the_study_writes_both_figures_of_the_appendix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_study_writes_both_figures_of_the_appendix(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     summary = quick("extension", tmp_path, capsys)
     rows = list(csv.DictReader((tmp_path / "extension.csv").read_text().splitlines()))
     assert {row["figure"] for row in rows} == {"A.2", "A.3"}
-    by_hand = [float(r["psnr_db"]) for r in rows if r["figure"] == "A.3" and r["method"] == OURS]
-    claim = next(c for c in summary["claims"] if c["what"] == f"PSNR of {OURS}, exterior known")
+    by_hand = [
+        float(r["psnr_db"]) for r in rows if r["figure"] == "A.3" and r["method"] == OURS
+    ]
+    claim = next(
+        c for c in summary["claims"] if c["what"] == f"PSNR of {OURS}, exterior known"
+    )
     assert claim["measured"] == pytest.approx(np.mean(by_hand))
 
 
-def test_without_scikit_image_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_scikit_image_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "skimage", None)
     with pytest.raises(InputError, match=r"pip install 'labkit\[study\]'"):
         picture("camera")

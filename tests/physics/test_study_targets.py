@@ -27,7 +27,9 @@ def test_where_read_noise_rules_the_bound_is_as_large_as_it() -> None:
     assert high.rms(0, 12) / low.rms(0, 12) == pytest.approx(2, rel=1e-3)
 
 
-def test_the_study_says_how_each_target_compares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_study_says_how_each_target_compares(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     summary = quick("targets", tmp_path, capsys)
     assert [claim["measured"] > 0 for claim in summary["claims"]] == [True] * len(SPECS)
     rows = list(csv.DictReader((tmp_path / "targets.csv").read_text().splitlines()))

@@ -29,9 +29,13 @@ def parts(trial: Trial) -> dict[str, FrameData]:
 
 
 @pytest.mark.parametrize("part", ["beside the target", "few pixels", "no target"])
-def test_frames_that_tell_no_wavefront_are_rejected_in_words(trial: Trial, part: str) -> None:
+def test_frames_that_tell_no_wavefront_are_rejected_in_words(
+    trial: Trial, part: str
+) -> None:
     views = Views((parts(trial)[part],), (trial.pose,), trial.noise)
-    best = find_optima(optics(NOLL), carpet(), views, Guesses(alone=False, most_starts=4)).best
+    best = find_optima(
+        optics(NOLL), carpet(), views, Guesses(alone=False, most_starts=4)
+    ).best
     assert not best.verdict.accepted
     assert any("defocus" in words for words in best.verdict.undetermined)
     assert np.all(np.isfinite(best.covariance))

@@ -35,7 +35,9 @@ def test_beyond_the_window_is_as_much_light_as_it_says(seed: int) -> None:
 
 def test_rays_from_the_rim_of_a_defocused_lens_arrive_on_the_geometric_disc() -> None:
     # defocus of W waves RMS is sqrt(3) W (2 rho^2 - 1): slope 4 sqrt(3) W at the rim, and rays go twice as far in lambda N
-    np.testing.assert_allclose(rim_rays_airy((4, 11), np.array([0.7, 0.0])), 8 * np.sqrt(3) * 0.7, rtol=1e-4)
+    np.testing.assert_allclose(
+        rim_rays_airy((4, 11), np.array([0.7, 0.0])), 8 * np.sqrt(3) * 0.7, rtol=1e-4
+    )
 
 
 def test_no_window_is_wider_than_memory_allows() -> None:
@@ -44,4 +46,6 @@ def test_no_window_is_wider_than_memory_allows() -> None:
 
 @pytest.mark.parametrize("size", [48, 121])
 def test_a_window_fades_out_as_tukeys(size: int) -> None:
-    np.testing.assert_allclose(fading(size), scipy.signal.windows.tukey(size, FADING), atol=1e-15)
+    np.testing.assert_allclose(
+        fading(size), scipy.signal.windows.tukey(size, FADING), atol=1e-15
+    )

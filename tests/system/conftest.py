@@ -44,10 +44,14 @@ def make_context() -> ContextMaker:
     return small_bench
 
 
-def small_bench(plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0) -> DeviceContext:
+def small_bench(
+    plan_file: Path, faults: Sequence[Fault] = (), light: float = 1.0
+) -> DeviceContext:
     """A context with the plan's bench in it, with faults, and with more or less light than the plan expects."""
     settings = settings_for(Plan.load(plan_file), 7)
-    sensor = replace(settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light)
+    sensor = replace(
+        settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light
+    )
     bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
     return DeviceContext(shared=SharedParts({ADDRESS: bench}))
 
@@ -67,11 +71,16 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
     folder = tmp_path_factory.mktemp("photographs")
     plan = Plan.parse(plan_text(SMALL, DEVICES), folder)
     bench = Bench(replace(settings_for(plan, 1), halo_um=100.0))
-    with open_devices(plan, context=DeviceContext(shared=SharedParts({"simulated:": bench}))) as devices:
+    with open_devices(
+        plan, context=DeviceContext(shared=SharedParts({"simulated:": bench}))
+    ) as devices:
         devices.camera.configure(ExposureSettings(0.02, 100))
         devices.rail.home()
         devices.rail.move_to(150.0)
-        pictures: dict[str, Picture] = {"white": "white", "target": picture_for(plan, devices).grey}
+        pictures: dict[str, Picture] = {
+            "white": "white",
+            "target": picture_for(plan, devices).grey,
+        }
         for name, picture in pictures.items():
             devices.display.show(picture)
             devices.camera.expose(folder / name)

@@ -38,7 +38,10 @@ from labkit.session.verify import verify
 from tests.plans import SMALL, plan_text, simulated
 
 DEVICES = simulated([2100, 2150, 2050], 1950.0)
-ONE_OF_EACH = {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 0}, "rail": {"settle_s": 0}}
+ONE_OF_EACH = {
+    "camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 0},
+    "rail": {"settle_s": 0},
+}
 
 Photographs = Mapping[str, bytes]
 
@@ -122,7 +125,12 @@ class Stub:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         pass
 
     def close(self) -> None:
@@ -160,10 +168,16 @@ class StubDisplay(Stub, Display):
         return Shown((400, 400))
 
 
-def run(setup: Setup, bench: Bench, folder: Path, resume: bool = False, check: bool = False) -> str | None:
+def run(
+    setup: Setup, bench: Bench, folder: Path, resume: bool = False, check: bool = False
+) -> str | None:
     """Capture; None if it came to its end, else the line that it ended with."""
     plan = folder.with_suffix(".toml")
-    plan.write_text(plan_text(SMALL, DEVICES, ONE_OF_EACH, {"rail": {"range_at_zero_mm": setup.zero_mm}}))
+    plan.write_text(
+        plan_text(
+            SMALL, DEVICES, ONE_OF_EACH, {"rail": {"range_at_zero_mm": setup.zero_mm}}
+        )
+    )
     try:
         with setup.rail(bench.port) as rail, begin(plan, folder, resume) as session:
             run_plan(session, bench.devices(rail), check=check)
@@ -194,12 +208,20 @@ def left_over(setup: Setup, bench: Bench, folder: Path, ended: str | None) -> li
         again.port.close()
         found += [f"resumed: {problem}"] if problem else []
     session = Session.open(folder)
-    return found + wrong_frames(session, bench, setup) + [str(left) for left in (*missing(session), *verify(session))]
+    return (
+        found
+        + wrong_frames(session, bench, setup)
+        + [str(left) for left in (*missing(session), *verify(session))]
+    )
 
 
 def side_by_side(find: Callable[[str, Path], list[str]], folder: Path) -> list[str]:
     """What is found of every fault; they run at the same time."""
     with ThreadPoolExecutor(len(FAULTS)) as pool:
         return [
-            found for one in pool.map(lambda name: find(name, folder / name.replace(" ", "_")), FAULTS) for found in one
+            found
+            for one in pool.map(
+                lambda name: find(name, folder / name.replace(" ", "_")), FAULTS
+            )
+            for found in one
         ]

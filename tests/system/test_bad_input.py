@@ -50,7 +50,11 @@ def refusal(args: list[str], capfd: pytest.CaptureFixture[str]) -> str:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def lose(path: Path) -> None:
@@ -74,7 +78,12 @@ def swap(path: Path) -> None:
 @pytest.mark.parametrize("name", ["dark_0.dng", "flat_2000_0.dng", "target_2050.5_1.dng"])
 @pytest.mark.parametrize(
     ("spoil", "words"),
-    [(lose, "missing"), (cut, "does not fit its checksum"), (empty, "does not fit"), (swap, "does not fit")],
+    [
+        (lose, "missing"),
+        (cut, "does not fit its checksum"),
+        (empty, "does not fit"),
+        (swap, "does not fit"),
+    ],
     ids=["missing", "truncated", "empty", "another"],
 )
 def test_photographs_that_are_not_as_they_were_taken_are_named(
@@ -105,7 +114,11 @@ def test_a_journal_that_is_damaged_in_its_middle_is_refused_and_left_alone(
     lines[3] = lines[3].replace(b'"event"', b'"evend"')
     journal.write_bytes(b"\n".join(lines))
     before = contents(folder)
-    args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
+    args = (
+        ["capture", str(plan_file), str(folder), "--resume"]
+        if command == "resume"
+        else [command, str(folder)]
+    )
     assert "line 4 does not fit its checksum" in refusal(args, capfd)
     assert contents(folder) == before
 
@@ -117,22 +130,32 @@ def test_a_plan_that_was_edited_in_its_session_is_named_before_anything_is_done(
     stored = folder / "plan.toml"
     stored.write_text(stored.read_text().replace("f_number = 8.0", "f_number = 8.1"))
     before = contents(folder)
-    args = ["capture", str(plan_file), str(folder), "--resume"] if command == "resume" else [command, str(folder)]
+    args = (
+        ["capture", str(plan_file), str(folder), "--resume"]
+        if command == "resume"
+        else [command, str(folder)]
+    )
     assert f"{stored}: does not fit its checksum" in refusal(args, capfd)
     assert contents(folder) == before
 
 
-def retaken(folder: Path, new: Path, swapped: dict[str, str], kept: Sequence[str] = ()) -> Path:
+def retaken(
+    folder: Path, new: Path, swapped: dict[str, str], kept: Sequence[str] = ()
+) -> Path:
     """The same session, some photographs with others in their place, rightly in its journal. kept: of all, if only some are."""
     old = Session.open(folder)
     with Session.create(new, (folder / "plan.toml").read_text(), folder) as session:
         for frame in (frame for frame in old.frames if not kept or frame.file in kept):
             source = folder / "frames" / swapped.get(frame.file, frame.file)
-            session.add_frame(source, frame.file, frame.kind, frame.range_mm, exposure_s=frame.exposure_s)
+            session.add_frame(
+                source, frame.file, frame.kind, frame.range_mm, exposure_s=frame.exposure_s
+            )
     return new
 
 
-@pytest.mark.parametrize("instead", ["flat_2050.5_0.dng", "dark_0.dng"], ids=["a white panel", "nothing"])
+@pytest.mark.parametrize(
+    "instead", ["flat_2050.5_0.dng", "dark_0.dng"], ids=["a white panel", "nothing"]
+)
 def test_a_photograph_without_the_target_is_named(
     instead: str, folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,8 +165,12 @@ def test_a_photograph_without_the_target_is_named(
     assert not list((other / "results").rglob("*.json"))
 
 
-def test_a_range_or_channel_that_is_not_there_says_which_are(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert "the session has 2000, 2050.5" in refusal(["fit", str(folder), "--range", "2500"], capfd)
+def test_a_range_or_channel_that_is_not_there_says_which_are(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert "the session has 2000, 2050.5" in refusal(
+        ["fit", str(folder), "--range", "2500"], capfd
+    )
     assert "allowed are G" in refusal(["fit", str(folder), "--channel", "R"], capfd)
 
 
@@ -165,10 +192,18 @@ def test_a_plan_whose_ranges_are_shorter_than_the_focal_length_begins_nothing(
     ],
 )
 def test_a_plan_that_is_wrong_begins_nothing_and_prints_nothing_but_letters(
-    old: str, new: str, words: str, plan_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    old: str,
+    new: str,
+    words: str,
+    plan_file: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     plan_file.write_text(plan_file.read_text().replace(old, new))
-    for command in (["capture", str(plan_file), str(tmp_path / "new")], ["advise", str(plan_file)]):
+    for command in (
+        ["capture", str(plan_file), str(tmp_path / "new")],
+        ["advise", str(plan_file)],
+    ):
         assert words in refusal(command, capfd)
     assert not (tmp_path / "new").exists()
 
@@ -189,12 +224,20 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
     ):
         run_plan(session, devices, progress=stop, check=False)
     settings = settings_for(Plan.load(plan_file), 7)
-    larger = Bench(replace(settings, sensor=replace(settings.sensor, rows=settings.sensor.rows + 32)), [])
+    larger = Bench(
+        replace(settings, sensor=replace(settings.sensor, rows=settings.sensor.rows + 32)),
+        [],
+    )
     before = contents(folder / "frames")
     with (
         begin(plan_file, folder, resume=True) as session,
-        open_devices(session.plan, context=DeviceContext(shared=SharedParts({ADDRESS: larger}))) as devices,
-        pytest.raises(RawError, match=r"dark_2, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × "),
+        open_devices(
+            session.plan, context=DeviceContext(shared=SharedParts({ADDRESS: larger}))
+        ) as devices,
+        pytest.raises(
+            RawError,
+            match=r"dark_2, just taken, is \d+ × \d+ RGGB of .*; the session's frames are \d+ × ",
+        ),
     ):
         run_plan(session, devices, check=False)
     assert contents(folder / "frames") == before
@@ -202,7 +245,10 @@ def test_another_camera_in_mid_session_is_refused_and_its_photograph_put_aside(
 
 
 def test_too_few_ranges_for_a_focus_are_said_after_all_that_could_be_fitted(
-    plan_file: Path, tmp_path: Path, make_context: ContextMaker, capfd: pytest.CaptureFixture[str]
+    plan_file: Path,
+    tmp_path: Path,
+    make_context: ContextMaker,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     text = plan_file.read_text().replace("[2000, 2050.5]", "[2000]")
     plan_file.write_text(f"{text}\n[fit]\nzernike_noll = [4, 6]\n")
@@ -230,25 +276,43 @@ def test_results_of_another_schema_are_not_reported_on(
     (folder / "results" / "latest").mkdir(parents=True)
     (folder / "results" / "latest" / "results.json").write_text(f'{{"schema": {schema}}}')
     before = contents(folder)
-    assert f"has schema {schema}; this version reads schemas 1 to 3" in refusal(["report", str(folder)], capfd)
+    assert f"has schema {schema}; this version reads schemas 1 to 3" in refusal(
+        ["report", str(folder)], capfd
+    )
     assert contents(folder) == before
 
 
-def test_a_fit_that_is_interrupted_says_so_and_leaves_earlier_results_whole(folder: Path) -> None:
+def test_a_fit_that_is_interrupted_says_so_and_leaves_earlier_results_whole(
+    folder: Path,
+) -> None:
     results = folder / "results" / "latest"
     results.mkdir(parents=True)
     for name in ("results.json", "psf.npz"):
         (results / name).write_text("of an earlier fit")
     before = contents(folder)
-    command = [sys.executable, "-c", "from labkit.cli import main; main()", "fit", str(folder), "--workers", "2"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as process:
+    command = [
+        sys.executable,
+        "-c",
+        "from labkit.cli import main; main()",
+        "fit",
+        str(folder),
+        "--workers",
+        "2",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
         # the workers are the only processes that a fit begins
         while not workers_of(process.pid):
             assert process.poll() is None
         os.killpg(process.pid, signal.SIGINT)  # as a terminal sends it: to all of them
         out, err = process.communicate(timeout=60)
     going_on = b"; fits that are done are kept, and the same command goes on from there"
-    assert (process.returncode, out, err) == (130, b"", b"labkit: interrupted" + going_on + b"\n")
+    assert (process.returncode, out, err) == (
+        130,
+        b"",
+        b"labkit: interrupted" + going_on + b"\n",
+    )
     assert contents(folder) == before
 
 

@@ -27,7 +27,9 @@ bluesky = pytest.importorskip("bluesky")
 
 @contextmanager
 def a_rail(*faults: LineFault, speed: float = 60_000) -> Iterator[tuple[PtyPort, GrblRail]]:
-    port = grbl_port(GRBL, {24: 60_000, 25: 600_000, 110: speed, 120: 20_000}, faults=faults)
+    port = grbl_port(
+        GRBL, {24: 60_000, 25: 600_000, 110: speed, 120: 20_000}, faults=faults
+    )
     try:
         with GrblRail(port.path, reply_s=0.5) as rail:
             rail.home()
@@ -40,21 +42,33 @@ def test_the_example_scans_through_focus(tmp_path: Path) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "bluesky_scan.py"))
     plan = example["Plan"].parse(example["SIMULATED"], Path())
     found = example["focus_scan"](plan, tmp_path / "scan")
-    assert [range_mm for range_mm, _ in found] == pytest.approx([2000, 2025, 2050], abs=0.005)
+    assert [range_mm for range_mm, _ in found] == pytest.approx(
+        [2000, 2025, 2050], abs=0.005
+    )
     for _, file in found:
         with rawpy.imread(file) as raw:
             assert raw.raw_image.max() > 700
 
 
 def test_nothing_of_labkit_imports_bluesky() -> None:
-    for path in [*ROOT.glob("labkit/**/*.py"), *ROOT.glob("drivers/**/*.py"), *ROOT.glob("targets/**/*.py")]:
+    for path in [
+        *ROOT.glob("labkit/**/*.py"),
+        *ROOT.glob("drivers/**/*.py"),
+        *ROOT.glob("targets/**/*.py"),
+    ]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names = (
+                [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            )
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not [name for name in names if name.split(".")[0] in ("bluesky", "ophyd")], path
+            assert not [
+                name for name in names if name.split(".")[0] in ("bluesky", "ophyd")
+            ], path
 
 
-def run_engine(plan: Any, hear: Callable[[str, dict[str, Any]], None] = lambda kind, document: None) -> None:
+def run_engine(
+    plan: Any, hear: Callable[[str, dict[str, Any]], None] = lambda kind, document: None
+) -> None:
     bluesky.RunEngine(context_managers=[])(plan, hear)
 
 
@@ -63,7 +77,10 @@ def test_a_scan_reads_where_the_rail_truly_stands() -> None:
 
     documents: list[tuple[str, dict[str, Any]]] = []
     with a_rail() as (_, rail):
-        run_engine(scan([], ScanRail(rail, settle_s=0.0), -200, -100, 3), lambda *said: documents.append(said))
+        run_engine(
+            scan([], ScanRail(rail, settle_s=0.0), -200, -100, 3),
+            lambda *said: documents.append(said),
+        )
     events = [document["data"] for kind, document in documents if kind == "event"]
     assert [data["rail"] for data in events] == pytest.approx([-200, -150, -100], abs=0.004)
     assert documents[0][0] == "start"

@@ -18,7 +18,10 @@ pytest.importorskip("gphoto2")
 
 PLAN = plan_text(
     PORTRAIT,
-    {"target": {"order": 3, "size_mm": 20.0}, "camera": {"address": "gphoto2:usb:001,001", "exposure_s": 0.02}},
+    {
+        "target": {"order": 3, "size_mm": 20.0},
+        "camera": {"address": "gphoto2:usb:001,001", "exposure_s": 0.02},
+    },
 )
 
 
@@ -27,7 +30,9 @@ def lay(path: Path, counts: NDArray[np.float64]) -> None:
     write_raw(path, np.clip(counts, 0, 16383).astype(np.uint16), tags)
 
 
-def test_settings_of_the_only_camera_are_listed(photograph: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_of_the_only_camera_are_listed(
+    photograph: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lay(photograph, np.full((64, 96), 700.0))
     assert run(["camera", "settings"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -87,7 +92,9 @@ def test_with_a_plan_the_camera_is_set_first_and_told_what_it_cannot(
     assert "labkit: warning: check by hand: vibration reduction off" in said.err
 
 
-def test_without_a_camera_one_line_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_camera_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.delenv("VCAMERADIR", raising=False)
     monkeypatch.setattr(gphoto2_camera, "PAUSES_S", (0.0,))
     assert run(["camera", "settings"]) == 1

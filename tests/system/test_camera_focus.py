@@ -59,7 +59,9 @@ def edge(width: float) -> NDArray[np.float64]:
     return np.tile(np.clip((np.arange(400.0) - 200 + width / 2) / width, 0, 1), (200, 1))
 
 
-def test_the_target_is_found_and_outlined_on_the_simulated_bench(plan_file: Path, make_context: ContextMaker) -> None:
+def test_the_target_is_found_and_outlined_on_the_simulated_bench(
+    plan_file: Path, make_context: ContextMaker
+) -> None:
     watcher, plan = Watcher(), Plan.load(plan_file)
     with open_devices(plan, context=make_context(plan_file)) as devices:
         alone = Alone(devices.camera, plan, planned=True)
@@ -75,7 +77,9 @@ def test_the_target_is_found_and_outlined_on_the_simulated_bench(plan_file: Path
     size = picture_for(plan, devices).size_mm[0]
     upper_left = np.array(visit.target_to_pixels) @ [-size / 2, -size / 2, 1]
     assert lit.corners_px is not None
-    assert lit.corners_px[0] == pytest.approx((upper_left[1] / upper_left[2], upper_left[0] / upper_left[2]), abs=0.5)
+    assert lit.corners_px[0] == pytest.approx(
+        (upper_left[1] / upper_left[2], upper_left[0] / upper_left[2]), abs=0.5
+    )
     look = watcher.looks[1]
     assert (look.name, look.edge_px) == ("frame 1", lit.edge_px)
     assert look.corners_px is not None
@@ -96,7 +100,9 @@ class LiveView:
         raise AssertionError("a live view wears no shutter")
 
     def preview(self, path: Path) -> Path:
-        grey = np.rint(255 * (0.02 + 0.9 * edge(self._widths.pop(0))) ** (1 / 2.2)).astype(np.uint8)
+        grey = np.rint(255 * (0.02 + 0.9 * edge(self._widths.pop(0))) ** (1 / 2.2)).astype(
+            np.uint8
+        )
         made = path.with_suffix(".jpg")
         cv2.imwrite(str(made), np.repeat(grey[:, :, None], 3, axis=2))
         return made
@@ -112,8 +118,14 @@ def test_the_live_view_is_taken_where_there_is_one(plan_file: Path) -> None:
 
 
 def test_a_line_says_how_sharp_it_is_beside_those_before() -> None:
-    reading = FocusReading(1, FRAME, 6.0, 0.0, ((0, 0), (0, 9), (9, 9), (9, 0)), 2.0, 31.4, "")
-    history = [reading, replace(reading, number=2, edge_px=3.0), replace(reading, number=3, edge_px=4.0)]
+    reading = FocusReading(
+        1, FRAME, 6.0, 0.0, ((0, 0), (0, 9), (9, 9), (9, 0)), 2.0, 31.4, ""
+    )
+    history = [
+        reading,
+        replace(reading, number=2, edge_px=3.0),
+        replace(reading, number=3, edge_px=4.0),
+    ]
     assert line(history) == (
         "frame 3; edges rise over 4.0 px, best 3.0 █▁▃; clipped 0 %; target: blur 2.0 px, 31 px inside the frame"
     )
@@ -127,8 +139,16 @@ def test_ctrl_c_ends_it_and_names_the_sharpest(photograph: Path) -> None:
     counts = 600 + 8000 * edge(8.0) + np.random.default_rng(1).normal(0, 10, (200, 400))
     tags = RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=200)
     write_raw(photograph, np.clip(counts, 0, 16383).astype(np.uint16), tags)
-    command = [sys.executable, "-c", "from labkit.cli import main; main()", "camera", "focus"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)) as running:
+    command = [
+        sys.executable,
+        "-c",
+        "from labkit.cli import main; main()",
+        "camera",
+        "focus",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)
+    ) as running:
         try:
             assert running.stdout is not None
             lines = [running.stdout.readline() for _ in range(2)]
@@ -141,12 +161,16 @@ def test_ctrl_c_ends_it_and_names_the_sharpest(photograph: Path) -> None:
     assert rest.splitlines()[-1].startswith("sharpest: frame ")
 
 
-def test_a_rail_is_moved_only_where_the_plan_has_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rail_is_moved_only_where_the_plan_has_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from labkit.cli import run
     from tests.plans import SMALL, plan_text
 
     plan = tmp_path / "plan.toml"
-    plan.write_text(plan_text(SMALL, {"camera": {"address": "gphoto2:", "exposure_s": 0.02}}))
+    plan.write_text(
+        plan_text(SMALL, {"camera": {"address": "gphoto2:", "exposure_s": 0.02}})
+    )
     assert run(["camera", "focus", str(plan), "--range", "2000", "--json"]) == 2
     told = capsys.readouterr()
     assert "--range 2000: to move a rail it takes a plan with [rail]" in told.err
@@ -157,4 +181,6 @@ def test_a_range_beyond_the_rail_is_answered_with_those_that_it_reaches(
     plan_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["camera", "focus", str(plan_file), "--range", "3"]) == 2
-    assert re.search(r"--range 3: the rail reaches [\d.]+ to [\d.]+ mm\n$", capsys.readouterr().err)
+    assert re.search(
+        r"--range 3: the rail reaches [\d.]+ to [\d.]+ mm\n$", capsys.readouterr().err
+    )

@@ -32,8 +32,17 @@ from .conftest import ContextMaker
 ALL = 3 + 2 * (2 + 2)
 
 
-def run(plan_file: Path, folder: Path, context: DeviceContext, resume: bool = False, check: bool = True) -> Session:
-    with begin(plan_file, folder, resume) as session, open_devices(session.plan, context=context) as devices:
+def run(
+    plan_file: Path,
+    folder: Path,
+    context: DeviceContext,
+    resume: bool = False,
+    check: bool = True,
+) -> Session:
+    with (
+        begin(plan_file, folder, resume) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         run_plan(session, devices, check=check)
     return session
 
@@ -60,16 +69,25 @@ def test_frames_of_a_stop_share_the_plans_range_and_note_the_measured_one(
     assert {frame.range_mm for frame in targets} == {2000.0, 2050.5}
     visits = next(iter(context.shared.values())).truth.visits
     for visit in visits:
-        noted = {frame.meta["measured_range_mm"] for frame in targets if frame.range_mm == visit.range_mm}
+        noted = {
+            frame.meta["measured_range_mm"]
+            for frame in targets
+            if frame.range_mm == visit.range_mm
+        }
         assert len(noted) == 1
-        assert noted.pop() == pytest.approx(visit.actual_range_mm, abs=0.0026)  # half a step of the encoder
+        assert noted.pop() == pytest.approx(
+            visit.actual_range_mm, abs=0.0026
+        )  # half a step of the encoder
 
 
 def test_flats_are_white_targets_are_not_and_darks_are_dark(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     session = run(plan_file, tmp_path / "s", make_context(plan_file))
-    level = {f.kind: np.median(read_raw(f.path, session.plan.sensor).counts[::2, 1::2]) for f in session.frames}
+    level = {
+        f.kind: np.median(read_raw(f.path, session.plan.sensor).counts[::2, 1::2])
+        for f in session.frames
+    }
     assert level["dark"] == 600
     assert level["flat"] > 9000
     assert level["target"] < level["flat"] / 4
@@ -86,7 +104,9 @@ PASSING = [
 ]
 
 
-@pytest.mark.parametrize("fault", PASSING, ids=lambda fault: f"{fault.device}-{fault.kind}-{fault.call}")
+@pytest.mark.parametrize(
+    "fault", PASSING, ids=lambda fault: f"{fault.device}-{fault.kind}-{fault.call}"
+)
 def test_passing_trouble_is_noted_and_got_over(
     fault: Fault, plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
@@ -98,7 +118,11 @@ def test_passing_trouble_is_noted_and_got_over(
 
 # the look round before the first frame takes four photographs of four pictures and moves twice
 LASTING = [
-    (Fault("camera", "timeout", 8, times=99), DeviceTimeoutError, "no picture came .* within 10 s"),
+    (
+        Fault("camera", "timeout", 8, times=99),
+        DeviceTimeoutError,
+        "no picture came .* within 10 s",
+    ),
     (Fault("camera", "unplug", 8, times=99), CameraError, "dropped off USB"),
     (Fault("camera", "card_full", 8, times=99), CameraError, "card is full; empty it"),
     (Fault("rail", "stall", 3, times=99), DeviceTimeoutError, "still not there after 60 s"),
@@ -112,9 +136,16 @@ LASTING = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "error", "words"), LASTING, ids=lambda x: getattr(x, "kind", None))
+@pytest.mark.parametrize(
+    ("fault", "error", "words"), LASTING, ids=lambda x: getattr(x, "kind", None)
+)
 def test_lasting_trouble_stops_with_a_reason_and_resume_finishes(
-    fault: Fault, error: type[DeviceError], words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
+    fault: Fault,
+    error: type[DeviceError],
+    words: str,
+    plan_file: Path,
+    tmp_path: Path,
+    make_context: ContextMaker,
 ) -> None:
     with pytest.raises(error, match=words) as caught:
         run(plan_file, tmp_path / "s", make_context(plan_file, [fault]))
@@ -124,12 +155,18 @@ def test_lasting_trouble_stops_with_a_reason_and_resume_finishes(
     session = run(plan_file, tmp_path / "s", make_context(plan_file), resume=True)
     assert len(session.frames) == ALL
     assert verify(session) == []
-    assert all((tmp_path / "s" / "frames" / name).read_bytes() == content for name, content in kept.items())
+    assert all(
+        (tmp_path / "s" / "frames" / name).read_bytes() == content
+        for name, content in kept.items()
+    )
 
 
 @pytest.mark.parametrize(
     ("light", "words"),
-    [(2.5, r"flat_2000_0, just taken, is overexposed"), (0.002, "flat_2000_0, just taken, is black")],
+    [
+        (2.5, r"flat_2000_0, just taken, is overexposed"),
+        (0.002, "flat_2000_0, just taken, is black"),
+    ],
 )
 def test_a_badly_exposed_frame_is_put_aside_and_resume_goes_on_when_the_light_is_right(
     light: float, words: str, plan_file: Path, tmp_path: Path, make_context: ContextMaker
@@ -137,8 +174,13 @@ def test_a_badly_exposed_frame_is_put_aside_and_resume_goes_on_when_the_light_is
     with pytest.raises(DataError, match=words) as caught:
         run(plan_file, tmp_path / "s", make_context(plan_file, light=light), check=False)
     assert caught.value.exit_status == 2
-    assert [path.name for path in (tmp_path / "s" / "rejected").iterdir()] == ["flat_2000_0.dng"]
-    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
+    assert [path.name for path in (tmp_path / "s" / "rejected").iterdir()] == [
+        "flat_2000_0.dng"
+    ]
+    assert (
+        len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames)
+        == ALL
+    )
 
 
 def test_ctrl_c_stops_the_rail_and_leaves_a_session_that_resume_finishes(
@@ -156,16 +198,29 @@ def test_ctrl_c_stops_the_rail_and_leaves_a_session_that_resume_finishes(
     ):
         run_plan(session, devices, progress=interrupt)
     assert session.events[-1]["event"] == "interrupted"
-    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
+    assert (
+        len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames)
+        == ALL
+    )
 
 
-def test_resuming_what_is_complete_does_nothing(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
+def test_resuming_what_is_complete_does_nothing(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
     before = len(run(plan_file, tmp_path / "s", make_context(plan_file)).events)
-    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).events) == before
+    assert (
+        len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).events)
+        == before
+    )
 
 
-def test_resume_begins_where_nothing_was_begun(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
-    assert len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames) == ALL
+def test_resume_begins_where_nothing_was_begun(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    assert (
+        len(run(plan_file, tmp_path / "s", make_context(plan_file), resume=True).frames)
+        == ALL
+    )
 
 
 def test_without_resume_a_begun_session_is_left_alone(
@@ -180,8 +235,13 @@ def test_resuming_with_another_plan_is_refused_and_names_what_differs(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     run(plan_file, tmp_path / "s", make_context(plan_file))
-    plan_file.write_text(plan_file.read_text().replace("2050.5", "2060").replace("darks = 3", "darks = 4"))
-    with pytest.raises(PlanError, match=r"differs in \[camera\], \[rail\] from the one that the photographs in"):
+    plan_file.write_text(
+        plan_file.read_text().replace("2050.5", "2060").replace("darks = 3", "darks = 4")
+    )
+    with pytest.raises(
+        PlanError,
+        match=r"differs in \[camera\], \[rail\] from the one that the photographs in",
+    ):
         begin(plan_file, tmp_path / "s", resume=True)
 
 
@@ -236,14 +296,19 @@ def test_a_person_is_asked_for_the_cap_where_the_camera_has_none(
         open_devices(session.plan, context=context) as devices,
     ):
         bare = Devices(BareCamera(devices), devices.rail, devices.display, devices.wait)  # type: ignore[arg-type]
-        with pytest.raises(PlanError, match=r"run this at a terminal or with --monitor, or set camera\.darks = 0"):
+        with pytest.raises(
+            PlanError,
+            match=r"run this at a terminal or with --monitor, or set camera\.darks = 0",
+        ):
             run_plan(session, bare)
         run_plan(session, bare, ask=ask)
     assert asked == ["Put the cap on the lens", "Take the cap off the lens"]
     assert len(session.frames) == ALL
 
 
-def test_time_passes_on_the_benchs_own_clock(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
+def test_time_passes_on_the_benchs_own_clock(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
     context = make_context(plan_file)
     run(plan_file, tmp_path / "s", context)
     # 5 mm home, up to 100.5 mm from -5 mm, back to 50 mm by way of 49, up to 100.5 mm, at 20 mm/s; three settlings of 1 s;

@@ -18,7 +18,10 @@ from labkit.errors import CameraError
 from labkit.session.session import Session
 from tests.plans import SMALL, plan_text, simulated
 
-FEW = {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}}
+FEW = {
+    "camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2},
+    "rail": {"settle_s": 0},
+}
 LAST = "target_2050_1"
 
 
@@ -44,11 +47,17 @@ def unplug_at_last(monkeypatch: pytest.MonkeyPatch, also: object = lambda: None)
 
 
 def test_how_to_go_on_keeps_the_options_that_were_given(
-    plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    plan: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     session = tmp_path / "s"
     unplug_at_last(monkeypatch)
-    assert run(["capture", str(plan), str(session), "--no-preflight", "--quiet", "--simulate"]) == 1
+    assert (
+        run(["capture", str(plan), str(session), "--no-preflight", "--quiet", "--simulate"])
+        == 1
+    )
     assert capfd.readouterr().err == (
         f"labkit: it is gone; every photograph so far is safe, go on with: "
         f"labkit capture {plan} {session} --resume --no-preflight --simulate --quiet\n"
@@ -57,12 +66,19 @@ def test_how_to_go_on_keeps_the_options_that_were_given(
 
 @pytest.mark.parametrize("lost", ["frames/flat_2000_1.dng", "journal.jsonl"])
 def test_photographs_are_called_safe_only_where_they_are(
-    lost: str, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    lost: str,
+    plan: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     unplug_at_last(monkeypatch, (tmp_path / "s" / lost).unlink)
     assert run(["capture", str(plan), str(tmp_path / "s"), "--no-preflight"]) in (1, 2)
     said = capfd.readouterr().err
-    assert "photographs are missing or the journal is damaged: labkit verify names them; mend that, then go on" in said
+    assert (
+        "photographs are missing or the journal is damaged: labkit verify names them; mend that, then go on"
+        in said
+    )
     assert "safe" not in said
 
 
@@ -77,18 +93,32 @@ def test_resuming_what_is_complete_names_a_damaged_photograph(
 
 
 def test_faults_ordered_in_a_plan_come_to_pass(plan: Path, tmp_path: Path) -> None:
-    plan.write_text(plan.read_text().replace('"simulated:"', '"simulated:camera.unplug=3,rail.stall=1x2"'))
+    plan.write_text(
+        plan.read_text().replace(
+            '"simulated:"', '"simulated:camera.unplug=3,rail.stall=1x2"'
+        )
+    )
     assert run(["capture", str(plan), str(tmp_path / "s"), "--no-preflight"]) == 0
     session = Session.open(tmp_path / "s")
-    trouble = [(event["device"], event["attempt"]) for event in session.events if event["event"] == "trouble"]
+    trouble = [
+        (event["device"], event["attempt"])
+        for event in session.events
+        if event["event"] == "trouble"
+    ]
     assert trouble == [("rail", 1), ("rail", 2), ("camera", 1)]
     assert len(session.frames) == 10
 
 
 @pytest.mark.timeout(20)
-@pytest.mark.parametrize("command", [["capture", "pipe", "s"], ["import", "pipe", "plan.toml", "s"]])
+@pytest.mark.parametrize(
+    "command", [["capture", "pipe", "s"], ["import", "pipe", "plan.toml", "s"]]
+)
 def test_a_pipe_in_the_place_of_a_file_is_refused_at_once(
-    command: list[str], plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: list[str],
+    plan: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
@@ -97,15 +127,33 @@ def test_a_pipe_in_the_place_of_a_file_is_refused_at_once(
 
 
 @pytest.mark.parametrize(
-    "locale", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}], ids=["any bytes", "ASCII locale"]
+    "locale",
+    [{}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+    ids=["any bytes", "ASCII locale"],
 )
-def test_a_session_may_lie_under_names_of_any_bytes(locale: dict[str, str], plan: Path, tmp_path: Path) -> None:
-    folder = os.fsencode(tmp_path) + ("/nuit d'été" if locale else "/nuit ").encode() + (b"" if locale else b"\xff")
+def test_a_session_may_lie_under_names_of_any_bytes(
+    locale: dict[str, str], plan: Path, tmp_path: Path
+) -> None:
+    folder = (
+        os.fsencode(tmp_path)
+        + ("/nuit d'été" if locale else "/nuit ").encode()
+        + (b"" if locale else b"\xff")
+    )
     os.mkdir(folder)
     command = [sys.executable, "-c", "from labkit.cli import main; main()"]
-    for args in ([b"capture", os.fsencode(plan), folder + b"/s", b"--no-preflight"], [b"verify", folder + b"/s"]):
-        done = subprocess.run([*command, *args], env={**os.environ, **locale}, capture_output=True, timeout=100)
-        said = [line for line in done.stderr.splitlines() if b" so far" not in line]  # of progress, where it takes long
+    for args in (
+        [b"capture", os.fsencode(plan), folder + b"/s", b"--no-preflight"],
+        [b"verify", folder + b"/s"],
+    ):
+        done = subprocess.run(
+            [*command, *args],
+            env={**os.environ, **locale},
+            capture_output=True,
+            timeout=100,
+        )
+        said = [
+            line for line in done.stderr.splitlines() if b" so far" not in line
+        ]  # of progress, where it takes long
         assert (done.returncode, said) == (0, [])
     assert len(Session.open(Path(os.fsdecode(folder)) / "s").frames) == 10
 

@@ -35,7 +35,9 @@ from labkit.types import Floats32
 from tests.plans import SMALL, plan_text, simulated
 
 PLAN = plan_text(
-    SMALL, simulated([2000, 2050], 1950.0), {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 1}}
+    SMALL,
+    simulated([2000, 2050], 1950.0),
+    {"camera": {"frames_per_range": 1, "flats_per_range": 1, "darks": 1}},
 )
 NEAR_MM = 0.1
 """Five standard deviations of the bench's scatter."""
@@ -73,7 +75,13 @@ class WatchedBench(Bench):
         self.seen: dict[str, tuple[str, float]] = {}
 
     def expose(self, exposure_s: float, iso: int, name: str) -> NDArray[np.uint16]:
-        shown = "dark" if self.covered or not self._codes.any() else "white" if self._codes.all() else "target"
+        shown = (
+            "dark"
+            if self.covered or not self._codes.any()
+            else "white"
+            if self._codes.all()
+            else "target"
+        )
         self.seen[Path(name).stem] = shown, self.range_mm
         return super().expose(exposure_s, iso, name)
 
@@ -85,8 +93,13 @@ class WatchedBench(Bench):
 
 
 def run(plan_file: Path, folder: Path, bench: Bench, *observers: Observer) -> Session:
-    context = DeviceContext(shared=SharedParts({"simulated:": bench}), observers=tuple(observers))
-    with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
+    context = DeviceContext(
+        shared=SharedParts({"simulated:": bench}), observers=tuple(observers)
+    )
+    with (
+        begin(plan_file, folder, resume=True) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         run_plan(session, devices)
     return session
 
@@ -94,7 +107,11 @@ def run(plan_file: Path, folder: Path, bench: Bench, *observers: Observer) -> Se
 def wrong(session: Session, *benches: WatchedBench) -> Iterator[str]:
     """Frames that are not what they are said to be."""
     for frame in session.frames:
-        shown, range_mm = next(bench.seen[frame.path.stem] for bench in benches if frame.path.stem in bench.seen)
+        shown, range_mm = next(
+            bench.seen[frame.path.stem]
+            for bench in benches
+            if frame.path.stem in bench.seen
+        )
         if shown != FRAMES[frame.path.stem]:
             yield f"{frame.file} shows {shown}"
         if frame.range_mm is not None and abs(range_mm - frame.range_mm) > NEAR_MM:
@@ -113,10 +130,14 @@ def told(fault: Fault) -> str:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=told)
-def test_a_fault_that_passes_is_noted_and_got_over(fault: Fault, plan_file: Path, tmp_path: Path) -> None:
+def test_a_fault_that_passes_is_noted_and_got_over(
+    fault: Fault, plan_file: Path, tmp_path: Path
+) -> None:
     bench = WatchedBench(plan_file, fault)
     session = run(plan_file, tmp_path / "s", bench)
-    assert [event["device"] for event in session.events if event["event"] == "trouble"] == [fault.device]
+    assert [event["device"] for event in session.events if event["event"] == "trouble"] == [
+        fault.device
+    ]
     assert {frame.path.stem for frame in session.frames} == FRAMES.keys()
     assert verify(session) == list(wrong(session, bench)) == []
 

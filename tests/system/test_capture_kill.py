@@ -31,7 +31,10 @@ CLEAN.set_forkserver_preload([__name__])
 
 def run(plan_file: Path, folder: Path, check: bool = True) -> None:
     context = small_bench(plan_file)
-    with begin(plan_file, folder, resume=True) as session, open_devices(session.plan, context=context) as devices:
+    with (
+        begin(plan_file, folder, resume=True) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         run_plan(session, devices, check=check)
 
 
@@ -42,7 +45,9 @@ def journal_bytes(folder: Path) -> int:
         return 0
 
 
-def run_and_kill(plan_file: Path, folder: Path, rng: np.random.Generator, preflights: float = 0.2) -> bool:
+def run_and_kill(
+    plan_file: Path, folder: Path, rng: np.random.Generator, preflights: float = 0.2
+) -> bool:
     """Start a capture, and kill it once the journal has grown by some bytes and a little time has gone by.
 
     preflights: the share of captures that begin with one; it takes longer than many frames.
@@ -66,7 +71,9 @@ def run_and_kill(plan_file: Path, folder: Path, rng: np.random.Generator, prefli
 
 
 @pytest.mark.timeout(300)  # thirty processes, on a machine that may be busy
-def test_thirty_kills_lose_no_committed_frame_and_resume_finishes(plan_file: Path, tmp_path: Path) -> None:
+def test_thirty_kills_lose_no_committed_frame_and_resume_finishes(
+    plan_file: Path, tmp_path: Path
+) -> None:
     text = plan_file.read_text().replace("darks = 3", "darks = 30")
     for key in ("frames_per_range", "flats_per_range"):
         text = text.replace(f"{key} = 2", f"{key} = 30")
@@ -78,7 +85,9 @@ def test_thirty_kills_lose_no_committed_frame_and_resume_finishes(plan_file: Pat
         if not folder.exists():
             continue
         session = Session.open(folder)
-        assert missing(session), f"the capture was complete after {killed} kills: it is too fast for this test"
+        assert missing(session), (
+            f"the capture was complete after {killed} kills: it is too fast for this test"
+        )
         now = {frame.file: frame.path.read_bytes() for frame in session.frames}
         assert committed.items() <= now.items()
         committed = now
@@ -88,11 +97,21 @@ def test_thirty_kills_lose_no_committed_frame_and_resume_finishes(plan_file: Pat
     session = Session.open(folder)
     assert missing(session) == ()
     assert verify(session) == []
-    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml", "preflight"}
-    assert committed.items() <= {frame.file: frame.path.read_bytes() for frame in session.frames}.items()
+    assert {path.name for path in folder.iterdir()} == {
+        "frames",
+        "journal.jsonl",
+        "plan.toml",
+        "preflight",
+    }
+    assert (
+        committed.items()
+        <= {frame.file: frame.path.read_bytes() for frame in session.frames}.items()
+    )
 
 
-def test_a_killed_and_resumed_capture_ends_as_an_undisturbed_one(plan_file: Path, tmp_path: Path) -> None:
+def test_a_killed_and_resumed_capture_ends_as_an_undisturbed_one(
+    plan_file: Path, tmp_path: Path
+) -> None:
     """Without preflights: those visit stops, and the bench's rail scatters anew at every visit, as any rail does."""
     rng = np.random.default_rng(2)
     for _ in range(4):
@@ -101,7 +120,10 @@ def test_a_killed_and_resumed_capture_ends_as_an_undisturbed_one(plan_file: Path
         run(plan_file, tmp_path / name, check=False)
     for frame in Session.open(tmp_path / "whole").frames:
         pair = [tmp_path / name / "frames" / frame.file for name in ("killed", "whole")]
-        one, other = (read_raw(path, Session.open(tmp_path / "whole").plan.sensor).counts for path in pair)
+        one, other = (
+            read_raw(path, Session.open(tmp_path / "whole").plan.sensor).counts
+            for path in pair
+        )
         np.testing.assert_array_equal(one, other)
 
 
@@ -119,7 +141,9 @@ def run_until_folder_is_removed(plan_file: Path, folder: Path, frames: int) -> N
     run(plan_file, folder)
 
 
-@pytest.mark.parametrize("frames", [4, 11], ids=["between two photographs", "after the last"])
+@pytest.mark.parametrize(
+    "frames", [4, 11], ids=["between two photographs", "after the last"]
+)
 def test_a_kill_as_the_cameras_folder_is_removed_leaves_nothing_for_good(
     frames: int, plan_file: Path, tmp_path: Path
 ) -> None:
@@ -130,7 +154,14 @@ def test_a_kill_as_the_cameras_folder_is_removed_leaves_nothing_for_good(
     process.join()
     assert process.exitcode == -signal.SIGKILL
     assert (folder / ".exposing").is_dir()
-    assert [".exposing: left by a capture" in remark for remark in remarks(Session.open(folder))] == [True]
+    assert [
+        ".exposing: left by a capture" in remark for remark in remarks(Session.open(folder))
+    ] == [True]
     with Session.append(folder) as session:
         assert len(session.frames) == frames
-    assert {path.name for path in folder.iterdir()} == {"frames", "journal.jsonl", "plan.toml", "preflight"}
+    assert {path.name for path in folder.iterdir()} == {
+        "frames",
+        "journal.jsonl",
+        "plan.toml",
+        "preflight",
+    }

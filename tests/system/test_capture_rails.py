@@ -64,7 +64,16 @@ ZABER_STEPS: dict[str, Step] = {
 
 CASES = [
     *(("grbl", step) for step in GRBL_STEPS),
-    *(("grblhal", step) for step in ("asking its settings", "homing", "in the run-up", "the dwell", "where it stands")),
+    *(
+        ("grblhal", step)
+        for step in (
+            "asking its settings",
+            "homing",
+            "in the run-up",
+            "the dwell",
+            "where it stands",
+        )
+    ),
     *(("zaber", step) for step in ZABER_STEPS),
 ]
 
@@ -73,7 +82,13 @@ OPENING = ("asking who it is", "asking its settings", "asking its limits")
 
 
 def problems(
-    setup: Setup, step: str, at: Step, name: str, photographs: Photographs, folder: Path, check: bool = False
+    setup: Setup,
+    step: str,
+    at: Step,
+    name: str,
+    photographs: Photographs,
+    folder: Path,
+    check: bool = False,
 ) -> list[str]:
     """What goes wrong in a capture with one fault: empty if all is as it should be."""
     kind, lasts_s = FAULTS[name]
@@ -92,7 +107,9 @@ def problems(
             found.append(f"{name}: more than one line")
     finally:
         port.close()
-    return found + [f"{name}: {problem}" for problem in left_over(setup, bench, folder, ended)]
+    return found + [
+        f"{name}: {problem}" for problem in left_over(setup, bench, folder, ended)
+    ]
 
 
 @pytest.mark.parametrize(("kind", "step"), CASES)
@@ -100,7 +117,13 @@ def test_every_fault_at_every_step_is_got_over_or_told(
     kind: str, step: str, photographs: Photographs, tmp_path: Path
 ) -> None:
     at = (ZABER_STEPS if kind == "zaber" else GRBL_STEPS)[step]
-    assert side_by_side(lambda name, folder: problems(RAILS[kind], step, at, name, photographs, folder), tmp_path) == []
+    assert (
+        side_by_side(
+            lambda name, folder: problems(RAILS[kind], step, at, name, photographs, folder),
+            tmp_path,
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -119,7 +142,12 @@ def test_every_fault_of_the_look_round_is_got_over_or_told(
     kind: str, step: str, at: Step, photographs: Photographs, tmp_path: Path
 ) -> None:
     assert (
-        side_by_side(lambda name, folder: problems(RAILS[kind], step, at, name, photographs, folder, True), tmp_path)
+        side_by_side(
+            lambda name, folder: problems(
+                RAILS[kind], step, at, name, photographs, folder, True
+            ),
+            tmp_path,
+        )
         == []
     )
 
@@ -134,7 +162,10 @@ def several(seed: int) -> tuple[Setup, list[LineFault]]:
     """A rail, and two to four faults anywhere."""
     rng = np.random.default_rng(seed)
     name = str(rng.choice(list(RAILS)))
-    commands, kinds = COMMANDS["zaber" if name == "zaber" else "grbl"], sorted({kind for kind, _ in FAULTS.values()})
+    commands, kinds = (
+        COMMANDS["zaber" if name == "zaber" else "grbl"],
+        sorted({kind for kind, _ in FAULTS.values()}),
+    )
     faults = [
         LineFault(
             kinds[rng.integers(len(kinds))],
@@ -159,7 +190,14 @@ def test_several_faults_in_one_capture_lose_no_frame_and_spoil_none(
         bench = Bench(photographs, setup, port)
         ended = run(setup, bench, tmp_path / str(seed))
         port.close()
-        return [f"{seed}: {problem}" for problem in left_over(setup, bench, tmp_path / str(seed), ended)]
+        return [
+            f"{seed}: {problem}"
+            for problem in left_over(setup, bench, tmp_path / str(seed), ended)
+        ]
 
     with ThreadPoolExecutor(12) as pool:
-        assert [problem for found in pool.map(one, range(first, first + 12)) for problem in found] == []
+        assert [
+            problem
+            for found in pool.map(one, range(first, first + 12))
+            for problem in found
+        ] == []

@@ -39,7 +39,9 @@ def once(name: str, do: Callable[[], None]) -> Callable[[str], None]:
 
 
 @pytest.mark.parametrize("kind", RAILS)
-def test_trouble_while_exposing_spoils_no_frame(kind: str, photographs: Photographs, tmp_path: Path) -> None:
+def test_trouble_while_exposing_spoils_no_frame(
+    kind: str, photographs: Photographs, tmp_path: Path
+) -> None:
     def found(name: str, folder: Path) -> list[str]:
         setup, port = RAILS[kind], RAILS[kind].port([])
         bench = Bench(photographs, setup, port)
@@ -49,7 +51,9 @@ def test_trouble_while_exposing_spoils_no_frame(kind: str, photographs: Photogra
         finally:
             port.close()
         session = Session.open(folder)
-        frames = 2 if name == "unplugged for good" else 6  # what was taken while it went is not trusted
+        frames = (
+            2 if name == "unplugged for good" else 6
+        )  # what was taken while it went is not trusted
         if len(session.frames) != frames or (ended is None) != (frames == 6):
             return [f"{name}: {len(session.frames)} frames, {ended}"]
         return wrong_frames(session, bench, setup)
@@ -57,7 +61,9 @@ def test_trouble_while_exposing_spoils_no_frame(kind: str, photographs: Photogra
     assert side_by_side(found, tmp_path) == []
 
 
-def test_a_frame_during_which_the_stage_was_moved_is_taken_again(photographs: Photographs, tmp_path: Path) -> None:
+def test_a_frame_during_which_the_stage_was_moved_is_taken_again(
+    photographs: Photographs, tmp_path: Path
+) -> None:
     setup, port = RAILS["zaber"], RAILS["zaber"].port([])
     bench = Bench(photographs, setup, port)
     controller = port.controller
@@ -89,15 +95,24 @@ def test_a_slip_that_the_controller_cannot_know_of_is_mended_by_homing(
         rail.home()
         port.strike("slip")
         rail.move_to(-100.0)
-        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(-97.0, abs=NEAR_MM)
+        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(
+            -97.0, abs=NEAR_MM
+        )
         rail.home()
         rail.move_to(-100.0)
-        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(-100.0, abs=NEAR_MM)
+        assert controller.machine.carriage_mm(controller.now_s) == pytest.approx(
+            -100.0, abs=NEAR_MM
+        )
     port.close()
 
 
-def test_ctrl_c_in_mid_move_stops_the_carriage_and_resume_finishes(photographs: Photographs, tmp_path: Path) -> None:
-    slow = replace(RAILS["grbl"], port=lambda faults: grbl_port(GRBL, {**FAST, 110: 12_000}, faults=faults))
+def test_ctrl_c_in_mid_move_stops_the_carriage_and_resume_finishes(
+    photographs: Photographs, tmp_path: Path
+) -> None:
+    slow = replace(
+        RAILS["grbl"],
+        port=lambda faults: grbl_port(GRBL, {**FAST, 110: 12_000}, faults=faults),
+    )
     port = slow.port([])
     bench = Bench(photographs, slow, port)
     controller = port.controller

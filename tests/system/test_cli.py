@@ -30,7 +30,11 @@ PLAN = plan_text(
     PORTRAIT,
     {"target": {"order": 3, "size_mm": 20.78}},
     simulated([3000, 3100], 2950.0),
-    {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}, "display": IPAD},
+    {
+        "camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2},
+        "rail": {"settle_s": 0},
+        "display": IPAD,
+    },
 )
 
 
@@ -46,7 +50,10 @@ def quick_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """One whose capture takes a moment in this process, and seconds in one of its own."""
     monkeypatch.setattr(bench_setup, "BenchSettings", partial(BenchSettings, halo_um=100.0))
     path = tmp_path / "quick.toml"
-    few = {"camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}}
+    few = {
+        "camera": {"frames_per_range": 2, "flats_per_range": 2, "darks": 2},
+        "rail": {"settle_s": 0},
+    }
     path.write_text(plan_text(SMALL, simulated([2000, 2050], 1950.0), few))
     return path
 
@@ -78,8 +85,12 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"labkit {__version__}\n"
 
 
-@pytest.mark.parametrize("args", [["--help"], ["capture", "--help"], ["target", "render", "--help"]])
-def test_help_has_no_control_characters_off_a_terminal(args: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "args", [["--help"], ["capture", "--help"], ["target", "render", "--help"]]
+)
+def test_help_has_no_control_characters_off_a_terminal(
+    args: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
     assert run(args) == 0
     assert re.search(r"[\x00-\x09\x0b-\x1f]", capfd.readouterr().out) is None
 
@@ -95,9 +106,13 @@ def test_help_has_no_control_characters_off_a_terminal(args: list[str], capfd: p
         ["demo", "--sed"],
     ],
 )
-def test_wrong_usage_is_one_line_and_status_2(args: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_is_one_line_and_status_2(
+    args: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
     assert run(args) == 2
-    assert re.search(r"[^.]\. See labkit( \w+)? --help\.$", one_line(capfd.readouterr().err))
+    assert re.search(
+        r"[^.]\. See labkit( \w+)? --help\.$", one_line(capfd.readouterr().err)
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +148,9 @@ def test_with_json_there_is_one_object_even_where_the_answer_holds_what_is_wrong
     assert "does not fit its checksum" in json.loads(capfd.readouterr().out)["problems"][0]
 
 
-def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line_and_status_2(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert run(["verify", str(tmp_path)]) == 2
     out, err = capfd.readouterr()
     assert "is no session" in one_line(err)
@@ -155,15 +172,27 @@ def test_import_and_verify_answer_in_json(
 ) -> None:
     session = tmp_path / "session"
     assert run(["import", str(frames), str(plan), str(session), "--json"]) == 0
-    assert json.loads(capfd.readouterr().out)["kinds"] == {"target": 1, "flat": 0, "dark": 0, "bias": 0}
+    assert json.loads(capfd.readouterr().out)["kinds"] == {
+        "target": 1,
+        "flat": 0,
+        "dark": 0,
+        "bias": 0,
+    }
     assert run(["--json", "verify", str(session)]) == 0
-    assert json.loads(capfd.readouterr().out) == {"session": str(session), "frames": 1, "problems": [], "remarks": []}
+    assert json.loads(capfd.readouterr().out) == {
+        "session": str(session),
+        "frames": 1,
+        "problems": [],
+        "remarks": [],
+    }
 
 
 def test_quiet_prints_nothing_when_all_is_well(
     frames: Path, plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["import", "--quiet", str(frames), str(plan), str(tmp_path / "session")]) == 0
+    assert (
+        run(["import", "--quiet", str(frames), str(plan), str(tmp_path / "session")]) == 0
+    )
     assert capfd.readouterr() == ("", "")
 
 
@@ -209,7 +238,9 @@ def test_devices_lists_the_simulated_drivers(capfd: pytest.CaptureFixture[str]) 
 
 def test_a_target_is_rendered(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "carpet.png"
-    assert run(["target", "render", "sierpinski:order=3,size_mm=20", str(file), "--json"]) == 0
+    assert (
+        run(["target", "render", "sierpinski:order=3,size_mm=20", str(file), "--json"]) == 0
+    )
     assert json.loads(capfd.readouterr().out)["path"] == str(file)
     assert file.read_bytes().startswith(b"\x89PNG")
 
@@ -233,16 +264,27 @@ def test_a_plan_that_the_devices_cannot_run_begins_no_session(
 
 
 def test_tab_completes_commands() -> None:
-    environment = {**os.environ, "_LABKIT_COMPLETE": "complete_bash", "COMP_WORDS": "labkit cap", "COMP_CWORD": "1"}
-    done = subprocess.run(labkit(), env=environment, capture_output=True, text=True, timeout=60)
+    environment = {
+        **os.environ,
+        "_LABKIT_COMPLETE": "complete_bash",
+        "COMP_WORDS": "labkit cap",
+        "COMP_CWORD": "1",
+    }
+    done = subprocess.run(
+        labkit(), env=environment, capture_output=True, text=True, timeout=60
+    )
     assert done.stdout.split() == ["capture"]
 
 
-def test_progress_shows_the_time_left_on_a_terminal(frames: Path, plan: Path, tmp_path: Path) -> None:
+def test_progress_shows_the_time_left_on_a_terminal(
+    frames: Path, plan: Path, tmp_path: Path
+) -> None:
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     command = labkit("import", frames, plan, tmp_path / "session")
-    with subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    with subprocess.Popen(
+        command, stderr=theirs, stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
         out, _ = process.communicate(timeout=60)
     os.close(theirs)
     shown = os.read(ours, 65536).decode()
@@ -258,9 +300,14 @@ def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(
 ) -> None:
     session = tmp_path / "session"
     command = labkit("capture", quick_plan, session)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         # before the first photograph; the capture takes seconds after that
-        while not ((session / "journal.jsonl").exists() and '"began"' in (session / "journal.jsonl").read_text()):
+        while not (
+            (session / "journal.jsonl").exists()
+            and '"began"' in (session / "journal.jsonl").read_text()
+        ):
             assert process.poll() is None
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
@@ -269,7 +316,11 @@ def test_a_capture_that_is_interrupted_says_how_to_go_on_and_does(
     assert f"labkit capture {quick_plan} {session} --resume" in one_line(err)
     assert out == ""
     by = "Ctrl-C" if number == signal.SIGINT else number.name
-    assert err.startswith("labkit: interrupted" if number == signal.SIGINT else f"labkit: interrupted by {by}; ")
+    assert err.startswith(
+        "labkit: interrupted"
+        if number == signal.SIGINT
+        else f"labkit: interrupted by {by}; "
+    )
     assert Session.open(session).events[-1]["event"] == "interrupted"
     assert Session.open(session).events[-1]["by"] == by
     assert run(["verify", str(session)]) == 0
@@ -285,12 +336,20 @@ def test_resuming_what_is_complete_needs_no_devices(
     assert run(["capture", str(quick_plan), str(session)]) == 0
     with quick_plan.open("a") as file:
         file.write("# a comment\n")
-    assert run(["capture", str(quick_plan), str(session), "--resume", "--listen", "no address"]) == 0
+    assert (
+        run(
+            ["capture", str(quick_plan), str(session), "--resume", "--listen", "no address"]
+        )
+        == 0
+    )
     assert capsys.readouterr().out.endswith(": 10 frames, all that the plan asks for\n")
 
 
 def test_a_capture_that_its_camera_ends_says_how_to_go_on(
-    quick_plan: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    quick_plan: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def unplugged(camera: SimulatedCamera, path: Path) -> None:
         raise CameraError("it is gone")
@@ -313,9 +372,13 @@ def test_resuming_with_another_plan_is_refused(
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
-def test_closed_standard_streams_do_no_harm(closed: str, frames: Path, plan: Path, tmp_path: Path) -> None:
+def test_closed_standard_streams_do_no_harm(
+    closed: str, frames: Path, plan: Path, tmp_path: Path
+) -> None:
     session = tmp_path / "session"
     command = " ".join(map(shlex.quote, labkit("import", frames, plan, session)))
-    done = subprocess.run(f"{command} {closed}", shell=True, timeout=60, capture_output=True, text=True)
+    done = subprocess.run(
+        f"{command} {closed}", shell=True, timeout=60, capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert run(["verify", str(session)]) == 0

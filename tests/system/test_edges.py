@@ -15,7 +15,15 @@ from tests.plans import plan_text
 RANGES_MM = (1500.0, 3000.0)
 ANGLES = (0.15, 1.75)
 CONTRACT = {
-    *("box", "angle_deg", "range_mm", "other_sign_mm", "mtf50_per_mm", "esfr_mtf50_per_mm", "chi2_per_pixel"),
+    *(
+        "box",
+        "angle_deg",
+        "range_mm",
+        "other_sign_mm",
+        "mtf50_per_mm",
+        "esfr_mtf50_per_mm",
+        "chi2_per_pixel",
+    ),
 }
 
 
@@ -37,9 +45,19 @@ def folder(tmp_path: Path, edges: list[Floats]) -> Path:
     return tmp_path
 
 
-def asked(folder: Path, capsys: pytest.CaptureFixture[str], *options: str, status: int = 0) -> tuple[Any, str]:
+def asked(
+    folder: Path, capsys: pytest.CaptureFixture[str], *options: str, status: int = 0
+) -> tuple[Any, str]:
     """JSON and what stands on stderr."""
-    words = ["edges", str(folder / "scene.tif"), str(folder / "plan.toml"), "--workers", "1", "--json", *options]
+    words = [
+        "edges",
+        str(folder / "scene.tif"),
+        str(folder / "plan.toml"),
+        "--workers",
+        "1",
+        "--json",
+        *options,
+    ]
     assert run(words) == status
     printed = capsys.readouterr()
     return json.loads(printed.out) if printed.out else None, printed.err
@@ -81,7 +99,9 @@ def test_edges_declared_to_be_at_one_range_that_are_not_are_told(
     folder: Path, capsys: pytest.CaptureFixture[str], edges: list[Floats]
 ) -> None:
     write_scene(folder / "scene.tif", [edges[0], square(6000.0, 1.75), edges[0]], seed=2)
-    found, _ = asked(folder, capsys, "--psf", str(folder / "session"), "--one-range", *boxes(0, 1, 2))
+    found, _ = asked(
+        folder, capsys, "--psf", str(folder / "session"), "--one-range", *boxes(0, 1, 2)
+    )
     assert [edge["box"] for edge in found["edges"]] == [[*box(0)], [*box(2)]]
     assert found["edges"][0]["range_mm"] == found["edges"][1]["range_mm"]
     assert "one range with the others, but its defocus" in found["rejected"][0]["why"]
@@ -126,7 +146,9 @@ def test_bad_input_is_one_line(
     assert words in err.splitlines()[-1]
 
 
-def test_the_psf_of_another_camera_is_refused_unless_forced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_psf_of_another_camera_is_refused_unless_forced(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lens_results(f_number=5.6).write(folder / "session" / "results" / "latest")
     psf = ["--psf", str(folder / "session"), *boxes(0)]
     _, err = asked(folder, capsys, *psf, status=2)
@@ -136,7 +158,9 @@ def test_the_psf_of_another_camera_is_refused_unless_forced(folder: Path, capsys
     assert "by force: lens.f_number = 8" in err
 
 
-def test_a_channel_that_the_session_lacks_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_channel_that_the_session_lacks_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = {"channel": [{"name": "X", "wavelength_nm": 550.0}]}
     (folder / "plan.toml").write_text(plan_text(TABLES, other))
     _, err = asked(folder, capsys, "--psf", str(folder / "session"), *boxes(0), status=2)
@@ -147,7 +171,9 @@ def test_an_edge_that_the_model_does_not_explain_keeps_its_response_by_the_stand
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     even = square(1500.0, 0.15)
-    striped = even + 0.4 * np.ptp(even) * (np.arange(SIDE)[:, None] // 6 % 2)  # along the edge, both sides alike
+    striped = even + 0.4 * np.ptp(even) * (
+        np.arange(SIDE)[:, None] // 6 % 2
+    )  # along the edge, both sides alike
     write_scene(folder / "scene.tif", [striped, even])
     found, err = asked(folder, capsys, "--psf", str(folder / "session"), *boxes(0))
     assert not found["edges"]

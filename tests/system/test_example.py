@@ -18,9 +18,17 @@ ROOT = Path(__file__).parents[2]
 
 PLAN = plan_text(
     PORTRAIT,
-    {"lens": {"f_number": 4.0}, "sensor": {"cfa_pattern": "RGGB"}, "fit": {"zernike_noll": [4, 15]}},
+    {
+        "lens": {"f_number": 4.0},
+        "sensor": {"cfa_pattern": "RGGB"},
+        "fit": {"zernike_noll": [4, 15]},
+    },
     simulated([3000, 3200], 2950.0),
-    {"camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2}, "rail": {"settle_s": 0}, "display": IPAD},
+    {
+        "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
+        "rail": {"settle_s": 0},
+        "display": IPAD,
+    },
 )
 
 
@@ -42,4 +50,6 @@ def test_the_example_measures_a_lens(
     printed = capsys.readouterr().out
     assert f"best focus G: {best}" in printed
     assert "MTF at 100 cycles/mm" in printed
-    assert (tmp_path / "session" / "results" / "latest" / "report.html").stat().st_size > 10_000
+    assert (
+        tmp_path / "session" / "results" / "latest" / "report.html"
+    ).stat().st_size > 10_000

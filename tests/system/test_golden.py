@@ -23,7 +23,10 @@ NAMES = {
 }
 
 pytestmark = [
-    pytest.mark.skipif(not GOLDEN.is_dir(), reason="the sessions with a known truth lie beside the project, not in it"),
+    pytest.mark.skipif(
+        not GOLDEN.is_dir(),
+        reason="the sessions with a known truth lie beside the project, not in it",
+    ),
     pytest.mark.slow,
     pytest.mark.timeout(1800),
 ]
@@ -45,32 +48,56 @@ class Golden:
 
     def psf_errors(self, folder: Path) -> dict[str, float]:
         """Of the PSFs that results hold, summed absolute differences, L1, of unit sums."""
-        theirs, ours = np.load(GOLDEN / f"truth-{NAMES[self.claim]}-psf.npz"), np.load(folder / "psf.npz")
+        theirs, ours = (
+            np.load(GOLDEN / f"truth-{NAMES[self.claim]}-psf.npz"),
+            np.load(folder / "psf.npz"),
+        )
         spacing_um, found = float(self.truth["psf_spacing_um"]), dict[str, float]()
         for key in theirs.files:
             if f"psf_{key}" in ours.files:
                 true = theirs[key].astype(float)
-                seen = resampled(ours[f"psf_{key}"].astype(float), float(ours["spacing_um"]), len(true), spacing_um)
+                seen = resampled(
+                    ours[f"psf_{key}"].astype(float),
+                    float(ours["spacing_um"]),
+                    len(true),
+                    spacing_um,
+                )
                 found[key] = float(np.abs(seen / seen.sum() - true / true.sum()).sum())
         return found
 
     @property
     def errors(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each wavefront: error and standard error of its modes, waves RMS."""
-        true = {(f["range_mm"], f["channel"]): [f["defocus_waves"], *f["alpha"].values()] for f in self.truth["frames"]}
+        true = {
+            (f["range_mm"], f["channel"]): [f["defocus_waves"], *f["alpha"].values()]
+            for f in self.truth["frames"]
+        }
         fits = self.measured["wavefronts"]
         assert {(fit["range_mm"], fit["channel"]) for fit in fits} == set(true)
-        return [(np.array(f["waves_rms"]) - true[f["range_mm"], f["channel"]], np.array(f["std"])) for f in fits]
+        return [
+            (
+                np.array(f["waves_rms"]) - true[f["range_mm"], f["channel"]],
+                np.array(f["std"]),
+            )
+            for f in fits
+        ]
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def golden(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Golden:
+def golden(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Golden:
     name = NAMES[request.param]
     session = tmp_path_factory.mktemp("golden") / "session"
     import_and_fit(GOLDEN / name, session)
     folder = session / "results/latest"
     measured = json.loads((folder / "results.json").read_text())
-    return Golden(request.param, folder, measured, json.loads((GOLDEN / f"truth-{name}.json").read_text()))
+    return Golden(
+        request.param,
+        folder,
+        measured,
+        json.loads((GOLDEN / f"truth-{name}.json").read_text()),
+    )
 
 
 def test_wavefronts_are_right_and_their_errors_true(golden: Golden) -> None:
@@ -87,10 +114,16 @@ def test_point_spread_functions_are_right(golden: Golden) -> None:
 
 
 @of("golden_dslr")
-def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(golden: Golden, tmp_path: Path) -> None:
+def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(
+    golden: Golden, tmp_path: Path
+) -> None:
     session, plan = golden.folder.parents[1], tmp_path / "plan.toml"
-    stated = "wavelength_nm = 540.0\nwidth_nm = 20"  # truly five wavelengths from 512 to 574 nm
-    plan.write_text((session / "plan.toml").read_text().replace("wavelength_nm = 540.0", stated))
+    stated = (
+        "wavelength_nm = 540.0\nwidth_nm = 20"  # truly five wavelengths from 512 to 574 nm
+    )
+    plan.write_text(
+        (session / "plan.toml").read_text().replace("wavelength_nm = 540.0", stated)
+    )
     options = ["--range", "2160", "--channel", "G", "--name", "broad", "--quiet"]
     assert run(["fit", str(session), "--plan", str(plan), *options]) == 0
     (error,) = golden.psf_errors(session / "results/broad").values()
@@ -108,7 +141,9 @@ def test_best_focus_and_magnification_are_right(golden: Golden) -> None:
 def test_the_lens_is_right(golden: Golden) -> None:
     lens = golden.measured["lens"]
     true = golden.truth["f_number"]
-    assert lens["f_number"]["value"] == pytest.approx(true, rel=limit(golden.claim, "f_number_relative"))
+    assert lens["f_number"]["value"] == pytest.approx(
+        true, rel=limit(golden.claim, "f_number_relative")
+    )
     assert abs(lens["focal_length_mm"]["value"] - golden.truth["focal_length_mm"]) < limit(
         golden.claim, "focal_length_mm"
     )
@@ -123,32 +158,65 @@ def test_no_part_of_the_camera_is_invented(golden: Golden) -> None:
 @of("golden_dslr")
 def test_the_camera_is_found(golden: Golden) -> None:
     found = golden.measured["model_parts"]
-    assert [*found] == [f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")]
+    assert [*found] == [
+        f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")
+    ]
     for number in found.values():
         error = number["value"] - golden.truth["model_parts"]["low_pass_filter.spread_px"]
         assert abs(error) < limit(golden.claim, "spread_px")
 
 
 @of("golden_dslr")  # without parts: tests/system/test_golden_small.py
-def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(golden: Golden) -> None:
+def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(
+    golden: Golden,
+) -> None:
     session = golden.folder.parents[1]
-    assert run(["fit", str(session), "--channel", "G", "--joint", "--name", "joint", "--workers", "1", "--quiet"]) == 0
+    assert (
+        run(
+            [
+                "fit",
+                str(session),
+                "--channel",
+                "G",
+                "--joint",
+                "--name",
+                "joint",
+                "--workers",
+                "1",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     joint = json.loads((session / "results/joint/results.json").read_text())["joint"]
-    assert max(joint.values()) < 0.003  # standard errors: 0.0014 measured; 0.7 by fits expanded where each ended
+    assert (
+        max(joint.values()) < 0.003
+    )  # standard errors: 0.0014 measured; 0.7 by fits expanded where each ended
 
 
 @of("golden_bench", "golden_dslr", "golden_engraved")
 def test_the_model_explains_the_frames(golden: Golden) -> None:
     assert all(fit["model"]["accepted"] for fit in golden.measured["wavefronts"])
     codes = {finding["code"] for finding in golden.measured["findings"]}
-    assert not codes & {"model-incomplete", "model-incomplete-everywhere", "optimum-doubtful", "chi2-unusual"}
+    assert not codes & {
+        "model-incomplete",
+        "model-incomplete-everywhere",
+        "optimum-doubtful",
+        "chi2-unusual",
+    }
 
 
 @of("golden_messy")
 def test_a_model_that_is_poor_for_all_is_one_finding(golden: Golden) -> None:
-    (finding,) = (f for f in golden.measured["findings"] if f["code"] == "model-incomplete-everywhere")
+    (finding,) = (
+        f for f in golden.measured["findings"] if f["code"] == "model-incomplete-everywhere"
+    )
     fits = {fit["key"]["range_mm"]: fit for fit in golden.measured["wavefronts"]}
-    assert finding["numbers"]["count"] == finding["numbers"]["fits"] == len(golden.measured["wavefronts"])
+    assert (
+        finding["numbers"]["count"]
+        == finding["numbers"]["fits"]
+        == len(golden.measured["wavefronts"])
+    )
     assert finding["text"] in golden.measured["warnings"]
     assert not any(fit["model"]["accepted"] for fit in fits.values())
     codes = [f["code"] for f in golden.measured["findings"]]
@@ -159,6 +227,12 @@ def test_a_model_that_is_poor_for_all_is_one_finding(golden: Golden) -> None:
 def test_noise_is_right(golden: Golden) -> None:
     for fit in golden.measured["wavefronts"]:
         assert abs(fit["chi2_per_pixel"] - 1) < limit(golden.claim, "chi2")
-        assert fit["gain"] == pytest.approx(golden.truth["gain"], rel=limit(golden.claim, "gain_relative"))
-        read_noise = np.hypot(golden.truth["read_noise_dn"], 12**-0.5)  # rounding to whole counts is part of it
-        assert fit["read_noise"] == pytest.approx(read_noise, rel=limit(golden.claim, "read_noise_relative"))
+        assert fit["gain"] == pytest.approx(
+            golden.truth["gain"], rel=limit(golden.claim, "gain_relative")
+        )
+        read_noise = np.hypot(
+            golden.truth["read_noise_dn"], 12**-0.5
+        )  # rounding to whole counts is part of it
+        assert fit["read_noise"] == pytest.approx(
+            read_noise, rel=limit(golden.claim, "read_noise_relative")
+        )

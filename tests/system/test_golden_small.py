@@ -36,7 +36,9 @@ from tests.golden.simulate import (
     write_session,
 )
 
-figures = next(claim for claim in CLAIMS["held"] if claim["name"] == "golden_small")["figures"]
+figures = next(claim for claim in CLAIMS["held"] if claim["name"] == "golden_small")[
+    "figures"
+]
 PAGE = Path(__file__).parents[2] / "docs" / "guides" / "python.md"
 
 LIMIT_OF_ONE = 0.0018
@@ -81,9 +83,15 @@ def test_a_session_of_another_simulator_is_estimated_as_well_as_is_claimed(
     exec(blocks()[0], names)
     exec(blocks()[1], names)
     assert (golden / "mtf.png").stat().st_size > 5_000
-    np.testing.assert_allclose(names["w"].waves, truth(golden), atol=limit("golden_small", "wavefront_waves"))
+    np.testing.assert_allclose(
+        names["w"].waves, truth(golden), atol=limit("golden_small", "wavefront_waves")
+    )
     measured = errors(golden, golden / "my-session")
-    assert {name: measured[name] for name in figures if measured[name] > limit("golden_small", name)} == {}
+    assert {
+        name: measured[name]
+        for name in figures
+        if measured[name] > limit("golden_small", name)
+    } == {}
     assert measured["rejected"] == 0
 
 
@@ -111,9 +119,15 @@ def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
 @pytest.mark.timeout(1800)
 def test_engravings_and_a_tape_that_are_off_cost_no_accuracy(engraved: Path) -> None:
     measured = errors(engraved, engraved / "session")
-    assert {name: measured[name] for name in figures if measured[name] > limit("golden_small", name)} == {}
+    assert {
+        name: measured[name]
+        for name in figures
+        if measured[name] > limit("golden_small", name)
+    } == {}
     truth: dict[str, Any] = json.loads((engraved / "truth.json").read_text())
-    lens = json.loads((engraved / "session/results/latest/results.json").read_text())["lens"]
+    lens = json.loads((engraved / "session/results/latest/results.json").read_text())[
+        "lens"
+    ]
     for name in ("focal_length_mm", "f_number", "range_zero_mm"):
         assert abs(lens[name]["value"] - truth[name]) < 3 * lens[name]["std"]
     # the engraving is 0.1 off, 0.012 is the error of this session
@@ -123,13 +137,24 @@ def test_engravings_and_a_tape_that_are_off_cost_no_accuracy(engraved: Path) -> 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_climb_over_all_frames_at_once_finds_what_two_levels_did(engraved: Path) -> None:
-    assert run(["fit", str(engraved / "session"), "--joint", "--name", "joint", "--quiet"]) == 0
-    joint = json.loads((engraved / "session/results/joint/results.json").read_text())["joint"]
+    assert (
+        run(["fit", str(engraved / "session"), "--joint", "--name", "joint", "--quiet"])
+        == 0
+    )
+    joint = json.loads((engraved / "session/results/joint/results.json").read_text())[
+        "joint"
+    ]
     assert len(joint) > 20
     assert max(joint.values()) < 0.04  # standard errors: 0.021 measured
 
 
-@pytest.mark.parametrize(("range_mm", "waves"), [(3013.2, 0.07484), (3200.0, 1.06783), (3300.0, 1.55325)])
-def test_the_simulators_defocus_has_the_published_values(range_mm: float, waves: float) -> None:
+@pytest.mark.parametrize(
+    ("range_mm", "waves"), [(3013.2, 0.07484), (3200.0, 1.06783), (3300.0, 1.55325)]
+)
+def test_the_simulators_defocus_has_the_published_values(
+    range_mm: float, waves: float
+) -> None:
     # of 70 mm, f/2.8, pupil magnification 0.985 and best focus at 3 m, to the five digits that are published
-    assert defocus_waves(range_mm, 3000.0, 70.0, 2.8, 0.985) == pytest.approx(waves, abs=6e-6)
+    assert defocus_waves(range_mm, 3000.0, 70.0, 2.8, 0.985) == pytest.approx(
+        waves, abs=6e-6
+    )

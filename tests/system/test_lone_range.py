@@ -24,9 +24,14 @@ PLAN = plan_text(
 
 
 @pytest.mark.slow
-def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(tmp_path: Path) -> None:
+def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(
+    tmp_path: Path,
+) -> None:
     """The first end, 0.025 waves off, has residuals that are accepted (p = 0.06); a smear led from it to the right one."""
-    with Session.create(tmp_path / "session", PLAN, tmp_path) as session, open_devices(session.plan) as devices:
+    with (
+        Session.create(tmp_path / "session", PLAN, tmp_path) as session,
+        open_devices(session.plan) as devices,
+    ):
         run_plan(session, devices, check=False)
         modes = devices.camera._bench.truth.modes_waves["G"]  # type: ignore[attr-defined]
     results = fit(tmp_path / "session", workers=1)
@@ -37,4 +42,6 @@ def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(tmp_pat
     found = wavefront.waves[1:]
     twin = np.where(even, -found, found)
     away = min((found - true), (twin - true), key=np.linalg.norm)
-    assert np.max(np.abs(away)) < 0.0008  # 0.0004 was measured; its standard errors are 0.0001 to 0.0008
+    assert (
+        np.max(np.abs(away)) < 0.0008
+    )  # 0.0004 was measured; its standard errors are 0.0001 to 0.0008

@@ -21,7 +21,9 @@ from websockets.typing import Origin
 from labkit.session.session import Session
 from tests.drivers.test_web_monitor import PLAN
 
-pytestmark = pytest.mark.timeout(600)  # of a machine that does much else: whole captures in processes of their own
+pytestmark = pytest.mark.timeout(
+    600
+)  # of a machine that does much else: whole captures in processes of their own
 
 LABKIT = [sys.executable, "-c", "from labkit.cli import main; main()"]
 
@@ -30,7 +32,9 @@ LABKIT = [sys.executable, "-c", "from labkit.cli import main; main()"]
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     path = tmp_path / "plan.toml"
-    by_hand = PLAN.replace('[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"')
+    by_hand = PLAN.replace(
+        '[rail]\naddress = "simulated:seed=7"', '[rail]\naddress = "manual:"'
+    )
     path.write_text(by_hand.replace('"web:"', '"simulated:seed=7"'))
     return path
 
@@ -42,7 +46,11 @@ def command(plan: Path, *flags: str) -> list[str]:
 def page(line: str) -> ClientConnection:
     """The connection of the operator's page of an address that was printed."""
     (url,) = re.findall(r"http://\S+", line)
-    return connect(f"ws{url[4:]}/socket", origin=Origin(f"http://{urlsplit(url).netloc}"), open_timeout=100)
+    return connect(
+        f"ws{url[4:]}/socket",
+        origin=Origin(f"http://{urlsplit(url).netloc}"),
+        open_timeout=100,
+    )
 
 
 def questions(wire: ClientConnection) -> Iterator[dict[str, str]]:
@@ -61,7 +69,10 @@ def questions(wire: ClientConnection) -> Iterator[dict[str, str]]:
 def test_a_capture_without_terminal_is_led_from_the_page(plan: Path) -> None:
     listen = ["--listen", "127.0.0.1:0"]
     with subprocess.Popen(
-        command(plan, "--monitor", *listen), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        command(plan, "--monitor", *listen),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as running:
         assert running.stderr is not None
         try:
@@ -82,7 +93,10 @@ def test_a_capture_without_terminal_is_led_from_the_page(plan: Path) -> None:
 
 def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
     with subprocess.Popen(
-        command(plan, "--listen", "127.0.0.1:0"), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        command(plan, "--listen", "127.0.0.1:0"),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as running:
         assert running.stderr is not None
         try:
@@ -108,9 +122,16 @@ def test_ctrl_c_ends_a_question_and_says_how_to_go_on(plan: Path) -> None:
         ),
     ],
 )
-def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(flags: list[str], words: str, plan: Path) -> None:
+def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(
+    flags: list[str], words: str, plan: Path
+) -> None:
     ended = subprocess.run(
-        command(plan, *flags), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=False
+        command(plan, *flags),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     assert ended.returncode in (1, 2)
     (line,) = ended.stderr.splitlines()
@@ -120,7 +141,11 @@ def test_without_anyone_to_ask_or_anywhere_to_listen_it_is_one_line(flags: list[
 def test_at_a_terminal_what_is_typed_is_not_painted_over(plan: Path) -> None:
     near, far = os.openpty()
     with subprocess.Popen(
-        command(plan), stdin=far, stderr=far, stdout=far, env={**os.environ, "TERM": "xterm"}
+        command(plan),
+        stdin=far,
+        stderr=far,
+        stdout=far,
+        env={**os.environ, "TERM": "xterm"},
     ) as running:
         os.close(far)
         try:
@@ -130,7 +155,9 @@ def test_at_a_terminal_what_is_typed_is_not_painted_over(plan: Path) -> None:
                     seen += os.read(near, 4096)
                 os.write(near, position)
                 seen = b""
-                while select.select([near], [], [], 0.5)[0]:  # the bar would be painted ten times a second
+                while select.select([near], [], [], 0.5)[
+                    0
+                ]:  # the bar would be painted ten times a second
                     seen += os.read(near, 4096)
                 assert seen.strip() == position
                 os.write(near, b"\n")

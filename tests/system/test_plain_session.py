@@ -33,21 +33,38 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
 ) -> None:
     folder, truth = smeared
     assert not plain.model_parts
-    (missing,) = (finding for finding in plain.findings if finding.code == "camera-parts-missing")
+    (missing,) = (
+        finding for finding in plain.findings if finding.code == "camera-parts-missing"
+    )
     assert missing.numbers["parts"] == ["smear"]
     assert missing.text in plain.warnings
-    assert plain.budget["best_focus_mm.G"]["model"] > plain.budget["best_focus_mm.G"]["photons"]
-    found = compared(json.loads((folder / "results/latest/results.json").read_text()), truth)
+    assert (
+        plain.budget["best_focus_mm.G"]["model"]
+        > plain.budget["best_focus_mm.G"]["photons"]
+    )
+    found = compared(
+        json.loads((folder / "results/latest/results.json").read_text()), truth
+    )
     # without the part's share in the errors: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
     assert np.abs(found["z"]["noll.4"]).max() < 1.8  # 0.9 measured
-    others = np.concatenate([z for name, z in found["z"].items() if name.startswith("noll") and name != "noll.4"])
+    others = np.concatenate(
+        [
+            z
+            for name, z in found["z"].items()
+            if name.startswith("noll") and name != "noll.4"
+        ]
+    )
     assert np.sqrt(np.mean(others**2)) < 1.7  # 0.9 measured
 
 
 @pytest.mark.slow
-def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, Truth], plain: labkit.Results) -> None:
+def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(
+    smeared: tuple[Path, Truth], plain: labkit.Results
+) -> None:
     whole = labkit.fit(smeared[0], workers=1, name="whole")
-    (told,) = (finding for finding in whole.findings if finding.code == "stated-model-moves")
+    (told,) = (
+        finding for finding in whole.findings if finding.code == "stated-model-moves"
+    )
     (part,) = (finding for finding in whole.findings if finding.code == "camera-part-found")
     assert part.numbers["part"] == "smear"
     for name in ("best_focus_moves_mm", "waves_move", "psf_moves_l1"):
@@ -55,24 +72,35 @@ def test_what_a_part_changes_is_told_as_a_plain_fit_has_it(smeared: tuple[Path, 
     assert whole.focus is not None
     assert plain.focus is not None
     focus = plain.focus.best_focus_mm["G"].value - whole.focus.best_focus_mm["G"].value
-    waves = [np.linalg.norm(a.waves - b.waves) for a, b in zip(plain.wavefronts, whole.wavefronts, strict=True)]
+    waves = [
+        np.linalg.norm(a.waves - b.waves)
+        for a, b in zip(plain.wavefronts, whole.wavefronts, strict=True)
+    ]
     psfs = [psf_of(results) for results in (plain, whole)]
     apart = [np.abs(one - other).sum() for one, other in zip(*psfs, strict=True)]
     assert told.numbers["best_focus_moves_mm"] == pytest.approx({"G": focus}, rel=1e-3)
     assert told.numbers["waves_move"] == pytest.approx(max(waves), rel=1e-3)
-    assert told.numbers["psf_moves_l1"] == pytest.approx(max(apart), rel=0.06)  # of other samples
+    assert told.numbers["psf_moves_l1"] == pytest.approx(
+        max(apart), rel=0.06
+    )  # of other samples
     for one, other in zip(plain.wavefronts, whole.wavefronts, strict=True):
         assert one.residual_spectrum is not None
         assert other.residual_spectrum is not None
-        assert other.residual_spectrum.without_parts == pytest.approx(one.residual_spectrum.power, rel=1e-3)
+        assert other.residual_spectrum.without_parts == pytest.approx(
+            one.residual_spectrum.power, rel=1e-3
+        )
 
 
 @pytest.mark.slow
-def test_results_are_the_same_bit_for_bit_with_any_number_of_workers(smeared: tuple[Path, Truth]) -> None:
+def test_results_are_the_same_bit_for_bit_with_any_number_of_workers(
+    smeared: tuple[Path, Truth],
+) -> None:
     written = []
     for count in (1, 2):
         labkit.fit(smeared[0], workers=count, name=f"workers-{count}")
-        results = json.loads((smeared[0] / f"results/workers-{count}/results.json").read_text())
+        results = json.loads(
+            (smeared[0] / f"results/workers-{count}/results.json").read_text()
+        )
         del results["created"]
         for wavefront in results["wavefronts"]:
             del wavefront["seconds"]

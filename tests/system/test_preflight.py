@@ -60,7 +60,10 @@ def problems_of(
 ) -> LabkitError:
     """What a capture with those faults says before its first frame."""
     context = make_context(plan_file, faults, light)
-    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
+    with (
+        begin(plan_file, folder, resume=False) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         if check is not None:
             monitored = SimpleNamespace(check=lambda frames: check)
             for name in ("identify", "configure", "expose", "cover", "close"):
@@ -87,7 +90,13 @@ def test_what_is_right_is_noted_with_blur_margin_and_room(
     (noted,) = [event for event in session.events if event["event"] == "preflight"]
     assert noted["problems"] == []
     assert said == []
-    assert set(noted["measured"]) == {"2000 mm", "2050.5 mm", "exposure", "frame_bytes", "free_bytes"}
+    assert set(noted["measured"]) == {
+        "2000 mm",
+        "2050.5 mm",
+        "exposure",
+        "frame_bytes",
+        "free_bytes",
+    }
     assert noted["measured"]["2000 mm"]["margin_px"] > 0
     assert not (tmp_path / "s" / "rejected").exists()
 
@@ -96,14 +105,18 @@ def test_a_target_that_whole_pixels_make_smaller_is_said_to_be(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     plan, said = Plan.load(plan_file), list[str]()
-    larger = plan.replace(target={"size_mm": 1.001 * plan.target.size_mm}, rail={"ranges_mm": [2000]})
+    larger = plan.replace(
+        target={"size_mm": 1.001 * plan.target.size_mm}, rail={"ranges_mm": [2000]}
+    )
     with (
         begin(larger, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         run_plan(session, devices, warn=said.append, check=False)
     drawn, asked = f"{plan.target.size_mm:.5g} mm", f"{larger.target.size_mm:.5g}"
-    assert said == [f"in whole pixels the target is {drawn} high instead of {asked}; a fit uses what was shown"]
+    assert said == [
+        f"in whole pixels the target is {drawn} high instead of {asked}; a fit uses what was shown"
+    ]
 
 
 def test_a_stop_that_the_preflight_ends_at_is_not_driven_to_again(
@@ -156,12 +169,17 @@ def test_a_target_that_leaves_the_frame_is_said_of_both_ends(
 
 
 def test_everything_that_is_wrong_is_said_at_once(
-    plan_file: Path, tmp_path: Path, make_context: ContextMaker, monkeypatch: pytest.MonkeyPatch
+    plan_file: Path,
+    tmp_path: Path,
+    make_context: ContextMaker,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10_000))
     battery = Check(("the camera's battery is at 9 %: charge it",), ("manual focus",))
     faults = [Fault("rail", "stall", 1, 3)]
-    error = problems_of(plan_file, tmp_path / "s", make_context, faults, light=2.5, turned=45, check=battery)
+    error = problems_of(
+        plan_file, tmp_path / "s", make_context, faults, light=2.5, turned=45, check=battery
+    )
     assert isinstance(error, DeviceError)
     for words in (
         "5 things",
@@ -175,7 +193,10 @@ def test_everything_that_is_wrong_is_said_at_once(
 
 
 def test_too_little_room_for_the_whole_plan_is_said(
-    plan_file: Path, tmp_path: Path, make_context: ContextMaker, monkeypatch: pytest.MonkeyPatch
+    plan_file: Path,
+    tmp_path: Path,
+    make_context: ContextMaker,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=50_000))
     error = problems_of(plan_file, tmp_path / "s", make_context)
@@ -183,8 +204,14 @@ def test_too_little_room_for_the_whole_plan_is_said(
     assert "11 photographs take" in str(error)
 
 
-def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> None:
-    faults = [Fault("camera", "timeout", 2), Fault("rail", "stall", 1), Fault("display", "sleep", 2)]
+def test_passing_trouble_is_got_over(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    faults = [
+        Fault("camera", "timeout", 2),
+        Fault("rail", "stall", 1),
+        Fault("display", "sleep", 2),
+    ]
     with (
         begin(plan_file, tmp_path / "s", resume=False) as session,
         open_devices(session.plan, context=make_context(plan_file, faults)) as devices,
@@ -196,7 +223,9 @@ def test_passing_trouble_is_got_over(plan_file: Path, tmp_path: Path, make_conte
 SHARP = plan_text(PORTRAIT, simulated([2600, 3000, 3400], 2400.0), {"display": IPAD})
 
 
-def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: Path) -> None:
+def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(SHARP)
     plan = Plan.load(path)
@@ -210,11 +239,18 @@ def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(tmp_path: P
         edges = []
         for range_mm in (2600.0, 3400.0):
             devices.rail.move_to(range_mm - 2400)
-            mosaic = read_raw(devices.camera.expose(tmp_path / f"{range_mm:g}").path, plan.sensor)
+            mosaic = read_raw(
+                devices.camera.expose(tmp_path / f"{range_mm:g}").path, plan.sensor
+            )
             grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
-            true_px = float(circle_of_confusion_mm(lens, range_mm, truth.best_focus_mm["G"])) / 4.78e-3
+            true_px = (
+                float(circle_of_confusion_mm(lens, range_mm, truth.best_focus_mm["G"]))
+                / 4.78e-3
+            )
             assert true_px > 4  # well above what lens and pixels do by themselves
-            assert blur_px(grey, target, find_target(grey, target)) == pytest.approx(true_px, rel=0.33)
+            assert blur_px(grey, target, find_target(grey, target)) == pytest.approx(
+                true_px, rel=0.33
+            )
             edges.append((true_px, edge_px(grey)))
     (_, few), (_, many) = sorted(edges)
     assert few < many
@@ -248,10 +284,14 @@ def test_the_photographs_are_kept_beside_the_frames_and_shown_with_the_targets_o
         open_devices(session.plan, context=make_context(plan_file)) as devices,
     ):
         run_plan(session, replace(devices, observers=[viewer]))
-    names = [f"preflight_{r}_{what}" for r in ("2050.5", "2000") for what in ("white", "target")]
+    names = [
+        f"preflight_{r}_{what}" for r in ("2050.5", "2000") for what in ("white", "target")
+    ]
     assert [look.name for look in viewer.looks] == names
     kept = {path.name for path in (tmp_path / "s" / "preflight").iterdir()}
-    assert kept == {f"{name}.dng" for name in names} | {f"{name}_seen.jpg" for name in names}
+    assert kept == {f"{name}.dng" for name in names} | {
+        f"{name}_seen.jpg" for name in names
+    }
     assert verify(Session.open(tmp_path / "s")) == []
     assert remarks(Session.open(tmp_path / "s")) == []
     corners = viewer.looks[3].corners_px
@@ -280,4 +320,6 @@ def test_no_target_at_all_is_an_error_of_the_target(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker
 ) -> None:
     plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000]"))
-    assert isinstance(problems_of(plan_file, tmp_path / "s", make_context, turned=45), TargetError)
+    assert isinstance(
+        problems_of(plan_file, tmp_path / "s", make_context, turned=45), TargetError
+    )

@@ -21,7 +21,10 @@ from tests.plans import SMALL, plan_text, simulated
 
 from .conftest import ADDRESS
 
-FEW = {"camera": {"frames_per_range": 2, "flats_per_range": 4, "darks": 2}, "fit": {"zernike_noll": [4, 6]}}
+FEW = {
+    "camera": {"frames_per_range": 2, "flats_per_range": 4, "darks": 2},
+    "fit": {"zernike_noll": [4, 6]},
+}
 MONO = {
     "sensor": {"cfa_pattern": "mono", "black_level": 600, "white_level": 16383},
     "target": {"order": 3, "size_mm": 18.9},
@@ -35,7 +38,10 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Results:
     """The results of raw files of a sensor without filters, which need no demosaicing."""
     folder = tmp_path_factory.mktemp("raw")
     text = plan_text(SMALL, TWO_RANGES, FEW, MONO)
-    with Session.create(folder / "session", text, folder) as opened, open_devices(opened.plan) as devices:
+    with (
+        Session.create(folder / "session", text, folder) as opened,
+        open_devices(opened.plan) as devices,
+    ):
         run_plan(opened, devices, check=False)
     fit(folder / "session", workers=1, plain=True)
     return Results.load(folder / "session")
@@ -43,7 +49,13 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 def stored(light: Floats) -> Floats:
     """sRGB's numbers of light, by the standard's formula."""
-    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055))
+    return np.asarray(
+        np.where(
+            light <= 0.0031308,
+            12.92 * light,
+            1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055,
+        )
+    )
 
 
 def session_of(results: Results) -> Path:
@@ -68,9 +80,13 @@ def developed(raw: Results, folder: Path, suffix: str, **how: object) -> Path:
     return folder / "frames.csv"
 
 
-def test_photon_transfer_finds_the_raw_files_gain_behind_the_rounding_to_8_bit(raw: Results, tmp_path: Path) -> None:
+def test_photon_transfer_finds_the_raw_files_gain_behind_the_rounding_to_8_bit(
+    raw: Results, tmp_path: Path
+) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
-    made = import_frames(developed(raw, tmp_path, ".png"), tmp_path / "plan.toml", tmp_path / "session")
+    made = import_frames(
+        developed(raw, tmp_path, ".png"), tmp_path / "plan.toml", tmp_path / "session"
+    )
     session = Session.open(session_of(raw))
     of_raw = calibrate(session.frames, session.plan).noise["G"]
     found = calibrate(made.frames, made.plan).noise["G"]
@@ -82,7 +98,9 @@ def test_photon_transfer_finds_the_raw_files_gain_behind_the_rounding_to_8_bit(r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("suffix", "how"), [(".png", {}), (".jpg", {"quality": 100, "subsampling": 0})])
+@pytest.mark.parametrize(
+    ("suffix", "how"), [(".png", {}), (".jpg", {"quality": 100, "subsampling": 0})]
+)
 def test_pictures_of_8_bit_give_the_raw_files_wavefront(
     raw: Results, tmp_path: Path, suffix: str, how: dict[str, object]
 ) -> None:

@@ -18,7 +18,9 @@ PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "disks"
 
 @pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/disks")
 @pytest.mark.slow
-def test_focus_size_and_place_are_smooth_in_wavelength_and_exposures_linear(tmp_path: Path) -> None:
+def test_focus_size_and_place_are_smooth_in_wavelength_and_exposures_linear(
+    tmp_path: Path,
+) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "real_disks.py"))
     outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
     assert outcome.nonlinear < limit(CLAIM, "nonlinear")
@@ -33,7 +35,9 @@ def test_focus_size_and_place_are_smooth_in_wavelength_and_exposures_linear(tmp_
     assert np.max(np.abs(outcome.size[1:] - cubic(nm[1:]))) < limit(CLAIM, "size")
     for axis in (0, 1):
         cubic = np.polynomial.Polynomial.fit(nm[1:], outcome.centre_px[1:, axis], 3)
-        assert np.max(np.abs(outcome.centre_px[1:, axis] - cubic(nm[1:]))) < limit(CLAIM, "centre_px")
+        assert np.max(np.abs(outcome.centre_px[1:, axis] - cubic(nm[1:]))) < limit(
+            CLAIM, "centre_px"
+        )
     assert np.all(
         np.diff(outcome.size[1:]) > 0
     )  # longer waves, a larger picture, by half a per cent from 450 to 700 nm

@@ -11,7 +11,12 @@ REAL = Path(__file__).parents[3] / "shared" / "real"
 NIKON = {
     "lens": {"focal_length_mm": 50.0, "f_number": 4.0},
     "sensor": {
-        **{"pixel_pitch_um": 4.78, "cfa_pattern": "RGGB", "black_level": 600, "white_level": 15520},
+        **{
+            "pixel_pitch_um": 4.78,
+            "cfa_pattern": "RGGB",
+            "black_level": 600,
+            "white_level": 15520,
+        },
         "headerless_px": [512, 768],
     },
     "channel": [{"name": "G", "wavelength_nm": 540.0}],

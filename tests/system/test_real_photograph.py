@@ -19,15 +19,21 @@ PHOTOGRAPHS = ROOT.parent / "shared" / "real" / "ipol"
 
 @pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="needs ../shared/real/ipol")
 @pytest.mark.slow
-def test_a_real_photograph_is_settled_and_agrees_with_another_method(tmp_path: Path) -> None:
+def test_a_real_photograph_is_settled_and_agrees_with_another_method(
+    tmp_path: Path,
+) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
     outcome = example["check"](PHOTOGRAPHS, tmp_path / "work")
     assert outcome.residual < limit(CLAIM, "residual_levels")  # the signal varies by 26
     for axis, theirs in example["DELBRACIO"].items():
-        np.testing.assert_allclose(outcome.mtf[axis], theirs, rtol=0, atol=limit(CLAIM, "mtf"))
+        np.testing.assert_allclose(
+            outcome.mtf[axis], theirs, rtol=0, atol=limit(CLAIM, "mtf")
+        )
     # two questions: the optimum is the best, and the model is not the camera's
     assert outcome.settled
     assert outcome.starts < 2 * 33
     assert not outcome.explained
-    assert max(outcome.gained.values()) < 10  # of none of the parts that we know: SETTINGS.part_cost
+    assert (
+        max(outcome.gained.values()) < 10
+    )  # of none of the parts that we know: SETTINGS.part_cost
     assert (tmp_path / "work" / "real_photograph.png").stat().st_size > 10_000

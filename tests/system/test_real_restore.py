@@ -22,7 +22,10 @@ from tests.system.test_real_edges import NIKON, REAL
 
 PHOTOGRAPH = REAL / "DSC_1339_768x512_rggb.raw"
 CROP, SAMPLES = (128, 256, 384, 512), 3
-EDGE = ((271.6, 466.3), (240.3, 491.3))  # of a petal before the dark: from there to there, pixels
+EDGE = (
+    (271.6, 466.3),
+    (240.3, 491.3),
+)  # of a petal before the dark: from there to there, pixels
 BESIDE_PX = 3.5
 
 
@@ -44,14 +47,27 @@ def session(folder: Path, defocus: float) -> Path:
         read_noise=1.16,
         chi2_per_pixel=1.0,
     )
-    Results(Plan.parse(plan_text(NIKON)), "", (wavefront,), None, None).write(folder / "results" / "latest")
+    Results(Plan.parse(plan_text(NIKON)), "", (wavefront,), None, None).write(
+        folder / "results" / "latest"
+    )
     return folder
 
 
 def restored(folder: Path, psf: Path, *more: str) -> tuple[np.ndarray, dict[str, Any]]:
-    asked = ["--psf", str(psf), "--force", "--crop", ",".join(map(str, CROP)), "--samples", str(SAMPLES), "--quiet"]
+    asked = [
+        "--psf",
+        str(psf),
+        "--force",
+        "--crop",
+        ",".join(map(str, CROP)),
+        "--samples",
+        str(SAMPLES),
+        "--quiet",
+    ]
     assert run(["restore", str(PHOTOGRAPH), *asked, *more, "--out", str(folder)]) == 0
-    return tifffile.imread(folder / "restored.tif")[..., 0], json.loads((folder / "restore.json").read_text())
+    return tifffile.imread(folder / "restored.tif")[..., 0], json.loads(
+        (folder / "restore.json").read_text()
+    )
 
 
 def edge(scene: np.ndarray) -> tuple[float, float]:
@@ -61,7 +77,9 @@ def edge(scene: np.ndarray) -> tuple[float, float]:
     off = np.arange(-6 * SAMPLES, 6 * SAMPLES + 0.01, 0.2)
     places = [begin + share * (end - begin) for share in np.linspace(0, 1, 60)]
     lines = [
-        ndimage.map_coordinates(scene, [p[0] - along[1] * off, p[1] + along[0] * off], order=1, mode="nearest")
+        ndimage.map_coordinates(
+            scene, [p[0] - along[1] * off, p[1] + along[0] * off], order=1, mode="nearest"
+        )
         for p in places
     ]
     profile, at = np.mean(lines, axis=0), off / SAMPLES
@@ -80,11 +98,21 @@ def edge(scene: np.ndarray) -> tuple[float, float]:
 def test_a_photograph_rings_no_more_than_richardsons_and_lucys_scene_as_sharp(
     tmp_path: Path,
 ) -> None:
-    scene, about = restored(tmp_path / "ours", session(tmp_path / "lens", -0.62), "--fit-defocus")
-    assert about["defocus_waves"] == {"G": 0.0}  # 0.03 ± 0.25 is not told; 0.8 by cross-validation
-    sharp = restored(tmp_path / "other", session(tmp_path / "sharp", 0.0), "--method", "richardson-lucy")[0]
-    others = [edge(ndimage.gaussian_filter(sharp, sigma)) for sigma in np.arange(0, 6, 0.25)]
+    scene, about = restored(
+        tmp_path / "ours", session(tmp_path / "lens", -0.62), "--fit-defocus"
+    )
+    assert about["defocus_waves"] == {
+        "G": 0.0
+    }  # 0.03 ± 0.25 is not told; 0.8 by cross-validation
+    sharp = restored(
+        tmp_path / "other", session(tmp_path / "sharp", 0.0), "--method", "richardson-lucy"
+    )[0]
+    others = [
+        edge(ndimage.gaussian_filter(sharp, sigma)) for sigma in np.arange(0, 6, 0.25)
+    ]
     width, ringing = edge(scene)
     widths, rings = np.array(others).T
     assert widths[0] < width < widths[-1]
-    assert ringing < np.interp(width, widths, rings)  # 0.5 % and 0.7 % of the step measured, at 3.4 pixels
+    assert ringing < np.interp(
+        width, widths, rings
+    )  # 0.5 % and 0.7 % of the step measured, at 3.4 pixels

@@ -27,15 +27,23 @@ from .conftest import ADDRESS
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Captured once and fitted whole, with few modes, for the tests here to fit again."""
     folder = tmp_path_factory.mktemp("refit")
-    few = {"camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2}, "fit": {"zernike_noll": [4, 6]}}
+    few = {
+        "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
+        "fit": {"zernike_noll": [4, 6]},
+    }
     text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
-    with Session.create(folder / "session", text, folder) as opened, open_devices(opened.plan) as devices:
+    with (
+        Session.create(folder / "session", text, folder) as opened,
+        open_devices(opened.plan) as devices,
+    ):
         run_plan(opened, devices, check=False)
     fit(folder / "session", workers=1)
     return folder / "session"
 
 
-def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(session: Path) -> None:
+def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(
+    session: Path,
+) -> None:
     before = Results.load(session)
     partial = fit(session, ranges_mm=2050.5, workers=1)
     assert partial.folder == session / "results" / "2050.5mm"
@@ -46,7 +54,8 @@ def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(session: P
 
 def test_a_partial_fit_is_not_put_in_the_place_of_a_whole_one(session: Path) -> None:
     with pytest.raises(
-        DataError, match="holds G at 2000 mm too, which this fit would not replace: give it another name"
+        DataError,
+        match="holds G at 2000 mm too, which this fit would not replace: give it another name",
     ):
         fit(session, ranges_mm=2050.5, name="latest", workers=1)
     assert len(Results.load(session)) == 2
@@ -63,13 +72,29 @@ def test_other_modes_and_another_lens_are_kept_with_what_they_gave(session: Path
     assert Session.open(session).plan.lens.f_number == 8.0
 
 
-def test_the_command_line_fits_again_too(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_fits_again_too(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     plan = tmp_path / "other.toml"
     plan.write_text(Session.open(session).plan.replace(lens={"f_number": 7.9}).to_toml())
-    args = ["--json", "fit", str(session), "--plan", str(plan), "--noll", "4:7", "--name", "by-plan", "--workers", "1"]
+    args = [
+        "--json",
+        "fit",
+        str(session),
+        "--plan",
+        str(plan),
+        "--noll",
+        "4:7",
+        "--name",
+        "by-plan",
+        "--workers",
+        "1",
+    ]
     assert run(args) == 0
     assert json.loads(capsys.readouterr().out)["plan"]["lens"]["f_number"] == 7.9
-    assert Results.load(session, "by-plan").plan == Plan.load(plan).replace(fit={"zernike_noll": (4, 7)})
+    assert Results.load(session, "by-plan").plan == Plan.load(plan).replace(
+        fit={"zernike_noll": (4, 7)}
+    )
 
 
 @pytest.mark.parametrize("noll", ["4", "4-22", "22:4", "1:6", "4:99999"])
@@ -103,7 +128,9 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
         raise InputError(f"cannot write {path}: No space left on device")
 
     folder = session / "results" / "again"
-    command = labkit("fit", str(session), "--workers", "2", "--name", "again", "--noll", "4:5")
+    command = labkit(
+        "fit", str(session), "--workers", "2", "--name", "again", "--noll", "4:5"
+    )
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         while not list(folder.glob(".fits/[!.]*")) and process.poll() is None:
             time.sleep(0.005)
@@ -113,9 +140,18 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
     assert kept
     with monkeypatch.context() as patch:
         patch.setattr("labkit.results.storage.write_atomically", full)
-        with pytest.raises(InputError, match="No space left on device; make room and fit again: that goes on where"):
+        with pytest.raises(
+            InputError,
+            match="No space left on device; make room and fit again: that goes on where",
+        ):
             fit(session, workers=1, name="again", noll=(4, 5))
-    assert kept.items() <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
-    monkeypatch.setattr("labkit.estimation.searches.find_optima", lambda *task, **options: pytest.fail("fitted twice"))
+    assert (
+        kept.items()
+        <= {path: path.stat().st_mtime_ns for path in folder.glob(".fits/*")}.items()
+    )
+    monkeypatch.setattr(
+        "labkit.estimation.searches.find_optima",
+        lambda *task, **options: pytest.fail("fitted twice"),
+    )
     assert len(fit(session, workers=1, name="again", noll=(4, 5))) == 2
     assert not (folder / ".fits").exists()

@@ -18,7 +18,17 @@ from labkit.plan import Plan
 from labkit.results import Lens, Results, Wavefront
 from labkit.results.model import Focus
 from labkit.uncertain import Uncertain
-from tests.physics.restoration_samples import FRAME, GAIN, NOLL, OPTICS, READ_NOISE, WAVES, WHITE, exposed, world
+from tests.physics.restoration_samples import (
+    FRAME,
+    GAIN,
+    NOLL,
+    OPTICS,
+    READ_NOISE,
+    WAVES,
+    WHITE,
+    exposed,
+    world,
+)
 
 BLACK, TOP = 100, 16383
 PLAN = f"""
@@ -64,7 +74,9 @@ def session(tmp_path: Path) -> Path:
     )
     exact = Uncertain(1.0, 0.1)
     focus = Focus({"R": Uncertain(990.0, 0.1, "mm")}, exact, True, {"R": (0.0,)})
-    lens = Lens(Uncertain(60.0, 0.1, "mm"), Uncertain(5.2, 0.01), exact, Uncertain(0.0, 1.0, "mm"))
+    lens = Lens(
+        Uncertain(60.0, 0.1, "mm"), Uncertain(5.2, 0.01), exact, Uncertain(0.0, 1.0, "mm")
+    )
     folder = tmp_path / "session"
     Results(plan, "", (wavefront,), focus, lens).write(folder / "results" / "latest")
     return folder
@@ -84,7 +96,21 @@ def line_of(capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_a_photograph_is_restored_by_the_contract(session: Path, tmp_path: Path) -> None:
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
-    assert run(["restore", str(image), "--psf", str(session), "--out", str(out), "--sixteen-bit", "--quiet"]) == 0
+    assert (
+        run(
+            [
+                "restore",
+                str(image),
+                "--psf",
+                str(session),
+                "--out",
+                str(out),
+                "--sixteen-bit",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     about = json.loads((out / "restore.json").read_text())
     assert about["schema"] == 1
     assert about["channels"] == ["R"]
@@ -103,14 +129,19 @@ def test_a_photograph_is_restored_by_the_contract(session: Path, tmp_path: Path)
 
 
 def test_tiles_are_restored_on_every_core_and_the_memory_that_is_said_counts_them(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    session: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     image, said = photograph(tmp_path / "a.tif"), list[float]()
     for name, cores in (("one", 1), ("four", 4)):
         monkeypatch.setattr("labkit.execute.default_workers", lambda cores=cores: cores)
         out = ["--out", str(tmp_path / name), "--tile", "32"]
         assert run(["restore", str(image), "--psf", str(session), *out]) == 0
-        (gigabytes,) = re.findall(r"tiles of 32 pixels, about ([\d.]+) GB", capsys.readouterr().out)
+        (gigabytes,) = re.findall(
+            r"tiles of 32 pixels, about ([\d.]+) GB", capsys.readouterr().out
+        )
         said.append(float(gigabytes))
     assert 2 < said[1] / said[0] < 4
 
@@ -118,7 +149,9 @@ def test_tiles_are_restored_on_every_core_and_the_memory_that_is_said_counts_the
 def test_a_cut_says_where_it_stands(session: Path, tmp_path: Path) -> None:
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     asked = ["--crop", "8,12,40,44", "--samples", "2", "--lambda", "1000", "--quiet"]
-    assert run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    assert (
+        run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    )
     about = json.loads((out / "restore.json").read_text())
     assert about["origin_px"] == [8, 12]
     assert about["spacing_um"] == pytest.approx(OPTICS.pitch_um / 2)
@@ -129,7 +162,9 @@ def test_a_cut_says_where_it_stands(session: Path, tmp_path: Path) -> None:
 def test_the_lens_is_carried_to_another_range(session: Path, tmp_path: Path) -> None:
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     asked = ["--range", "1010", "--samples", "1", "--lambda", "1000", "--quiet"]
-    assert run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    assert (
+        run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    )
     moved = json.loads((out / "restore.json").read_text())["defocus_waves"]["R"] - WAVES[0]
     # a thin lens to first order: the image moves by f^2 dr / r^2, and path over the cone's rim is that over 8 N^2
     first_order = 60.0**2 * 10 / 1005.0**2 / (8 * 5.2**2 * np.sqrt(12)) / 650e-6
@@ -137,10 +172,14 @@ def test_the_lens_is_carried_to_another_range(session: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("method", ["richardson-lucy", "wiener"])
-def test_the_usual_methods_are_one_option_away(method: str, session: Path, tmp_path: Path) -> None:
+def test_the_usual_methods_are_one_option_away(
+    method: str, session: Path, tmp_path: Path
+) -> None:
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     asked = ["--method", method, "--samples", "1", "--quiet"]
-    assert run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    assert (
+        run(["restore", str(image), "--psf", str(session), "--out", str(out), *asked]) == 0
+    )
     assert json.loads((out / "restore.json").read_text())["method"] == method
 
 
@@ -150,7 +189,21 @@ def test_a_scene_clipped_by_half_is_restored_outside_the_clipping_and_said(
     mean = world().mean().copy()
     mean[:, FRAME // 2 :] = 10.0
     image, out = photograph(tmp_path / "a.tif", mean), tmp_path / "out"
-    assert run(["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1"]) == 0
+    assert (
+        run(
+            [
+                "restore",
+                str(image),
+                "--psf",
+                str(session),
+                "--out",
+                str(out),
+                "--samples",
+                "1",
+            ]
+        )
+        == 0
+    )
     assert "50 % of the pixels are clipped" in capsys.readouterr().err
     restored = tifffile.imread(out / "restored.tif")[..., 0]
     assert np.isnan(restored[:, -16:]).all()
@@ -159,20 +212,48 @@ def test_a_scene_clipped_by_half_is_restored_outside_the_clipping_and_said(
 
 REFUSED = {
     "no lens": (["{image}"], "Give --psf SESSION"),
-    "a channel that was not measured": (["{image}", "--psf", "{session}", "--channel", "B"], "measured are R"),
-    "a cut outside": (["{image}", "--psf", "{session}", "--crop", "0,0,99,99"], "rows 0 to 48"),
-    "a cut that is none": (["{image}", "--psf", "{session}", "--crop", "1,2"], "first row, first column"),
-    "no strength": (["{image}", "--psf", "{session}", "--lambda", "-3"], "discrepancy, or l-curve"),
-    "no method": (["{image}", "--psf", "{session}", "--method", "magic"], "total-variation"),
+    "a channel that was not measured": (
+        ["{image}", "--psf", "{session}", "--channel", "B"],
+        "measured are R",
+    ),
+    "a cut outside": (
+        ["{image}", "--psf", "{session}", "--crop", "0,0,99,99"],
+        "rows 0 to 48",
+    ),
+    "a cut that is none": (
+        ["{image}", "--psf", "{session}", "--crop", "1,2"],
+        "first row, first column",
+    ),
+    "no strength": (
+        ["{image}", "--psf", "{session}", "--lambda", "-3"],
+        "discrepancy, or l-curve",
+    ),
+    "no method": (
+        ["{image}", "--psf", "{session}", "--method", "magic"],
+        "total-variation",
+    ),
     "too little memory": (
         ["{image}", "--psf", "{session}", "--memory", "0.01", "--samples", "9"],
         "--samples, or --crop",
     ),
     "a tile too large": (
-        ["{wide}", "--psf", "{session}", "--memory", "0.05", "--samples", "3", "--tile", "640"],
+        [
+            "{wide}",
+            "--psf",
+            "{session}",
+            "--memory",
+            "0.05",
+            "--samples",
+            "3",
+            "--tile",
+            "640",
+        ],
         "--tile 96 fits",
     ),
-    "inside the focal length": (["{image}", "--psf", "{session}", "--range", "30"], "more than the focal length"),
+    "inside the focal length": (
+        ["{image}", "--psf", "{session}", "--range", "30"],
+        "more than the focal length",
+    ),
     "a folder that is no session": (["{folder}"], "labkit fit"),
 }
 
@@ -184,7 +265,9 @@ def test_what_cannot_be_restored_is_refused_in_one_line(
     args, words = REFUSED[case]
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     wide = photograph(tmp_path / "wide.tif", np.tile(world().mean(), (5, 5)))
-    given = [a.format(image=image, wide=wide, session=session, folder=tmp_path) for a in args]
+    given = [
+        a.format(image=image, wide=wide, session=session, folder=tmp_path) for a in args
+    ]
     assert run(["restore", *given, "--out", str(out)]) == 2
     assert words in line_of(capsys)
     assert not out.exists()
@@ -202,20 +285,37 @@ def test_nothing_that_was_restored_is_overwritten(
 
 
 def test_an_aperture_other_than_the_sessions_is_refused_unless_forced(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    session: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from labkit.raw.exif import Exif
     from labkit.restoring import photographs
 
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
-    monkeypatch.setattr(photographs, "read_exif", lambda path: Exif(camera="Other 1", f_number=11.0))
-    asked = ["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1", "--quiet"]
+    monkeypatch.setattr(
+        photographs, "read_exif", lambda path: Exif(camera="Other 1", f_number=11.0)
+    )
+    asked = [
+        "restore",
+        str(image),
+        "--psf",
+        str(session),
+        "--out",
+        str(out),
+        "--samples",
+        "1",
+        "--quiet",
+    ]
     assert run(asked) == 2
     assert "aperture f/11, the session's is 5.6" in line_of(capsys)
     assert run([*asked, "--force"]) == 0
 
 
-def test_a_session_whose_files_went_is_named(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_whose_files_went_is_named(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shutil.rmtree(session / "results")
     assert run(["restore", str(session)]) == 2
     assert "labkit fit" in line_of(capsys)
@@ -225,7 +325,18 @@ def test_another_channels_psf_is_taken_by_force_alone(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
-    asked = ["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1", "--channel", "B"]
+    asked = [
+        "restore",
+        str(image),
+        "--psf",
+        str(session),
+        "--out",
+        str(out),
+        "--samples",
+        "1",
+        "--channel",
+        "B",
+    ]
     assert run(asked) == 2
     assert "--force to take another's" in line_of(capsys)
     assert run([*asked, "--force", "--quiet"]) == 0
@@ -233,11 +344,26 @@ def test_another_channels_psf_is_taken_by_force_alone(
 
 
 def test_another_method_without_scikit_image_is_one_line(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    session: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "skimage", None)  # as if it were not installed
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
-    asked = ["restore", str(image), "--psf", str(session), "--out", str(out), "--samples", "1"]
+    asked = [
+        "restore",
+        str(image),
+        "--psf",
+        str(session),
+        "--out",
+        str(out),
+        "--samples",
+        "1",
+    ]
     assert run([*asked, "--method", "wiener"]) == 2
-    assert "need scikit-image: pip install 'labkit[study]'" in capsys.readouterr().err.splitlines()[-1]
+    assert (
+        "need scikit-image: pip install 'labkit[study]'"
+        in capsys.readouterr().err.splitlines()[-1]
+    )
     assert not out.exists()

@@ -22,12 +22,20 @@ def part(drawn: Drawn, ranges_mm: tuple[float, ...], turned_mm: float) -> Drawn:
     lens = drawn.settings.lens
     focus_mm = {colour: mm + turned_mm for colour, mm in lens.best_focus_mm.items()}
     plan = drawn.plan.replace(rail={"ranges_mm": ranges_mm})
-    return replace(drawn, plan=plan, settings=replace(drawn.settings, lens=replace(lens, best_focus_mm=focus_mm)))
+    return replace(
+        drawn,
+        plan=plan,
+        settings=replace(drawn.settings, lens=replace(lens, best_focus_mm=focus_mm)),
+    )
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, drawn, rows = tmp_path_factory.mktemp("turned"), draw(1, 11), ["file,kind,range_mm"]
+    folder, drawn, rows = (
+        tmp_path_factory.mktemp("turned"),
+        draw(1, 11),
+        ["file,kind,range_mm"],
+    )
     for name, ranges_mm, turned_mm in (("0", BEFORE_MM, 0.0), ("1", AFTER_MM, TURNED_MM)):
         make(part(drawn, ranges_mm, turned_mm), folder / name)
         for frame in Session.open(folder / name).frames:
@@ -36,14 +44,20 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
             rows.append(f"{name}_{frame.path.name},{frame.kind},{range_mm}")
     (folder / "frames.csv").write_text("\n".join(rows), encoding="utf-8")
     plan = folder / "0" / "plan.toml"
-    assert run(["import", str(folder / "frames.csv"), str(plan), str(folder / "session")]) == 0
+    assert (
+        run(["import", str(folder / "frames.csv"), str(plan), str(folder / "session")]) == 0
+    )
     return folder / "session"
 
 
 def test_the_moment_is_named_and_both_halves_are_fitted(session: Path) -> None:
     assert run(["fit", str(session), "--split", "--quiet"]) == 0
-    whole, before, after = (labkit.Results.load(session, f"latest{end}") for end in ("", "-before", "-after"))
-    (change,) = (finding.numbers for finding in whole.findings if finding.code == "lens-changed")
+    whole, before, after = (
+        labkit.Results.load(session, f"latest{end}") for end in ("", "-before", "-after")
+    )
+    (change,) = (
+        finding.numbers for finding in whole.findings if finding.code == "lens-changed"
+    )
     assert change == {"last_mm": pytest.approx(1399.4), "next_mm": pytest.approx(1434.1)}
     drawn = draw(1, 11)
     true_mm = drawn.settings.lens.best_focus_mm["G"] - drawn.settings.rail.tape_error_mm
@@ -54,4 +68,6 @@ def test_the_moment_is_named_and_both_halves_are_fitted(session: Path) -> None:
         assert best.std < 0.07  # 0.037 and 0.027
         assert abs(best.value - true_mm - turned_mm) < 3 * best.std
         f_number = half.lens.f_number
-        assert abs(f_number.value - drawn.settings.lens.f_number) < 3 * f_number.std < 0.2  # 0.031, three times
+        assert (
+            abs(f_number.value - drawn.settings.lens.f_number) < 3 * f_number.std < 0.2
+        )  # 0.031, three times

@@ -9,7 +9,17 @@ from labkit.experiments.studies import STUDIES
 from tests.studies import quick
 
 NAMES = (
-    *("crb", "uniform-crb", "targets", "minima", "roc", "global", "annealing", "psf-accuracy", "extension"),
+    *(
+        "crb",
+        "uniform-crb",
+        "targets",
+        "minima",
+        "roc",
+        "global",
+        "annealing",
+        "psf-accuracy",
+        "extension",
+    ),
     *("edges", "restoration"),
 )
 OF_THEIR_OWN = ("targets", "extension")
@@ -27,6 +37,8 @@ def test_a_study_prints_one_json_object_and_writes_its_files(
     quick(name, tmp_path, capsys)
 
 
-def test_an_unknown_study_is_told_which_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_study_is_told_which_there_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert run(["study", "nonsense"]) == 2
     assert "there are crb" in capsys.readouterr().err

@@ -11,16 +11,31 @@ import pytest
 
 
 @pytest.mark.timeout(400)
-def test_a_target_is_served_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_target_is_served_until_ctrl_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     serve = "from labkit.cli import main; main()"
     spec, panel = "sierpinski:order=4,size_mm=46.8", "ipad-9.7-retina"
-    command = [sys.executable, "-c", serve, "target", "serve", spec, "--panel", panel, "--listen", "127.0.0.1:0"]
+    command = [
+        sys.executable,
+        "-c",
+        serve,
+        "target",
+        "serve",
+        spec,
+        "--panel",
+        panel,
+        "--listen",
+        "127.0.0.1:0",
+    ]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         try:
             operator, display = running.stderr.readline(), running.stderr.readline()
-            assert display.startswith('Open this on the display "screen" (2048 × 1536 pixels): http://127.0.0.1:')
+            assert display.startswith(
+                'Open this on the display "screen" (2048 × 1536 pixels): http://127.0.0.1:'
+            )
             for line, title in ((display, "labkit display"), (operator, "labkit")):
                 (url,) = re.findall(r"http://\S+", line)
                 with urllib.request.urlopen(url, timeout=100) as page:

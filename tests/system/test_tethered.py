@@ -45,9 +45,16 @@ pytest.importorskip("gphoto2")
 
 PLAN = plan_text(
     PORTRAIT,
-    {"lens": {"f_number": 4.0}, "fit": {"zernike_noll": [4, 15], "reference_wavelength_nm": 450}},
+    {
+        "lens": {"f_number": 4.0},
+        "fit": {"zernike_noll": [4, 15], "reference_wavelength_nm": 450},
+    },
     simulated([3000, 3300], 2950.0, "simulated:seed=3"),
-    {"camera": {"frames_per_range": 2, "flats_per_range": 10, "darks": 4}, "rail": {"settle_s": 0}, "display": IPAD},
+    {
+        "camera": {"frames_per_range": 2, "flats_per_range": 10, "darks": 4},
+        "rail": {"settle_s": 0},
+        "display": IPAD,
+    },
 )
 
 
@@ -84,7 +91,11 @@ class CameraOnTheBench:
 
     def _lay(self, counts: NDArray[np.uint16]) -> None:
         self._photograph.unlink(missing_ok=True)
-        write_raw(self._photograph, counts, RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100))
+        write_raw(
+            self._photograph,
+            counts,
+            RawTags(black_level=600, white_level=16383, exposure_s=0.02, iso=100),
+        )
 
 
 @pytest.mark.timeout(600)
@@ -97,7 +108,9 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     context = DeviceContext()
     with (
         open_devices(Plan.load(plan_file), context=context) as simulated,
-        Gphoto2Camera("", f_number=4.0, keep=False, wait=time.sleep, release_s=1.0) as tethered,
+        Gphoto2Camera(
+            "", f_number=4.0, keep=False, wait=time.sleep, release_s=1.0
+        ) as tethered,
         begin(plan_file, tmp_path / "session", resume=False) as session,
     ):
         bench: Bench = next(iter(context.shared.values()))
@@ -107,17 +120,28 @@ def test_a_session_through_libgphoto2_is_fitted_as_well_as_the_main_job(
     # more photographs than the virtual camera's card holds, so it was opened again on the way
     assert len(session.frames) == 4 + 2 * (10 + 2)
     assert verify(session) == []
-    assert {frame.meta["camera_settings"]["shutterspeed"] for frame in session.frames} == {"0.0200s"}
-    assert any(event["event"] == "camera" and event["model"] == "Nikon DSC D750" for event in session.events)
-    assert _counts(session) == _counts_of_the_simulated_camera(plan_file, tmp_path / "simulated", bench)
+    assert {frame.meta["camera_settings"]["shutterspeed"] for frame in session.frames} == {
+        "0.0200s"
+    }
+    assert any(
+        event["event"] == "camera" and event["model"] == "Nikon DSC D750"
+        for event in session.events
+    )
+    assert _counts(session) == _counts_of_the_simulated_camera(
+        plan_file, tmp_path / "simulated", bench
+    )
     results = fit(session, workers=1)
     assert all(0.9 < w.chi2_per_pixel < 1.1 for w in results)
     for one in compare(results, bench.truth):
         if one.quantity.startswith("defocus"):
-            assert one.estimate == pytest.approx(one.truth, abs=0.0012)  # the README's figure for simulated worlds
+            assert one.estimate == pytest.approx(
+                one.truth, abs=0.0012
+            )  # the README's figure for simulated worlds
         if one.quantity.startswith("best focus"):
             # four standard errors, and the rail's scatter, which they do not know of
-            assert abs(one.estimate - one.truth) < 4 * math.hypot(one.std, bench.settings.rail.scatter_mm)
+            assert abs(one.estimate - one.truth) < 4 * math.hypot(
+                one.std, bench.settings.rail.scatter_mm
+            )
 
 
 FAULTY = Path(__file__).parents[1] / "drivers" / "faulty_gphoto2.py"
@@ -132,9 +156,13 @@ def tethered_capture(
     with (
         begin(plan_file, folder, resume=True) as session,
         open_devices(session.plan, context=bench_room) as simulated,
-        Gphoto2Camera("", f_number=8.0, keep=False, wait=lambda s: None, link=link, release_s=1.0) as tethered,
+        Gphoto2Camera(
+            "", f_number=8.0, keep=False, wait=lambda s: None, link=link, release_s=1.0
+        ) as tethered,
     ):
-        camera = CameraOnTheBench(tethered, next(iter(bench_room.shared.values())), photograph)
+        camera = CameraOnTheBench(
+            tethered, next(iter(bench_room.shared.values())), photograph
+        )
         devices = Devices(camera, simulated.rail, simulated.display, simulated.wait)  # type: ignore[arg-type]
         said: list[str] = []
         run_plan(session, devices, warn=said.append)
@@ -145,19 +173,34 @@ def tethered_capture(
 
 @pytest.mark.parametrize(
     ("call", "at", "kind"),
-    [("init", 1, -53), ("trigger_capture", 2, -110), ("file_get", 7, -7), ("file_get", 12, "crash")],
+    [
+        ("init", 1, -53),
+        ("trigger_capture", 2, -110),
+        ("file_get", 7, -7),
+        ("file_get", 12, "crash"),
+    ],
 )
 def test_a_capture_that_the_camera_stops_is_completed_by_resuming(
-    call: str, at: int, kind: int | str, plan_file: Path, tmp_path: Path, make_context: ContextMaker, photograph: Path
+    call: str,
+    at: int,
+    kind: int | str,
+    plan_file: Path,
+    tmp_path: Path,
+    make_context: ContextMaker,
+    photograph: Path,
 ) -> None:
     # two in the preflight's look at the far end, two at the near one, eleven to keep
     fault = {"call": call, "kind": kind, "at": at, "times": 999}
     with pytest.raises(DeviceError) as caught:
-        tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault)
+        tethered_capture(
+            plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault
+        )
     assert "\n" not in str(caught.value)
     kept = {frame.file: frame.sha256 for frame in Session.open(tmp_path / "s").frames}
     assert len(kept) == max(0, at - 1 - 4)
-    session = tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph)
+    session = tethered_capture(
+        plan_file, tmp_path / "s", make_context(plan_file), photograph
+    )
     assert len(session.frames) == 11
     assert verify(session) == []
     assert kept.items() <= {frame.file: frame.sha256 for frame in session.frames}.items()
@@ -167,7 +210,9 @@ def test_trouble_that_the_camera_gets_over_by_itself_stands_in_the_journal(
     plan_file: Path, tmp_path: Path, make_context: ContextMaker, photograph: Path
 ) -> None:
     fault = {"call": "file_get", "kind": -7, "at": 7, "times": 1}
-    session = tethered_capture(plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault)
+    session = tethered_capture(
+        plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault
+    )
     assert len(session.frames) == 11
     overcome = [event for event in session.events if event["event"] == "overcome"]
     assert [event["device"] for event in overcome] == ["camera"]
@@ -178,12 +223,16 @@ def test_trouble_that_the_camera_gets_over_by_itself_stands_in_the_journal(
 def _counts(session: Session) -> dict[str, str]:
     """What is in each photograph, as a checksum of its pixels."""
     return {
-        frame.file: hashlib.sha256(read_raw(frame.path, session.plan.sensor).counts.tobytes()).hexdigest()
+        frame.file: hashlib.sha256(
+            read_raw(frame.path, session.plan.sensor).counts.tobytes()
+        ).hexdigest()
         for frame in session.frames
     }
 
 
-def _counts_of_the_simulated_camera(plan_file: Path, folder: Path, like: Bench) -> dict[str, str]:
+def _counts_of_the_simulated_camera(
+    plan_file: Path, folder: Path, like: Bench
+) -> dict[str, str]:
     """The same session without libgphoto2: noise is drawn by each frame's name, so nothing may differ.
 
     The bench is one like the other, down to the noiseless pictures that were computed for that, which take long.
@@ -191,6 +240,9 @@ def _counts_of_the_simulated_camera(plan_file: Path, folder: Path, like: Bench) 
     bench = Bench(like.settings)
     bench._seen = like._seen
     context = DeviceContext(shared=SharedParts({"simulated:seed=3": bench}))
-    with begin(plan_file, folder, resume=False) as session, open_devices(session.plan, context=context) as devices:
+    with (
+        begin(plan_file, folder, resume=False) as session,
+        open_devices(session.plan, context=context) as devices,
+    ):
         run_plan(session, devices, check=False)
     return _counts(session)

@@ -29,13 +29,19 @@ def tutorial(name: str) -> str:
 
 def files(text: str) -> dict[str, str]:
     """Contents by caption."""
-    return dict(re.findall(r"```\{code-block\} \w+\n:caption: (\S+)\n(.*?)```", text, re.DOTALL))
+    return dict(
+        re.findall(r"```\{code-block\} \w+\n:caption: (\S+)\n(.*?)```", text, re.DOTALL)
+    )
 
 
 def sessions(text: str) -> list[tuple[str, list[str]]]:
     """Each command and the lines that are shown below it."""
     blocks = re.findall(r"```console\n(.*?)```", text, re.DOTALL)
-    shown = [part.splitlines() for block in blocks for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]]
+    shown = [
+        part.splitlines()
+        for block in blocks
+        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]
+    ]
     return [(lines[0], lines[1:]) for lines in shown]
 
 
@@ -53,13 +59,18 @@ def run_all(text: str, capfd: pytest.CaptureFixture[str]) -> None:
         assert run(args) == 0, command
         streams = capfd.readouterr()
         printed = {masked(line) for line in (streams.out + streams.err).splitlines()}
-        assert [line for line in shown if line != "…" and masked(line) not in printed] == [], command
+        assert [
+            line for line in shown if line != "…" and masked(line) not in printed
+        ] == [], command
 
 
 def draft_lines(text: str) -> set[str]:
     """What a draft states without asking, but for the tables of colours."""
     head, _, target = text.partition("[[channel]]")
-    lines = [line.split("#")[0].strip() for line in [*head.splitlines(), *target.partition("[target]")[2].splitlines()]]
+    lines = [
+        line.split("#")[0].strip()
+        for line in [*head.splitlines(), *target.partition("[target]")[2].splitlines()]
+    ]
     return set(filter(None, lines))
 
 
@@ -88,7 +99,9 @@ def test_a_folder_of_photographs_becomes_a_report_by_the_tutorial(
     focus = Results.load("lens").focus
     assert focus is not None
     # four standard errors: the bench's rail scatters by less than one of them
-    assert focus["G"].value == pytest.approx(practice["bench"]().truth.best_focus_mm["G"], abs=4 * focus["G"].std)
+    assert focus["G"].value == pytest.approx(
+        practice["bench"]().truth.best_focus_mm["G"], abs=4 * focus["G"].std
+    )
 
 
 def test_the_plan_of_one_photograph_is_that_of_the_real_one(tmp_path: Path) -> None:
@@ -97,7 +110,9 @@ def test_the_plan_of_one_photograph_is_that_of_the_real_one(tmp_path: Path) -> N
         (tmp_path / name).touch()
     (shown,) = re.findall(r"```toml\n(.*?)```", tutorial("files"), re.DOTALL)
     real = runpy.run_path(str(ROOT / "examples" / "real_photograph.py"))
-    used = Plan.parse(real["PLAN"], tmp_path).replace(target={"file": str(tmp_path / "pattern.pgm")})
+    used = Plan.parse(real["PLAN"], tmp_path).replace(
+        target={"file": str(tmp_path / "pattern.pgm")}
+    )
     assert Plan.parse(shown, tmp_path) == used
     assert real["CORNERS"] in tutorial("files")
 
@@ -114,4 +129,8 @@ def test_a_session_is_captured_by_the_tutorial_with_devices(
     exec(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0], {})
     assert capfd.readouterr().out == "8 frames\n"
     kinds = [frame.kind for frame in Session.open("trial").frames]
-    assert {kind: kinds.count(kind) for kind in kinds} == {"target": 2, "flat": 4, "dark": 2}
+    assert {kind: kinds.count(kind) for kind in kinds} == {
+        "target": 2,
+        "flat": 4,
+        "dark": 2,
+    }

@@ -19,7 +19,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     for path in source_files():
         (source / path).parent.mkdir(parents=True, exist_ok=True)
         (source / path).write_bytes((ROOT / path).read_bytes())
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(source)]
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--wheel",
+        "--no-isolation",
+        "--outdir",
+        str(out),
+        str(source),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr
     (path,) = out.glob("*.whl")
@@ -28,9 +37,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 
 def source_files() -> list[Path]:
     """Everything that belongs into the wheel, and what it takes to build it."""
-    code = [path for folder in ("labkit", "drivers", "targets") for path in (ROOT / folder).rglob("*")]
+    code = [
+        path
+        for folder in ("labkit", "drivers", "targets")
+        for path in (ROOT / folder).rglob("*")
+    ]
     found = [path for path in code if path.is_file() and "__pycache__" not in path.parts]
-    return [path.relative_to(ROOT) for path in [*found, ROOT / "pyproject.toml", ROOT / "README.md"]]
+    return [
+        path.relative_to(ROOT)
+        for path in [*found, ROOT / "pyproject.toml", ROOT / "README.md"]
+    ]
 
 
 def installed_as(path: Path) -> str:
@@ -49,7 +65,9 @@ def test_nothing_else_is_in_the_wheel(wheel: zipfile.ZipFile) -> None:
 
 
 def test_every_entry_point_leads_to_something(wheel: zipfile.ZipFile) -> None:
-    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]["entry-points"]
     names = set(wheel.namelist())
     for entries in groups.values():
         for entry in entries.values():

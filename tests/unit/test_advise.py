@@ -41,9 +41,19 @@ def test_errors_are_those_that_a_session_of_this_plan_had() -> None:
     # a simulated session of 59.2 mm f/4.1, two frames at each of two ranges, fitted: best focus of G +- 0.0224 mm,
     # f +- 0.354 mm, N +- 0.0238, mp +- 0.156, zero +- 9.00 mm
     lens = {"lens": {"focal_length_mm": 59.2, "f_number": 4.1}, "target": {"size_mm": 13.0}}
-    sensor = {"sensor": {"pixel_pitch_um": 5.0, "fill_factor": 0.79}, "fit": {"zernike_noll": [4, 15]}}
-    colours = {"channel": [{"name": n, "wavelength_nm": nm} for n, nm in (("R", 630.0), ("G", 535.0), ("B", 455.0))]}
-    advice = advise(Plan.parse(plan_text(PORTRAIT, lens, sensor, colours)), ranges_mm=[1447.0, 1597.0])
+    sensor = {
+        "sensor": {"pixel_pitch_um": 5.0, "fill_factor": 0.79},
+        "fit": {"zernike_noll": [4, 15]},
+    }
+    colours = {
+        "channel": [
+            {"name": n, "wavelength_nm": nm}
+            for n, nm in (("R", 630.0), ("G", 535.0), ("B", 455.0))
+        ]
+    }
+    advice = advise(
+        Plan.parse(plan_text(PORTRAIT, lens, sensor, colours)), ranges_mm=[1447.0, 1597.0]
+    )
     assert advice.session is not None
     std = advice.session.std
     # one frame instead of two, and no errors of flats
@@ -55,14 +65,21 @@ def test_errors_are_those_that_a_session_of_this_plan_had() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_ranges_hardly_tell_is_named_with_what_would_tell_it(usual: Advice) -> None:
+def test_what_the_ranges_hardly_tell_is_named_with_what_would_tell_it(
+    usual: Advice,
+) -> None:
     assert usual.session is not None
     assert "pupil_magnification" in usual.session.open_numbers()
     (tape,) = (remedy for remedy in usual.session.remedies if "tape" in remedy.what)
     assert tape in usual.session.worthwhile("pupil_magnification")
-    assert tape not in usual.session.worthwhile("range_zero_mm")  # what one measures is no news of it
+    assert tape not in usual.session.worthwhile(
+        "range_zero_mm"
+    )  # what one measures is no news of it
     told = f"a tape right to 1 mm would make it ± {tape.std['pupil_magnification']:.2g}"
-    assert any("hardly determine the pupil magnification" in note and told in note for note in usual.notes)
+    assert any(
+        "hardly determine the pupil magnification" in note and told in note
+        for note in usual.notes
+    )
 
 
 @pytest.mark.slow
@@ -99,21 +116,30 @@ def test_the_least_side_is_that_of_cells_as_wide_as_an_airy_radius(plan: Plan) -
 
 
 @pytest.mark.slow
-def test_a_display_is_resolved_from_where_its_pixels_span_an_airy_radius(plan: Plan) -> None:
+def test_a_display_is_resolved_from_where_its_pixels_span_an_airy_radius(
+    plan: Plan,
+) -> None:
     advice = advise(plan, ranges_mm=[3000.0])
     assert advice.nearest_mm == pytest.approx(25.4 / 264 / (0.0703 / 3200), rel=1e-3)
-    assert any("display's own pixels will be seen with 2% of contrast" in note for note in advice.notes)
+    assert any(
+        "display's own pixels will be seen with 2% of contrast" in note
+        for note in advice.notes
+    )
     far = advise(plan, ranges_mm=[5000.0])  # the lens blurs them
     assert not any("display's own pixels" in note for note in far.notes)
 
 
-def test_the_contrast_of_stripes_is_that_of_their_first_harmonic_through_lens_and_pixel(plan: Plan) -> None:
+def test_the_contrast_of_stripes_is_that_of_their_first_harmonic_through_lens_and_pixel(
+    plan: Plan,
+) -> None:
     (one,) = (plan.replace(channel=[{"name": "G", "wavelength_nm": 550.0}]),)
     at_mm = 70.0 / (1000 - 70) * 0.1  # a pitch of 0.1 mm on the sensor
     s = 1 / at_mm * 0.55e-3 * 2.8 * (1 + 70 / 930)
     lens = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))  # Goodman (6-34)
     lit = np.arange(1000) < 850 / 3
-    harmonic = 2 * abs(np.mean(lit * np.exp(-2j * np.pi * np.arange(1000) / 1000))) / np.mean(lit)
+    harmonic = (
+        2 * abs(np.mean(lit * np.exp(-2j * np.pi * np.arange(1000) / 1000))) / np.mean(lit)
+    )
     expected = harmonic * lens * abs(np.sinc(4.78e-3 / at_mm))
     assert stripe_contrast(one, 0.1, 1000.0, 0.0) == pytest.approx(expected, rel=2e-3)
     assert stripe_contrast(one, 0.1, 1000.0, 0.5) < 0.1 * expected
@@ -121,11 +147,17 @@ def test_the_contrast_of_stripes_is_that_of_their_first_harmonic_through_lens_an
 
 def test_cells_finer_than_the_displays_pixels_are_named(plan: Plan) -> None:
     small = plan.replace(target={"size_mm": 15.0})
-    assert any("finer than the display's pixels" in note for note in advise(small, ranges_mm=[3000.0]).notes)
+    assert any(
+        "finer than the display's pixels" in note
+        for note in advise(small, ranges_mm=[3000.0]).notes
+    )
 
 
 def test_far_away_the_magnification_is_not_determined() -> None:
-    advice = advise(portrait("G", "RGGB").replace(target={"size_mm": 156.0}), ranges_mm=[30000.0, 32000.0, 34000.0])
+    advice = advise(
+        portrait("G", "RGGB").replace(target={"size_mm": 156.0}),
+        ranges_mm=[30000.0, 32000.0, 34000.0],
+    )
     assert not advice.magnification_determined
     assert advice.magnification_std is not None
     assert advice.magnification_std > TELLING_STD
@@ -133,14 +165,20 @@ def test_far_away_the_magnification_is_not_determined() -> None:
 
 @pytest.mark.slow
 def test_errors_fall_with_the_square_root_of_light(plan: Plan) -> None:
-    dim, bright = (advise(plan, ranges_mm=[3200.0], electrons=e).ranges[0] for e in (4e4, 16e4))
-    assert dim.std_wavefront_waves / bright.std_wavefront_waves == pytest.approx(2.0, rel=0.02)
+    dim, bright = (
+        advise(plan, ranges_mm=[3200.0], electrons=e).ranges[0] for e in (4e4, 16e4)
+    )
+    assert dim.std_wavefront_waves / bright.std_wavefront_waves == pytest.approx(
+        2.0, rel=0.02
+    )
 
 
 @pytest.mark.slow
 def test_photographs_for_an_error_that_is_wanted(plan: Plan) -> None:
     now = advise(plan, ranges_mm=[3200.0]).ranges[0].std_wavefront_waves
-    assert advise(plan, ranges_mm=[3200.0], want_waves=now / 3).frames == pytest.approx(9 * 2, abs=1)
+    assert advise(plan, ranges_mm=[3200.0], want_waves=now / 3).frames == pytest.approx(
+        9 * 2, abs=1
+    )
     assert advise(plan, ranges_mm=[3200.0], want_waves=10 * now).frames == 1
 
 
@@ -185,7 +223,9 @@ def test_what_cannot_be_advised_on(plan: Plan) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_answers_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_answers_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "plan.toml").write_text(portrait("G", "RGGB").to_toml())
     ranges = ["--range", "3000", "--range", "3300"]
     assert run(["advise", str(tmp_path / "plan.toml"), *ranges, "--json"]) == 0
@@ -203,7 +243,11 @@ def portrait(name: str, cfa_pattern: str | None) -> Plan:
     """One channel at 600 nm and four modes; the target spans 77.96 pixels at 3000 mm."""
     channel = {"channel": [{"name": name, "wavelength_nm": 600.0}]}
     return Plan.parse(
-        plan_text(PORTRAIT, channel, {"sensor": {"cfa_pattern": cfa_pattern}, "fit": {"zernike_noll": [4, 7]}})
+        plan_text(
+            PORTRAIT,
+            channel,
+            {"sensor": {"cfa_pattern": cfa_pattern}, "fit": {"zernike_noll": [4, 7]}},
+        )
     )
 
 
@@ -219,10 +263,19 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
     )
     px = 15.6 * 70 / (3000 - 70) / 4.78e-3
     turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
-    corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * px / 2 @ turn + (SIDE - 1) / 2 + 0.3
+    corners = (
+        np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * px / 2 @ turn
+        + (SIDE - 1) / 2
+        + 0.3
+    )
     pose = Pose.from_corners(corners, (15.6, 15.6))
     model = ForwardModel.build(optics, open_target(plan.target), (SIDE, SIDE), pose)
-    pixels = np.array([[cell[2 * (row % 2) + col % 2] == name for col in range(SIDE)] for row in range(SIDE)])
+    pixels = np.array(
+        [
+            [cell[2 * (row % 2) + col % 2] == name for col in range(SIDE)]
+            for row in range(SIDE)
+        ]
+    )
 
     def mean(step: Floats) -> Floats:
         waves = np.array([0.01, 0.025, 0.025, 0.025]) + step[:4]
@@ -252,23 +305,40 @@ def brute_force_std(plan: Plan, name: str, cell: str) -> float:
         ("G", "mono", "GGGG"),
     ],
 )
-def test_errors_are_those_of_the_channels_pixels_alone(name: str, cfa_pattern: str | None, cell: str) -> None:
+def test_errors_are_those_of_the_channels_pixels_alone(
+    name: str, cfa_pattern: str | None, cell: str
+) -> None:
     plan = portrait(name, cfa_pattern)
     (at,) = advise(plan, ranges_mm=[3000.0], electrons=ELECTRONS).ranges
     # finite differences of 1e-4; the condition of the information takes a few digits more
-    assert at.std_defocus_waves == pytest.approx(brute_force_std(plan, name, cell), rel=1e-3)
+    assert at.std_defocus_waves == pytest.approx(
+        brute_force_std(plan, name, cell), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "cfa_pattern", "times"), [("L", "mono", 1.0), ("G", "RGGB", 2**0.5), ("R", "RGGB", 2.0)]
+    ("name", "cfa_pattern", "times"),
+    [("L", "mono", 1.0), ("G", "RGGB", 2**0.5), ("R", "RGGB", 2.0)],
 )
-def test_a_channel_with_fewer_pixels_is_sampled_more_coarsely(name: str, cfa_pattern: str, times: float) -> None:
+def test_a_channel_with_fewer_pixels_is_sampled_more_coarsely(
+    name: str, cfa_pattern: str, times: float
+) -> None:
     # a pixel of 4.78 um, and Nyquist's 0.6 um * 2.8 / 2
     notes = advise(portrait(name, cfa_pattern), ranges_mm=[3000.0]).notes
-    assert any(f"{times * 4.78 / 0.84:.1f} times as far apart as Nyquist" in note for note in notes)
+    assert any(
+        f"{times * 4.78 / 0.84:.1f} times as far apart as Nyquist" in note for note in notes
+    )
 
 
-@pytest.mark.parametrize(("name", "assumed"), [("G", "a Bayer filter array"), ("L", "a mono sensor")])
+@pytest.mark.parametrize(
+    ("name", "assumed"), [("G", "a Bayer filter array"), ("L", "a mono sensor")]
+)
 def test_a_filter_array_that_is_assumed_is_noted(name: str, assumed: str) -> None:
-    assert any(f"assumed is {assumed}" in note for note in advise(portrait(name, None), ranges_mm=[3000.0]).notes)
-    assert not any("assumed" in note for note in advise(portrait(name, "mono"), ranges_mm=[3000.0]).notes)
+    assert any(
+        f"assumed is {assumed}" in note
+        for note in advise(portrait(name, None), ranges_mm=[3000.0]).notes
+    )
+    assert not any(
+        "assumed" in note
+        for note in advise(portrait(name, "mono"), ranges_mm=[3000.0]).notes
+    )

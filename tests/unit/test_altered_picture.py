@@ -28,13 +28,28 @@ def photograph(noise: float = 3.0, blur: float = 0.8, seed: int = 1) -> Floats:
     fine = np.full((2 * SIDE, 2 * SIDE), 20.0)
     carpet = np.ones((1, 1))
     for _ in range(3):
-        carpet = np.block([[carpet, carpet, carpet], [carpet, 0 * carpet, carpet], [carpet, carpet, carpet]])
+        carpet = np.block(
+            [
+                [carpet, carpet, carpet],
+                [carpet, 0 * carpet, carpet],
+                [carpet, carpet, carpet],
+            ]
+        )
     cells = np.kron(carpet, np.ones((SIDE // 27, SIDE // 27)))
     fine[SIDE // 2 :, SIDE // 2 :][: len(cells), : len(cells)] += 150 * cells
     turn = cv2.getRotationMatrix2D((SIDE, SIDE), 3, 1)
     leaning = cv2.warpAffine(fine, turn, (2 * SIDE, 2 * SIDE), borderValue=20.0)
-    light = cv2.resize(cv2.GaussianBlur(leaning, (0, 0), 2 * blur), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
-    return np.asarray(light + noise * np.sqrt(light / 100) * np.random.default_rng(seed).standard_normal(light.shape))
+    light = cv2.resize(
+        cv2.GaussianBlur(leaning, (0, 0), 2 * blur),
+        (SIDE, SIDE),
+        interpolation=cv2.INTER_AREA,
+    )
+    return np.asarray(
+        light
+        + noise
+        * np.sqrt(light / 100)
+        * np.random.default_rng(seed).standard_normal(light.shape)
+    )
 
 
 def enlarged(picture: Floats, times: float, how: int = cv2.INTER_CUBIC) -> Floats:
@@ -43,20 +58,30 @@ def enlarged(picture: Floats, times: float, how: int = cv2.INTER_CUBIC) -> Float
 
 def sharpened(picture: Floats, amount: float, radius_px: float) -> Floats:
     """By an unsharp mask."""
-    return np.asarray(picture + amount * (picture - cv2.GaussianBlur(picture, (0, 0), radius_px)))
+    return np.asarray(
+        picture + amount * (picture - cv2.GaussianBlur(picture, (0, 0), radius_px))
+    )
 
 
 def grey(folder: Path, picture: Floats) -> Mosaic:
     """As PNG of 16 bit."""
-    assert cv2.imwrite(str(folder / "a.png"), np.rint(100 * picture).clip(0, 65535).astype(np.uint16))
+    assert cv2.imwrite(
+        str(folder / "a.png"), np.rint(100 * picture).clip(0, 65535).astype(np.uint16)
+    )
     return read_raw(folder / "a.png", GREY)
 
 
-def developed(folder: Path, picture: Floats, times: float = 1.0, quality: int | None = None) -> Mosaic:
+def developed(
+    folder: Path, picture: Floats, times: float = 1.0, quality: int | None = None
+) -> Mosaic:
     """Sampled through a Bayer array, demosaiced by OpenCV, sRGB, enlarged, stored with 8 bit."""
     raw = np.rint(16 * picture).clip(0, 4095).astype(np.uint16)
     light = cv2.demosaicing(raw, cv2.COLOR_BayerRG2RGB_EA) / 4095.0
-    stored = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    stored = 255 * np.where(
+        light <= 0.0031308,
+        12.92 * light,
+        1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055,
+    )
     final = np.rint(enlarged(stored, times)).clip(0, 255).astype(np.uint8)
     name = folder / ("a.png" if quality is None else "a.jpg")
     Image.fromarray(final).save(name, quality=quality or 75)  # which PNG ignores
@@ -65,7 +90,9 @@ def developed(folder: Path, picture: Floats, times: float = 1.0, quality: int | 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 3.0, 10.0])
 @pytest.mark.parametrize("blur", [0.5, 0.8, 4.0])
-def test_what_no_program_has_altered_is_left_in_peace(tmp_path: Path, noise: float, blur: float) -> None:
+def test_what_no_program_has_altered_is_left_in_peace(
+    tmp_path: Path, noise: float, blur: float
+) -> None:
     assert alterations(grey(tmp_path, photograph(noise, blur))) == Alterations()
 
 
@@ -75,7 +102,10 @@ def test_what_no_program_has_altered_is_left_in_peace(tmp_path: Path, noise: flo
 def test_a_cameras_own_development_is_left_in_peace(
     tmp_path: Path, noise: float, blur: float, quality: int | None
 ) -> None:
-    assert alterations(developed(tmp_path, photograph(noise, blur), quality=quality)) == Alterations()
+    assert (
+        alterations(developed(tmp_path, photograph(noise, blur), quality=quality))
+        == Alterations()
+    )
 
 
 @pytest.mark.parametrize("times", [1.5, 1.7, 2.0, 3.0])
@@ -87,13 +117,17 @@ def test_an_enlarged_picture_is_refused(tmp_path: Path, times: float, how: int) 
 
 
 @pytest.mark.parametrize("times", [1.25, 1.5, 2.0])
-def test_an_enlarged_development_is_refused_and_so_is_one_out_of_focus(tmp_path: Path, times: float) -> None:
+def test_an_enlarged_development_is_refused_and_so_is_one_out_of_focus(
+    tmp_path: Path, times: float
+) -> None:
     assert alterations(developed(tmp_path, photograph(), times)).refusal
     assert alterations(developed(tmp_path, photograph(blur=4.0), times)).refusal
 
 
 def test_a_smoothed_picture_is_told_and_not_called_enlarged(tmp_path: Path) -> None:
-    found = alterations(grey(tmp_path, np.asarray(cv2.GaussianBlur(photograph(10.0), (0, 0), 0.8))))
+    found = alterations(
+        grey(tmp_path, np.asarray(cv2.GaussianBlur(photograph(10.0), (0, 0), 0.8)))
+    )
     assert found.refusal is None
     assert "smoothed by noise reduction or by a program" in found.notes[0]
 
@@ -101,13 +135,19 @@ def test_a_smoothed_picture_is_told_and_not_called_enlarged(tmp_path: Path) -> N
 def test_an_enlarged_picture_that_was_stored_as_jpeg_is_told(tmp_path: Path) -> None:
     """JPEG hides the period with which the noise's strength repeats, and leaves that it ends below Nyquist's frequency."""
     (note,) = alterations(developed(tmp_path, photograph(8.0), 2.0, quality=80)).notes
-    assert note.startswith("the photographs were enlarged or smoothed by a program, or much compressed")
+    assert note.startswith(
+        "the photographs were enlarged or smoothed by a program, or much compressed"
+    )
 
 
 @pytest.mark.parametrize(("amount", "radius_px"), [(0.6, 2.0), (1.5, 1.0), (1.5, 2.0)])
 @pytest.mark.parametrize("noise", [0.0, 3.0])
-def test_a_sharpened_picture_is_told(tmp_path: Path, amount: float, radius_px: float, noise: float) -> None:
-    found = alterations(grey(tmp_path, sharpened(photograph(noise, 0.5), amount, radius_px)))
+def test_a_sharpened_picture_is_told(
+    tmp_path: Path, amount: float, radius_px: float, noise: float
+) -> None:
+    found = alterations(
+        grey(tmp_path, sharpened(photograph(noise, 0.5), amount, radius_px))
+    )
     assert "were sharpened" in found.notes[0]
 
 
@@ -127,9 +167,12 @@ def test_the_overshoot_of_an_edge_is_that_of_the_unsharp_mask() -> None:
 
 def test_import_refuses_an_enlarged_picture_in_one_line(tmp_path: Path) -> None:
     grey(tmp_path, enlarged(photograph(), 2.0))
-    (tmp_path / "plan.toml").write_text(plan_text(PORTRAIT, {"sensor": GREY.model_dump(exclude_unset=True)}))
+    (tmp_path / "plan.toml").write_text(
+        plan_text(PORTRAIT, {"sensor": GREY.model_dump(exclude_unset=True)})
+    )
     (tmp_path / "frames.csv").write_text("file,kind,range_mm\na.png,target,\n")
     with pytest.raises(
-        DataError, match=r"a\.png has been enlarged by a program: [^\n]*; give the picture as the camera made it"
+        DataError,
+        match=r"a\.png has been enlarged by a program: [^\n]*; give the picture as the camera made it",
     ):
         import_frames(tmp_path / "frames.csv", tmp_path / "plan.toml", tmp_path / "session")

@@ -22,11 +22,15 @@ OUT = 5
 """The observation that is left out."""
 
 Tiles = tuple[tuple[int, int] | None, ...]
-KINDS = pytest.mark.parametrize("tiles", [(None,), ((0, 0), (0, 1), (1, 1))], ids=["frames", "tiles"])
+KINDS = pytest.mark.parametrize(
+    "tiles", [(None,), ((0, 0), (0, 1), (1, 1))], ids=["frames", "tiles"]
+)
 PLAN = stated(60.0, 4.0, f_number=Uncertain(4.0, 0.12), range_std_mm=0.01, size_std=1e-4)
 
 
-def sampled(tiles: Tiles = (None,), magnification: float = 0.97) -> tuple[LensModel, Measurements]:
+def sampled(
+    tiles: Tiles = (None,), magnification: float = 0.97
+) -> tuple[LensModel, Measurements]:
     """Noisy fits of a 60 mm lens at four ranges, in three colours, of each tile; one of them is left out."""
     rng, readings, every = np.random.default_rng(8), [], []
     for k, tile in enumerate(tiles):
@@ -36,21 +40,31 @@ def sampled(tiles: Tiles = (None,), magnification: float = 0.97) -> tuple[LensMo
                 there = laws(r, focus_mm + 0.3 * k, 482.0, 60.0, 4.0, magnification)
                 every.append(measured(np.array(there), MODES))
     covariance = np.array([one.covariance for one in every])
-    values = np.array([rng.multivariate_normal(one.values, one.covariance) for one in every])
+    values = np.array(
+        [rng.multivariate_normal(one.values, one.covariance) for one in every]
+    )
     none = np.zeros_like(covariance)
     used = np.arange(len(every)) != OUT
-    return LensModel(tuple(readings), (4, *MODES), (), PLAN), Measurements(values, covariance, none, none, used)
+    return LensModel(tuple(readings), (4, *MODES), (), PLAN), Measurements(
+        values, covariance, none, none, used
+    )
 
 
 def stacked(fit: LensFit, unknowns: Floats) -> tuple[Floats, Floats]:
     """(rows, unknowns) slopes and (rows,) misfits, whitened, of data and priors: all columns, then each group's in turn."""
     model, measured = fit.model, fit.measured
-    common, groups, own = len(model.columns), int(model.groups.max()) + 1, len(model.local_columns)
+    common, groups, own = (
+        len(model.columns),
+        int(model.groups.max()) + 1,
+        len(model.local_columns),
+    )
     theta, local = unknowns[:common], unknowns[common:].reshape(groups, own)
     slopes, own_slopes = model.slopes(theta, local)
     wide = np.zeros((*slopes.shape[:2], groups, own))
     wide[np.arange(len(slopes)), :, model.groups] = own_slopes
-    whole = np.concatenate([slopes, wide.reshape(*slopes.shape[:2], -1)], axis=2)[measured.used]
+    whole = np.concatenate([slopes, wide.reshape(*slopes.shape[:2], -1)], axis=2)[
+        measured.used
+    ]
     rest = (measured.values - model.predicted(theta, local))[measured.used]
     noise = measured.covariance[measured.used] + np.diag(model.scatter())
     whitening = np.linalg.inv(np.linalg.cholesky(noise))
@@ -100,20 +114,27 @@ def test_covariances_are_those_of_the_dense_equations(tiles: Tiles) -> None:
     covariance, common = dense_covariance(fit), len(fit.theta)
     std = np.sqrt(np.diag(covariance))
     unit = np.outer(std, std)
-    off = fit.solved.normal.covariance / unit[:common, :common] - (covariance / unit)[:common, :common]
+    off = (
+        fit.solved.normal.covariance / unit[:common, :common]
+        - (covariance / unit)[:common, :common]
+    )
     assert np.abs(off).max() < 1e-7
     information = -np.linalg.slogdet(covariance / unit)[1] - 2 * np.log(std).sum()
     assert fit.solved.normal.log_determinant() == pytest.approx(information, rel=1e-9)
 
 
 @KINDS
-def test_the_covariance_of_a_prediction_is_that_of_the_dense_equations(tiles: Tiles) -> None:
+def test_the_covariance_of_a_prediction_is_that_of_the_dense_equations(
+    tiles: Tiles,
+) -> None:
     """Of an observation that is left out: of all columns together, and the scatter of the laws."""
     fit = fit_lens(*sampled(tiles))
     common, own = len(fit.theta), len(fit.model.local_columns)
     places = [*range(common), *(common + fit.model.groups[OUT] * own + np.arange(own))]
     whole = np.concatenate([fit.solved.slopes[OUT], fit.solved.own_slopes[OUT]], axis=1)
-    expected = whole @ dense_covariance(fit)[np.ix_(places, places)] @ whole.T + np.diag(fit.model.scatter())
+    expected = whole @ dense_covariance(fit)[np.ix_(places, places)] @ whole.T + np.diag(
+        fit.model.scatter()
+    )
     std = np.sqrt(np.diag(expected))
     off = (fit.predictions[1][OUT] - expected) / np.outer(std, std)
     assert np.abs(off).max() < 1e-7
@@ -122,7 +143,9 @@ def test_the_covariance_of_a_prediction_is_that_of_the_dense_equations(tiles: Ti
 @KINDS
 def test_what_the_others_predict_is_their_dense_estimate(tiles: Tiles) -> None:
     fit = fit_lens(*sampled(tiles))
-    without = replace(fit.measured, used=fit.measured.used & (np.arange(len(fit.measured.used)) != 0))
+    without = replace(
+        fit.measured, used=fit.measured.used & (np.arange(len(fit.measured.used)) != 0)
+    )
     others = replace(fit, measured=without)
     wanted = dense_estimate(others)
     local = wanted[len(fit.theta) :].reshape(fit.solved.point.own.shape)
@@ -148,7 +171,9 @@ def test_normal_equations_in_blocks_are_solved_as_the_whole_matrix_is() -> None:
     normal, whole = blocks(rng)
     right = rng.normal(size=11)
     common, own = normal.solve(right[:3], right[3:].reshape(4, 2))
-    np.testing.assert_allclose([*common, *own.ravel()], np.linalg.solve(whole, right), rtol=1e-10)
+    np.testing.assert_allclose(
+        [*common, *own.ravel()], np.linalg.solve(whole, right), rtol=1e-10
+    )
     np.testing.assert_allclose(normal.covariance, np.linalg.inv(whole)[:3, :3], rtol=1e-10)
     assert normal.log_determinant() == pytest.approx(np.linalg.slogdet(whole)[1])
 
@@ -156,7 +181,9 @@ def test_normal_equations_in_blocks_are_solved_as_the_whole_matrix_is() -> None:
 def test_damping_grows_the_whole_diagonal() -> None:
     normal, whole = blocks(np.random.default_rng(3))
     damped = whole + 0.3 * np.diag(np.diag(whole))
-    np.testing.assert_allclose(normal.damped(0.3).covariance, np.linalg.inv(damped)[:3, :3], rtol=1e-10)
+    np.testing.assert_allclose(
+        normal.damped(0.3).covariance, np.linalg.inv(damped)[:3, :3], rtol=1e-10
+    )
 
 
 def test_a_column_that_would_leave_its_bounds_ends_there_and_all_others_follow() -> None:
@@ -167,8 +194,12 @@ def test_a_column_that_would_leave_its_bounds_ends_there_and_all_others_follow()
     low[1] = np.linalg.solve(whole, right)[1] + 0.1
     common, own = normal.solve_within(right[:3], right[3:].reshape(4, 2), low, high)
     left = np.delete(np.arange(11), 1)
-    wanted = np.linalg.solve(whole[np.ix_(left, left)], right[left] - whole[left, 1] * low[1])
-    np.testing.assert_allclose([*common, *own.ravel()], np.insert(wanted, 1, low[1]), atol=1e-9)
+    wanted = np.linalg.solve(
+        whole[np.ix_(left, left)], right[left] - whole[left, 1] * low[1]
+    )
+    np.testing.assert_allclose(
+        [*common, *own.ravel()], np.insert(wanted, 1, low[1]), atol=1e-9
+    )
 
 
 def test_an_estimate_at_a_bound_is_the_likeliest_within_it() -> None:
@@ -209,4 +240,7 @@ def test_an_estimate_does_not_depend_on_where_it_starts() -> None:
         theta[model.index(FOCUS)] += away
         ends.append(solve(model, data, Point(theta, start.own)))
     std = np.sqrt(np.diag(ends[1].normal.covariance))
-    assert max(np.abs((end.point.theta - ends[1].point.theta) / std).max() for end in ends) < 1e-4
+    assert (
+        max(np.abs((end.point.theta - ends[1].point.theta) / std).max() for end in ends)
+        < 1e-4
+    )

@@ -33,7 +33,9 @@ def data_of(bench: Bench, frame: Frame, name: str) -> ChannelData:
     return channel_data(calibration_of(bench), frame, mosaic, name)
 
 
-def exposed(bench: Bench, name: str, range_mm: float | None, mean_e: Floats | float) -> ChannelData:
+def exposed(
+    bench: Bench, name: str, range_mm: float | None, mean_e: Floats | float
+) -> ChannelData:
     """A channel of one more target frame."""
     return data_of(bench, bench.add("target", range_mm, mean_e), name)
 
@@ -46,7 +48,9 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("name", ["R", "G", "B"])
-def test_illumination_and_response_are_found_within_their_errors(bench: Bench, name: str) -> None:
+def test_illumination_and_response_are_found_within_their_errors(
+    bench: Bench, name: str
+) -> None:
     bench.usual()
     data = exposed(bench, name, 2200.0, 15000 * light_at(2200.0))
     truth = light_at(2200.0) * bench.sensor.response
@@ -56,7 +60,9 @@ def test_illumination_and_response_are_found_within_their_errors(bench: Bench, n
     measured = 1 / np.sqrt(12 * 20000 * COLOURS[name])  # photons of 12 flats
     assert ratio.std() == pytest.approx(measured / np.hypot(1, measured / PRNU), rel=0.07)
     # the posterior std is the error made; of the illumination beneath it a little more is due
-    assert ((ratio - 1) / data.relative_std[data.mask]).std() == pytest.approx(1.0, abs=0.05)
+    assert ((ratio - 1) / data.relative_std[data.mask]).std() == pytest.approx(
+        1.0, abs=0.05
+    )
 
 
 def test_smooth_light_leaves_nothing_large_scale_behind(bench: Bench) -> None:
@@ -80,9 +86,16 @@ def test_data_over_model_scatters_by_photons_and_read_noise_alone(bench: Bench) 
     level = GAIN * 15000 * np.mean(light_at(2000.0))
     model = level * data.illumination
     model *= data.counts[data.mask].sum() / model[data.mask].sum()
-    variance = data.noise.gain * model + data.noise.read_noise**2 + 1 / 12 + (model * data.relative_std) ** 2
+    variance = (
+        data.noise.gain * model
+        + data.noise.read_noise**2
+        + 1 / 12
+        + (model * data.relative_std) ** 2
+    )
     z = ((data.counts - model) / np.sqrt(variance))[data.mask]
-    assert z.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * z.size) + 0.005)  # and half a per cent for the light's fit
+    assert z.std() == pytest.approx(
+        1.0, abs=4 / np.sqrt(2 * z.size) + 0.005
+    )  # and half a per cent for the light's fit
 
 
 def test_gain_and_read_noise_are_the_sensors(bench: Bench) -> None:
@@ -101,9 +114,9 @@ def test_the_two_greens_keep_their_ratio(bench: Bench) -> None:
     bench.sensor.colour[1::2, 0::2] *= 0.97
     bench.usual()
     data = exposed(bench, "G", 2000.0, 100.0)
-    ratio = (data.illumination / light_at(2000.0))[1::2, 0::2].mean() / (data.illumination / light_at(2000.0))[
-        0::2, 1::2
-    ].mean()
+    ratio = (data.illumination / light_at(2000.0))[1::2, 0::2].mean() / (
+        data.illumination / light_at(2000.0)
+    )[0::2, 1::2].mean()
     assert ratio == pytest.approx(0.97, abs=1e-3)
 
 
@@ -128,7 +141,9 @@ def test_offset_that_pixels_have_of_their_own_is_taken_off(bench: Bench) -> None
     data = exposed(bench, "R", 2000.0, 0.0)
     expected = np.sqrt(READ_NOISE**2 + 1 / 12) * np.sqrt(1 + 1 / 8)
     assert data.counts[data.mask].std() == pytest.approx(expected, rel=0.03)
-    assert data.counts[data.mask].mean() == pytest.approx(0.0, abs=4 * expected / np.sqrt(data.mask.sum()))
+    assert data.counts[data.mask].mean() == pytest.approx(
+        0.0, abs=4 * expected / np.sqrt(data.mask.sum())
+    )
 
 
 def test_equal_offsets_are_not_made_unequal_by_the_darks_noise(bench: Bench) -> None:
@@ -143,7 +158,9 @@ def test_without_any_calibration_everything_is_assumed_and_said(bench: Bench) ->
     assert np.all(data.illumination == 1)
     assert np.all(data.relative_std == 0)
     assert (data.noise.gain, data.noise.read_noise) == (None, None)
-    assert data.counts.mean() == pytest.approx(GAIN * 1000 * np.mean(bench.sensor.colour), rel=0.01)
+    assert data.counts.mean() == pytest.approx(
+        GAIN * 1000 * np.mean(bench.sensor.colour), rel=0.01
+    )
     assert codes(data.findings) == ["no-dark-frames", "no-flat-frames"]
 
 
@@ -193,7 +210,9 @@ def test_colours_that_the_plan_leaves_out_are_not_called_unlit(tmp_path: Path) -
 def test_frames_of_another_size_are_refused(bench: Bench) -> None:
     bench.usual(frames=2)
     tifffile.imwrite(bench.folder / "small.tif", np.full((90, 120), 900, np.uint16))
-    frame = bench.session.add_frame(bench.folder / "small.tif", "small.tif", "target", 2000.0)
+    frame = bench.session.add_frame(
+        bench.folder / "small.tif", "small.tif", "target", 2000.0
+    )
     with pytest.raises(DataError, match=r"small\.tif has 90×120 pixels"):
         data_of(bench, frame, "G")
     bench.session.add_frame(bench.folder / "small.tif", "small_dark.tif", "dark", None)
@@ -218,7 +237,9 @@ def test_a_particle_in_one_frame_does_not_reach_the_mean() -> None:
     rng = np.random.default_rng(3)
     stack = rng.normal(600, 2, (6, 40, 50)).round().astype(np.uint16)
     clean = clipped_mean(stack)
-    assert np.mean(clean != stack.mean(axis=0)) < 0.03  # good values are hardly ever left out
+    assert (
+        np.mean(clean != stack.mean(axis=0)) < 0.03
+    )  # good values are hardly ever left out
     stack[2, 10, 10] = 9000
     assert clipped_mean(stack)[10, 10] == pytest.approx(clean[10, 10], abs=2.0)
 
@@ -239,4 +260,6 @@ def test_a_polynomial_light_comes_back_and_unequal_pixels_do_not_bend_it() -> No
     flat = 8000 * truth * (1 + 0.01 * rng.standard_normal(SHAPE))
     found = smooth_illumination(flat, np.ones(SHAPE, dtype=bool))
     assert found.level == pytest.approx(8000 * truth.mean(), rel=1e-3)
-    assert np.max(np.abs(found.relative / truth * truth.mean() - 1)) < 3e-3  # the corners, where least is averaged
+    assert (
+        np.max(np.abs(found.relative / truth * truth.mean() - 1)) < 3e-3
+    )  # the corners, where least is averaged

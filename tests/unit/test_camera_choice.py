@@ -9,7 +9,13 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from labkit.estimation.camera import CameraChoice, Parts, cost, summed_score_tests, wald_losses
+from labkit.estimation.camera import (
+    CameraChoice,
+    Parts,
+    cost,
+    summed_score_tests,
+    wald_losses,
+)
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.stated_optics import optics_of
@@ -28,7 +34,9 @@ def score_test(gain: float, sign: float = 1.0) -> ScoreTest:
 
 
 def with_scores(**gains: float) -> Optimum:
-    return optimum(OPTICS, 3200.0, scores={name: score_test(gain) for name, gain in gains.items()})
+    return optimum(
+        OPTICS, 3200.0, scores={name: score_test(gain) for name, gain in gains.items()}
+    )
 
 
 @dataclass
@@ -54,12 +62,24 @@ class Fits:
 
     def end(self, parts: Parts) -> Optimum:
         optics = reduce(Optics.with_part, [name for name in KNOWN if name in parts], OPTICS)
-        height = next((of for names, of in self.heights.items() if Parts(names) == parts), 0.0)
-        scores = {name: score_test(gain) for name, gain in self.called.items() if name not in parts}
+        height = next(
+            (of for names, of in self.heights.items() if Parts(names) == parts), 0.0
+        )
+        scores = {
+            name: score_test(gain)
+            for name, gain in self.called.items()
+            if name not in parts
+        }
         lacking = max(self.unexplained - height, 0.0)
         explained = self.unexplained == 0.0 or parts == self.explaining
         made = optimum(
-            optics, 3200.0, square=0.5, height=height, scores=scores, explained=explained, unexplained=lacking
+            optics,
+            3200.0,
+            square=0.5,
+            height=height,
+            scores=scores,
+            explained=explained,
+            unexplained=lacking,
         )
         values = made.measured.values.copy()
         for k, label in enumerate(optics.camera_labels, 2):
@@ -83,18 +103,29 @@ def test_fits_add_up_what_they_call_for() -> None:
     both = summed_score_tests([("G", with_scores(veil=4.0)), ("R", with_scores(veil=4.0))])
     assert both["veil"].gain == pytest.approx(8.0)
     against = optimum(OPTICS, 3200.0, scores={"veil": score_test(4.0, -1.0)})
-    assert summed_score_tests([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain == 0.0
+    assert (
+        summed_score_tests([("G", with_scores(veil=4.0)), ("G", against)])["veil"].gain
+        == 0.0
+    )
 
 
 def test_each_channel_has_a_spectrum_of_its_own() -> None:
-    fits = [("G", with_scores(spectrum=4.0)), ("G", with_scores(spectrum=4.0)), ("R", with_scores(spectrum=9.0))]
+    fits = [
+        ("G", with_scores(spectrum=4.0)),
+        ("G", with_scores(spectrum=4.0)),
+        ("R", with_scores(spectrum=9.0)),
+    ]
     (both,) = summed_score_tests(fits).values()
     np.testing.assert_allclose(both.step, np.sqrt([8.0, 18.0]))
     assert both.gain == pytest.approx(8.0 + 9.0)
 
 
 def test_parts_that_some_fits_were_not_asked_about_are_not_summed() -> None:
-    assert [*summed_score_tests([("G", with_scores(veil=4.0, smear=1.0)), ("G", with_scores(smear=1.0))])] == ["smear"]
+    assert [
+        *summed_score_tests(
+            [("G", with_scores(veil=4.0, smear=1.0)), ("G", with_scores(smear=1.0))]
+        )
+    ] == ["smear"]
 
 
 def test_what_no_camera_has_gains_nothing() -> None:
@@ -102,7 +133,9 @@ def test_what_no_camera_has_gains_nothing() -> None:
 
 
 def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
-    of = optimum(OPTICS.with_part("low_pass_filter").with_part("diffusion"), 3200.0).measured
+    of = optimum(
+        OPTICS.with_part("low_pass_filter").with_part("diffusion"), 3200.0
+    ).measured
     values = of.values.copy()
     values[2:5] = 0.01, -0.01, 0.04  # known to 0.01 each
     fits = [replace(of, values=values)] * 2
@@ -110,9 +143,13 @@ def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
 
 
 def test_a_rarer_part_costs_more_than_a_commoner_one_that_blurs_alike() -> None:
-    plain, diffusion, smear = (cost(Parts([name])) for name in ("low_pass_filter", "diffusion", "smear"))
+    plain, diffusion, smear = (
+        cost(Parts([name])) for name in ("low_pass_filter", "diffusion", "smear")
+    )
     assert cost(Parts(["veil"])) == plain == 10.0
-    assert smear - plain == diffusion - plain == 4.5  # of one number more chance gains as much once in 400 sessions
+    assert (
+        smear - plain == diffusion - plain == 4.5
+    )  # of one number more chance gains as much once in 400 sessions
     assert cost(Parts(["veil", "diffusion"])) == plain + diffusion
 
 
@@ -130,11 +167,17 @@ def test_a_part_that_the_fits_need_is_taken_in() -> None:
 def test_the_fits_that_show_most_of_a_part_decide_before_all_others_are_climbed() -> None:
     fits = Fits({("smear",): 100.0, ("veil",): -1.0}, {"smear": 40.0, "veil": 50.0})
     fits.chosen()
-    assert fits.refits[:3] == [(3, Parts(["veil"])), (3, Parts(["smear"])), (2, Parts(["smear"]))]
+    assert fits.refits[:3] == [
+        (3, Parts(["veil"])),
+        (3, Parts(["smear"])),
+        (2, Parts(["smear"])),
+    ]
 
 
 @pytest.mark.parametrize(("gain", "taken"), [(9.0, set()), (11.0, {"diffusion"})])
-def test_a_part_that_gains_less_than_it_costs_is_not_taken_in(gain: float, taken: set[str]) -> None:
+def test_a_part_that_gains_less_than_it_costs_is_not_taken_in(
+    gain: float, taken: set[str]
+) -> None:
     price = cost(Parts(["diffusion"]))
     # the three fits that show most of it decide first: they alone must gain its price
     fits = Fits({("diffusion",): gain * price / 30}, {"diffusion": 10.0})
@@ -152,14 +195,24 @@ def test_a_part_that_the_fits_do_not_call_for_is_not_climbed_with() -> None:
 
 
 def test_a_commoner_part_takes_the_place_of_one_that_explains_no_more() -> None:
-    fits = Fits({("smear",): 100.0, ("low_pass_filter",): 99.5}, {"smear": 40.0, "low_pass_filter": 30.0})
+    fits = Fits(
+        {("smear",): 100.0, ("low_pass_filter",): 99.5},
+        {"smear": 40.0, "low_pass_filter": 30.0},
+    )
     assert fits.chosen()[0] == {"low_pass_filter"}
-    fits = Fits({("smear",): 100.0, ("low_pass_filter",): 90.0}, {"smear": 40.0, "low_pass_filter": 30.0})
+    fits = Fits(
+        {("smear",): 100.0, ("low_pass_filter",): 90.0},
+        {"smear": 40.0, "low_pass_filter": 30.0},
+    )
     assert fits.chosen()[0] == {"smear"}
 
 
-@pytest.mark.parametrize(("together", "taken"), [(103.5, {"low_pass_filter", "diffusion"}), (103.0, {"smear"})])
-def test_two_commoner_parts_take_the_place_of_one_where_they_explain_more(together: float, taken: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("together", "taken"), [(103.5, {"low_pass_filter", "diffusion"}), (103.0, {"smear"})]
+)
+def test_two_commoner_parts_take_the_place_of_one_where_they_explain_more(
+    together: float, taken: set[str]
+) -> None:
     """They cost 10 more, which the three fits that show most of them must gain; neither explains as much alone."""
     heights = {
         ("low_pass_filter",): 90.0,
@@ -196,7 +249,9 @@ def test_a_part_that_explains_too_little_is_named_as_missing() -> None:
     names, choice = fits.chosen()
     assert names == set()
     assert choice.missing == ("smear",)
-    assert [fit.optics.parts[0].name for fit in choice.with_missing.values()] == ["smear"] * FITS
+    assert [fit.optics.parts[0].name for fit in choice.with_missing.values()] == [
+        "smear"
+    ] * FITS
 
 
 def test_a_part_that_explains_a_fair_share_of_what_is_left_is_taken_in() -> None:
@@ -221,7 +276,12 @@ def test_a_choice_that_was_refused_is_not_climbed_with_again() -> None:
 
 def test_a_part_that_explains_fits_is_taken_in_whatever_its_share() -> None:
     """Residuals with it are noise alone."""
-    fits = Fits({("smear",): 200.0}, {"smear": 300.0}, unexplained=1000.0, explaining=Parts(["smear"]))
+    fits = Fits(
+        {("smear",): 200.0},
+        {"smear": 300.0},
+        unexplained=1000.0,
+        explaining=Parts(["smear"]),
+    )
     assert fits.chosen()[0] == {"smear"}
 
 

@@ -97,28 +97,40 @@ def test_a_part_of_the_light_goes_before_a_spectrum() -> None:
     assert replace(stated, parts=(WIDTH,)).light == WIDTH.light
     assert replace(stated, given=(WIDTH,)).light == WIDTH.light
     assert replace(stated, parts=(WIDTH,)).without(["spectrum"]) == stated
-    assert replace(stated, parts=(WIDTH, Diffusion())).in_one_wavelength() == replace(OPTICS, parts=(Diffusion(),))
+    assert replace(stated, parts=(WIDTH, Diffusion())).in_one_wavelength() == replace(
+        OPTICS, parts=(Diffusion(),)
+    )
 
 
 def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
-    other = replace(OPTICS, parts=(LowPass(0.1, 0.1), WIDTH, Smear(0.1)), panel=Aperture(0.1))
+    other = replace(
+        OPTICS, parts=(LowPass(0.1, 0.1), WIDTH, Smear(0.1)), panel=Aperture(0.1)
+    )
     blue, own = replace(OPTICS, wavelength_um=0.45), SpectrumWidth(1e-4)
     assert OPTICS.sharing(other) == other  # one channel
     assert blue.sharing(other).parts == other.shared == (LowPass(0.1, 0.1), Smear(0.1))
-    assert replace(blue, parts=(own,)).sharing(other).parts == (LowPass(0.1, 0.1), own, Smear(0.1))
+    assert replace(blue, parts=(own,)).sharing(other).parts == (
+        LowPass(0.1, 0.1),
+        own,
+        Smear(0.1),
+    )
     assert replace(other, wavelength_um=0.45, parts=(own,)).sharing(OPTICS).parts == (own,)
     assert blue.sharing(other).panel == Aperture(0.1)
 
 
 def test_the_shape_is_of_parts_then_panel_then_cone() -> None:
-    optics = replace(OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)).with_part("spectrum")
+    optics = replace(
+        OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)
+    ).with_part("spectrum")
     assert optics.camera_labels == (
         "diffusion.variance_px2",
         "spectrum.variance",
         "panel_pixels.across",
         "panel_pixels.down",
     )
-    np.testing.assert_allclose(optics.camera_parameters, [0.1, 0.0, 0.03, -0.02, np.log(OPTICS.f_number)])
+    np.testing.assert_allclose(
+        optics.camera_parameters, [0.1, 0.0, 0.03, -0.02, np.log(OPTICS.f_number)]
+    )
     moved = optics.with_camera_parameters(optics.camera_parameters + 0.001)
     assert moved.panel == Aperture(0.031, -0.019)
     assert len(optics.camera_stds) == 5
@@ -153,12 +165,20 @@ class Streak(Part):
     def stated(self, plan: Plan, channel: Channel) -> None:
         return None
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         (variance,) = numbers
         return {"streak.sigma_px": root(variance, "px")}
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
-        return type(self)(found["streak.sigma_px"].value ** 2) if "streak.sigma_px" in found else None
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
+        return (
+            type(self)(found["streak.sigma_px"].value ** 2)
+            if "streak.sigma_px" in found
+            else None
+        )
 
 
 @pytest.fixture
@@ -171,14 +191,18 @@ def streak(monkeypatch: pytest.MonkeyPatch) -> Streak:
 
 def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) -> None:
     optics = replace(OPTICS, parts=(Diffusion(0.02), streak))
-    model = ForwardModel.build(optics, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    model = ForwardModel.build(
+        optics, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
     used, drawing = [np.ones(FRAME, bool)], model.draw([POSE])
-    slope = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[len(TRUTH.waves) + 1]
+    slope = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[
+        len(TRUTH.waves) + 1
+    ]
     step = np.array([0.0, 1e-3, 0.0])
     up, down = (
-        model.with_optics(optics.with_camera_parameters(optics.camera_parameters + sign * step)).means(
-            TRUTH.waves, drawing, used
-        )[0]
+        model.with_optics(
+            optics.with_camera_parameters(optics.camera_parameters + sign * step)
+        ).means(TRUTH.waves, drawing, used)[0]
         for sign in (1, -1)
     )
     difference = (up - down) / 2e-3
@@ -187,8 +211,16 @@ def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) 
 
 
 def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
-    taken = ForwardModel.build(replace(OPTICS, given=(streak,)), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
-    plain = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    taken = ForwardModel.build(
+        replace(OPTICS, given=(streak,)),
+        CARPET,
+        FRAME,
+        POSE,
+        cone_margin=SETTINGS.cone_margin,
+    )
+    plain = ForwardModel.build(
+        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
     frames = replace(photographed(taken), model=plain)
     freed = free_cone(frames, Start(TRUTH), 0.03)
     assert "streak" in freed.optics.lacking
@@ -197,12 +229,18 @@ def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
     model = plain.with_optics(OPTICS.with_part("streak"))
     found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
     modes = len(OPTICS.noll)
-    variance = Uncertain(found.measured.values[modes], found.measured.covariance[modes, modes] ** 0.5)
+    variance = Uncertain(
+        found.measured.values[modes], found.measured.covariance[modes, modes] ** 0.5
+    )
     assert found.measured.parts == ("streak.variance_px2",)
     assert abs(variance.value - streak.variance) < 3 * variance.std < streak.variance
     told = streak.quantities([variance])
-    assert streak.finding(told).startswith("the photographs call for a streak along the rows")
-    assert streak.finding(told).endswith(f"which the plan does not state: sigma {told['streak.sigma_px']}")
+    assert streak.finding(told).startswith(
+        "the photographs call for a streak along the rows"
+    )
+    assert streak.finding(told).endswith(
+        f"which the plan does not state: sigma {told['streak.sigma_px']}"
+    )
     back = streak.from_quantities(told)
     assert back is not None
     assert back.variance == pytest.approx(variance.value)

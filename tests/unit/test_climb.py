@@ -30,15 +30,28 @@ from labkit.imaging.warp import Pose
 from labkit.target import CellTarget
 from labkit.types import Floats
 
-OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=8.0, pitch_um=4.8, active_um=4.8, noll=(4, 6, 8))
-CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
+OPTICS = Optics(
+    wavelength_um=0.55,
+    reference_um=0.45,
+    f_number=8.0,
+    pitch_um=4.8,
+    active_um=4.8,
+    noll=(4, 6, 8),
+)
+CARPET = CellTarget(
+    np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))),
+    (20.0, 20.0),
+    0.0,
+)
 CORNERS = np.array([[8.3, 9.1], [8.0, 29.7], [28.8, 29.9], [29.1, 9.4]])
 FRAME = (38, 40)
 PRIOR = NoisePrior(0.25, 0.01, 4.0, 0.02)
 
 
 def truth(frames: int = 1) -> State:
-    poses = tuple(Pose.from_corners(CORNERS + 0.3 * k, CARPET.size_mm) for k in range(frames))
+    poses = tuple(
+        Pose.from_corners(CORNERS + 0.3 * k, CARPET.size_mm) for k in range(frames)
+    )
     waves = np.array([0.15, 0.04, -0.05])
     return State(waves, poses, np.full(frames, 1500.0), np.full(frames, 40.0), PRIOR.centre)
 
@@ -55,17 +68,26 @@ def problem(model: ForwardModel) -> Problem:
 
 def photographed(model: ForwardModel, frames: int) -> Problem:
     rng, used, one = np.random.default_rng(11), np.ones(FRAME, bool), np.ones(FRAME)
-    seen = model.means(truth(frames).waves, model.draw(truth(frames).poses), [used] * frames)
+    seen = model.means(
+        truth(frames).waves, model.draw(truth(frames).poses), [used] * frames
+    )
     means = [(1500 * u + 40).reshape(FRAME) for u in seen]
-    data = tuple(FrameData(rng.normal(m, np.sqrt(0.25 * m + 4)), used, one, 0 * one) for m in means)
+    data = tuple(
+        FrameData(rng.normal(m, np.sqrt(0.25 * m + 4)), used, one, 0 * one) for m in means
+    )
     return Problem(model, data, PRIOR)
 
 
 def beside(state: State, rng: np.random.Generator) -> State:
     """A start a little off in everything."""
     common = np.append(rng.normal(0, 0.03, 3), np.zeros(PER_FRAME * len(state.poses) + 2))
-    poses = tuple(p.moved(np.append(rng.uniform(-0.4, 0.4, 6), [0, 0])) for p in state.poses)
-    scales, ambients = state.scales * rng.uniform(0.9, 1.1), state.ambients + rng.uniform(-20, 20)
+    poses = tuple(
+        p.moved(np.append(rng.uniform(-0.4, 0.4, 6), [0, 0])) for p in state.poses
+    )
+    scales, ambients = (
+        state.scales * rng.uniform(0.9, 1.1),
+        state.ambients + rng.uniform(-20, 20),
+    )
     return replace(state.moved(common), poses=poses, scales=scales, ambients=ambients)
 
 
@@ -79,18 +101,24 @@ def standard_errors(step: Floats, solution: Solution) -> float:
     return float(np.sqrt(step @ solution.information @ step))
 
 
-def test_a_climb_ends_where_the_gradient_is_small_in_standard_errors(problem: Problem, solution: Solution) -> None:
+def test_a_climb_ends_where_the_gradient_is_small_in_standard_errors(
+    problem: Problem, solution: Solution
+) -> None:
     gradient = problem.scores(solution.state, by_waves=True)[0]
     assert solution.converged
     step = np.asarray(np.linalg.solve(solution.information, gradient), float)
     assert standard_errors(step, solution) < 0.05  # its tolerance
 
 
-def test_one_drawing_is_held_at_a_time(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_drawing_is_held_at_a_time(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
     draw, drawn = Problem.draw, list[weakref.ref[object]]()
 
     def noted(self: Problem, state: State) -> Drawing:
-        assert not any(one() is not None for one in drawn)  # of a large target each is hundreds of megabytes
+        assert not any(
+            one() is not None for one in drawn
+        )  # of a large target each is hundreds of megabytes
         drawing = draw(self, state)
         drawn.append(weakref.ref(drawing.spectra[0]))
         return drawing
@@ -101,11 +129,15 @@ def test_one_drawing_is_held_at_a_time(problem: Problem, monkeypatch: pytest.Mon
     assert len(drawn) > 5
 
 
-def test_what_is_foreseen_of_its_end_is_what_is_seen_there(problem: Problem, solution: Solution) -> None:
+def test_what_is_foreseen_of_its_end_is_what_is_seen_there(
+    problem: Problem, solution: Solution
+) -> None:
     (seen,) = problem.relative(solution.state)
     # a step of a standard error at most, whose square it leaves out: measured are 3.3e-7
     assert np.abs(seen - solution.relative[0]).max() < 6.6e-7
-    assert problem.objective(solution.state, [seen]) == pytest.approx(solution.objective, abs=1e-3)
+    assert problem.objective(solution.state, [seen]) == pytest.approx(
+        solution.objective, abs=1e-3
+    )
     again = problem.chi2_per_pixel(solution.state, [seen])
     assert again == pytest.approx(solution.chi2_per_pixel, rel=1e-5)
 
@@ -116,18 +148,22 @@ def test_the_information_is_that_of_the_end(problem: Problem, solution: Solution
     np.testing.assert_allclose(np.sqrt(ratio), 1, atol=1.7e-3)  # measured: 9e-4
 
 
-def test_a_likelihood_does_not_depend_on_what_was_evaluated_before(problem: Problem, model: ForwardModel) -> None:
+def test_a_likelihood_does_not_depend_on_what_was_evaluated_before(
+    problem: Problem, model: ForwardModel
+) -> None:
     here = truth()
     pose = Pose.from_corners((CORNERS - 19) * 1.07 + 19, CARPET.size_mm)
     elsewhere = replace(here, poses=(pose,), waves=here.waves + 0.1)
-    first, _, again = (problem.objective(s, problem.relative(s)) for s in (here, elsewhere, here))
+    first, _, again = (
+        problem.objective(s, problem.relative(s)) for s in (here, elsewhere, here)
+    )
     assert again == first
     fresh = ForwardModel.build(OPTICS, CARPET, FRAME, here.poses[0], window_airy=48.0)
     fresh_problem = replace(problem, model=fresh)
     for state in (elsewhere, here):
-        assert fresh_problem.objective(state, fresh_problem.relative(state)) == problem.objective(
-            state, problem.relative(state)
-        )
+        assert fresh_problem.objective(
+            state, fresh_problem.relative(state)
+        ) == problem.objective(state, problem.relative(state))
 
 
 def test_nothing_about_its_end_is_likelier(problem: Problem, solution: Solution) -> None:
@@ -139,14 +175,18 @@ def test_nothing_about_its_end_is_likelier(problem: Problem, solution: Solution)
 
 def test_its_objective_never_decreases(problem: Problem) -> None:
     start = beside(truth(), np.random.default_rng(3))
-    heights = [maximize(problem, start, max_steps=steps).objective for steps in range(1, 12)]
+    heights = [
+        maximize(problem, start, max_steps=steps).objective for steps in range(1, 12)
+    ]
     assert heights[0] == problem.objective(start, problem.relative(start))
     assert np.all(np.diff(heights) >= 0)
     assert heights[0] < heights[-1] - 100
 
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
-def test_climbs_from_different_near_starts_end_in_one_place(problem: Problem, solution: Solution, seed: int) -> None:
+def test_climbs_from_different_near_starts_end_in_one_place(
+    problem: Problem, solution: Solution, seed: int
+) -> None:
     other = maximize(problem, beside(truth(), np.random.default_rng(seed)))
     std = np.sqrt(np.diag(solution.covariance()))
     # each stops within 0.05 standard errors, all parameters together: half the square of that below the maximum
@@ -162,13 +202,17 @@ def test_the_truth_is_found_within_its_standard_errors(solution: Solution) -> No
     assert solution.chi2_per_pixel == pytest.approx(1, abs=4 * np.sqrt(2 / (38 * 40)))
 
 
-def test_frames_with_poses_of_their_own_tell_one_wavefront_together(model: ForwardModel, solution: Solution) -> None:
+def test_frames_with_poses_of_their_own_tell_one_wavefront_together(
+    model: ForwardModel, solution: Solution
+) -> None:
     both = maximize(photographed(model, 2), beside(truth(2), np.random.default_rng(7)))
     std = np.sqrt(np.diag(both.covariance()))
     assert both.information.shape == (3 + 2 * PER_FRAME + 2,) * 2
     assert np.all(np.abs(both.state.poses[1].v - truth(2).poses[1].v) < 4 * std[13:21])
     # twice the photons; a little of each frame goes into its own pose
-    np.testing.assert_allclose(std[:3] / np.sqrt(np.diag(solution.covariance())[:3]), np.sqrt(0.5), rtol=0.05)
+    np.testing.assert_allclose(
+        std[:3] / np.sqrt(np.diag(solution.covariance())[:3]), np.sqrt(0.5), rtol=0.05
+    )
 
 
 def test_fixed_modes_stay_where_they_are(problem: Problem) -> None:
@@ -187,11 +231,15 @@ def test_a_pose_that_would_run_away_is_not_followed(problem: Problem) -> None:
 
 def test_the_covariance_is_the_inverse_of_the_information(solution: Solution) -> None:
     size = len(solution.information)
-    np.testing.assert_allclose(solution.covariance() @ solution.information, np.eye(size), atol=1e-8)
+    np.testing.assert_allclose(
+        solution.covariance() @ solution.information, np.eye(size), atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("flaw", ["no information", "two parameters alike"])
-def test_what_is_not_determined_has_huge_errors_and_nothing_else_has(solution: Solution, flaw: str) -> None:
+def test_what_is_not_determined_has_huge_errors_and_nothing_else_has(
+    solution: Solution, flaw: str
+) -> None:
     information = solution.information.copy()
     if flaw == "no information":
         information[1], information[:, 1] = 0, 0
@@ -208,8 +256,12 @@ def test_a_step_moves_each_parameter_in_its_own_place() -> None:
     state = replace(truth(2), unevenness=np.zeros(2))
     moved = state.moved(np.arange(3.0 + 2 * PER_FRAME + 2 + 2) / 100)
     np.testing.assert_allclose(moved.waves - state.waves, [0.0, 0.01, 0.02])
-    np.testing.assert_allclose(moved.poses[0].v - state.poses[0].v, np.arange(3, 11) / 100, atol=1e-12)
-    np.testing.assert_allclose(moved.poses[1].v - state.poses[1].v, np.arange(13, 21) / 100, atol=1e-12)
+    np.testing.assert_allclose(
+        moved.poses[0].v - state.poses[0].v, np.arange(3, 11) / 100, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        moved.poses[1].v - state.poses[1].v, np.arange(13, 21) / 100, atol=1e-12
+    )
     np.testing.assert_allclose(moved.scales - state.scales, [0.11, 0.21])
     np.testing.assert_allclose(moved.ambients - state.ambients, [0.12, 0.22])
     np.testing.assert_allclose(moved.unevenness, [0.23, 0.24])
@@ -255,14 +307,18 @@ class Valley(Position):
 
 
 def test_a_climb_follows_a_bent_valley_to_its_end() -> None:
-    end, steps, converged = climb(Valley(np.array([-1.2, 1.0])), max_steps=60, tolerance=1e-6)
+    end, steps, converged = climb(
+        Valley(np.array([-1.2, 1.0])), max_steps=60, tolerance=1e-6
+    )
     assert converged
     assert steps < 60
     np.testing.assert_allclose(end.at, 1, atol=1e-6)
 
 
 def test_a_climb_that_runs_out_of_steps_has_not_settled() -> None:
-    end, steps, converged = climb(Valley(np.array([-1.2, 1.0])), max_steps=3, tolerance=1e-6)
+    end, steps, converged = climb(
+        Valley(np.array([-1.2, 1.0])), max_steps=3, tolerance=1e-6
+    )
     assert (steps, converged) == (3, False)
     assert len({tuple(at) for at in end.visited}) <= 3
 

@@ -28,10 +28,20 @@ NARROW = 80
 def completed(line: str, folder: Path) -> set[str]:
     """What bash offers at the end of a line."""
     words = line.split(" ")
-    shell = {"_LABKIT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    shell = {
+        "_LABKIT_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(words) - 1),
+    }
     program = [sys.executable, "-c", "from labkit.cli import main; main()"]
     done = subprocess.run(
-        program, env={**os.environ, **shell}, cwd=folder, capture_output=True, text=True, timeout=60, check=False
+        program,
+        env={**os.environ, **shell},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert done.stderr == ""
     return set(done.stdout.split())
@@ -49,7 +59,9 @@ def test_channels_are_those_of_the_session(tmp_path: Path) -> None:
 
 
 def test_panels_complete(tmp_path: Path) -> None:
-    assert completed("labkit target serve x --panel ipad-p", tmp_path) == {n for n in PANELS if n.startswith("ipad-p")}
+    assert completed("labkit target serve x --panel ipad-p", tmp_path) == {
+        n for n in PANELS if n.startswith("ipad-p")
+    }
 
 
 def test_kinds_of_target_complete_and_plans_beside_them(tmp_path: Path) -> None:
@@ -73,17 +85,24 @@ def test_every_summary_is_whole(path: str) -> None:
     assert "..." not in EVERY[path].get_short_help_str(45)
 
 
-@pytest.mark.parametrize("path", [path for path, command in EVERY.items() if not hasattr(command, "commands")])
+@pytest.mark.parametrize(
+    "path", [path for path, command in EVERY.items() if not hasattr(command, "commands")]
+)
 def test_every_option_with_a_value_shows_its_default(
     path: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(NARROW))
     run([*path.split(), "--help"])
     shown = " ".join(capfd.readouterr().out.split())
-    options = [p for p in EVERY[path].params if p.param_type_name == "option" and not p.is_flag]
+    options = [
+        p for p in EVERY[path].params if p.param_type_name == "option" and not p.is_flag
+    ]
     without = []
     for option in options:
         entry = shown.partition(f" {option.opts[0]} ")[2].partition(" --")[0]
-        if "[default: " not in entry and option.opts[0] not in ("--pixels", "--want"):  # which ask for something more
+        if "[default: " not in entry and option.opts[0] not in (
+            "--pixels",
+            "--want",
+        ):  # which ask for something more
             without.append(option.opts[0])
     assert without == []

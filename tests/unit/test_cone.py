@@ -20,13 +20,30 @@ from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats
 
-OPTICS = Optics(wavelength_um=0.55, reference_um=0.45, f_number=4.0, pitch_um=4.8, active_um=4.8, noll=(4, 6, 8))
-CARPET = CellTarget(np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))), (20.0, 20.0), 0.0)
+OPTICS = Optics(
+    wavelength_um=0.55,
+    reference_um=0.45,
+    f_number=4.0,
+    pitch_um=4.8,
+    active_um=4.8,
+    noll=(4, 6, 8),
+)
+CARPET = CellTarget(
+    np.kron(np.array([[0.0, 1, 0], [1, 0, 1], [0, 0, 1]]), np.ones((2, 2))),
+    (20.0, 20.0),
+    0.0,
+)
 CORNERS = np.array([[8.3, 9.1], [8.0, 49.7], [48.8, 49.9], [49.1, 9.4]])
 FRAME = (58, 60)
 PRIOR = NoisePrior(0.25, 0.01, 4.0, 0.02)
 POSE = Pose.from_corners(CORNERS, CARPET.size_mm)
-TRUTH = State(np.array([0.15, 0.04, -0.05]), (POSE,), np.array([1500.0]), np.array([40.0]), PRIOR.centre)
+TRUTH = State(
+    np.array([0.15, 0.04, -0.05]),
+    (POSE,),
+    np.array([1500.0]),
+    np.array([40.0]),
+    PRIOR.centre,
+)
 MODES = slice(3)
 
 
@@ -43,7 +60,9 @@ def photographed(model: ForwardModel, truth: State = TRUTH) -> Problem:
     return Problem(model, (data,), PRIOR)
 
 
-def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: ForwardModel) -> None:
+def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(
+    model: ForwardModel,
+) -> None:
     problem = photographed(model)
     step = np.zeros(3 + 10 + 2)
     step[MODES] = 0.004, -0.003, 0.003
@@ -59,7 +78,9 @@ def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(model: F
 def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -> None:
     problem = photographed(model)
     off = Problem(
-        with_optics_about(model, replace(OPTICS, f_number=1.03 * OPTICS.f_number), TRUTH), problem.frames, PRIOR
+        with_optics_about(model, replace(OPTICS, f_number=1.03 * OPTICS.f_number), TRUTH),
+        problem.frames,
+        PRIOR,
     )
     freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
     std = np.sqrt(freed.measured.covariance[-2, -2])
@@ -67,7 +88,12 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
     assert abs(freed.measured.values[-2] - np.log(OPTICS.f_number)) < 3 * std
     # the same optimum from either cone, but for what they are told of it beforehand
     both = np.array([freed.measured.values, right.measured.values])
-    assert np.abs(np.diff(both[:, :-1], axis=0) / np.sqrt(np.diag(right.measured.covariance))[:-1]).max() < 0.18
+    assert (
+        np.abs(
+            np.diff(both[:, :-1], axis=0) / np.sqrt(np.diag(right.measured.covariance))[:-1]
+        ).max()
+        < 0.18
+    )
 
 
 @pytest.mark.parametrize("light", [Spectrum(), Spectrum.of_width(0.04**2)])
@@ -78,16 +104,24 @@ def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> N
     finest_um = 0.5 * OPTICS.airy_um * min(light.nodes)
     least = model.blur.pupil.spacing_um / finest_um  # of the cone, that its grid is for
     for cone, same in ((1.001 * least, True), (0.999 * least, False)):
-        other = with_optics_about(model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH)
+        other = with_optics_about(
+            model, replace(broad, f_number=cone * OPTICS.f_number), TRUTH
+        )
         assert (other.blur.torus == model.blur.torus) == same
         slopes = [*other.blur.psf_slopes(TRUTH.waves)]
         assert np.isfinite(slopes).all()
 
 
-def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(model: ForwardModel) -> None:
+def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(
+    model: ForwardModel,
+) -> None:
     """No light is as broad as would blur like this filter."""
     filtered = ForwardModel.build(
-        replace(OPTICS, given=(LowPass(0.8, 0.8),)), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        replace(OPTICS, given=(LowPass(0.8, 0.8),)),
+        CARPET,
+        FRAME,
+        POSE,
+        cone_margin=SETTINGS.cone_margin,
     )
     broad = with_optics_about(model, OPTICS.with_part("spectrum"), TRUTH)
     freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
@@ -98,7 +132,13 @@ def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(m
 
 
 def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:
-    far = State(np.array([1.5, -0.3, 0.4]), TRUTH.poses, TRUTH.scales, TRUTH.ambients, TRUTH.log_noise)
+    far = State(
+        np.array([1.5, -0.3, 0.4]),
+        TRUTH.poses,
+        TRUTH.scales,
+        TRUTH.ambients,
+        TRUTH.log_noise,
+    )
     assert not free_cone(photographed(model), Start(far), 0.03).solution.converged
 
 
@@ -107,7 +147,10 @@ def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardMod
     wide = model.rebuilt(OPTICS, POSE, waves=thrown.waves, cone_margin=SETTINGS.cone_margin)
     assert wide.window_airy > 1.5 * model.window_airy
     problem = photographed(wide, thrown)
-    ends = [free_cone(replace(problem, model=each), Start(thrown), 0.03) for each in (model, wide)]
+    ends = [
+        free_cone(replace(problem, model=each), Start(thrown), 0.03)
+        for each in (model, wide)
+    ]
     assert ends[0].expansion.problem.model.window_airy == pytest.approx(wide.window_airy)
     narrow = maximize(replace(problem, model=model), thrown).state.waves
     right, widened, std = (
@@ -116,7 +159,9 @@ def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardMod
         np.sqrt(np.diag(ends[1].covariance)),
     )
     np.testing.assert_allclose(widened, right, atol=1e-9)
-    assert 0.2 < np.abs((narrow - right) / std).max() < 0.7  # what a window of 120 lambda N loses here
+    assert (
+        0.2 < np.abs((narrow - right) / std).max() < 0.7
+    )  # what a window of 120 lambda N loses here
 
 
 def test_rough_slopes_are_nearly_the_exact_ones(model: ForwardModel) -> None:
@@ -129,7 +174,9 @@ def test_rough_slopes_are_nearly_the_exact_ones(model: ForwardModel) -> None:
             assert 0.01 < off.min() < off.max() < 0.09
 
 
-def scatter_and_errors(model: ForwardModel, alike_px: float) -> tuple[Floats, Floats, Floats]:
+def scatter_and_errors(
+    model: ForwardModel, alike_px: float
+) -> tuple[Floats, Floats, Floats]:
     """Of modes over forty photographs whose noise is alike over some pixels: standard deviations, errors as of noise alone,
     and those of a poor model."""
     rng, used, one = np.random.default_rng(5), np.ones(FRAME, bool), np.ones(FRAME)
@@ -152,7 +199,9 @@ def scatter_and_errors(model: ForwardModel, alike_px: float) -> tuple[Floats, Fl
     return np.std(ends, axis=0), np.mean(stds, axis=0), np.mean(sandwich, axis=0)
 
 
-def test_errors_of_a_model_that_lacks_something_cover_what_residuals_do_to_the_modes(model: ForwardModel) -> None:
+def test_errors_of_a_model_that_lacks_something_cover_what_residuals_do_to_the_modes(
+    model: ForwardModel,
+) -> None:
     scatter, stds, sandwich = scatter_and_errors(model, 1.5)
     assert np.all(scatter > 1.6 * stds)
     assert np.all(np.abs(np.log(sandwich / scatter)) < 0.2)

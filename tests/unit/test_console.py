@@ -22,7 +22,8 @@ def test_without_a_terminal_a_line_says_how_far_it_is(
         threading.Event().wait(0.5)
     first, *_ = capsys.readouterr().err.splitlines()
     assert (
-        first == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
+        first
+        == "labkit: fitting 0/15, 1 s so far, time left not known yet: searching from nothing: G at 3000 mm\\x1b"
     )
 
 
@@ -54,7 +55,9 @@ def test_a_quiet_console_and_a_short_work_say_nothing(
     assert capsys.readouterr().err == ""
 
 
-def test_time_left_cannot_be_taken_for_the_time_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_left_cannot_be_taken_for_the_time_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     clock = [0.0]
     monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
     work = console_module._Work("capturing")
@@ -64,7 +67,9 @@ def test_time_left_cannot_be_taken_for_the_time_so_far(monkeypatch: pytest.Monke
     work.report(1, 13, "a")
     assert work.times() == "15 s so far, about 3 min left"
     clock[0] = 600.0
-    assert work.times() == "10 min so far, about 2 min 45 s left"  # eleven steps more after this one
+    assert (
+        work.times() == "10 min so far, about 2 min 45 s left"
+    )  # eleven steps more after this one
     work.report(13, 13, "z")
     assert work.times() == "10 min so far"
 

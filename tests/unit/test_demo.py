@@ -20,9 +20,16 @@ assert sessions  # they add their commands to the app
 
 
 def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> None:
-    visits = [SimpleNamespace(range_mm=r, defocus_waves={"R": w}) for r, w in ((2000.0, 9.0), (3000.0, -0.302))]
-    truth = SimpleNamespace(best_focus_mm={"R": 2986.0, "B": 2987.0}, pupil_magnification=0.985, visits=visits)
-    red, blue, magnification, defocus = compare(some_results(wavefronts=(a_wavefront(defocus=-0.3),), lens=None), truth)
+    visits = [
+        SimpleNamespace(range_mm=r, defocus_waves={"R": w})
+        for r, w in ((2000.0, 9.0), (3000.0, -0.302))
+    ]
+    truth = SimpleNamespace(
+        best_focus_mm={"R": 2986.0, "B": 2987.0}, pupil_magnification=0.985, visits=visits
+    )
+    red, blue, magnification, defocus = compare(
+        some_results(wavefronts=(a_wavefront(defocus=-0.3),), lens=None), truth
+    )
     assert (red.truth, red.estimate, red.std) == (2986.0, 2986.84, 0.42)
     assert (blue.truth, blue.estimate) == (2987.0, 2987.31)
     assert (magnification.truth, magnification.estimate) == (0.985, 0.981)
@@ -30,10 +37,16 @@ def test_estimates_stand_beside_the_truth_of_their_own_range_and_channel() -> No
 
 
 def test_the_lens_stands_beside_the_true_one() -> None:
-    truth = SimpleNamespace(focal_length_mm=70.0, f_number=2.8, range_zero_mm=3.0, visits=[])
+    truth = SimpleNamespace(
+        focal_length_mm=70.0, f_number=2.8, range_zero_mm=3.0, visits=[]
+    )
     lens = Lens(*(Uncertain(value, 0.1) for value in (70.2, 2.79, 1.0, 2.5)))
     compared = list(compare(some_results(focus=None, wavefronts=(), lens=lens), truth))
-    assert [(c.truth, c.estimate, c.std) for c in compared] == [(70.0, 70.2, 0.1), (2.8, 2.79, 0.1), (3.0, 2.5, 0.1)]
+    assert [(c.truth, c.estimate, c.std) for c in compared] == [
+        (70.0, 70.2, 0.1),
+        (2.8, 2.79, 0.1),
+        (3.0, 2.5, 0.1),
+    ]
 
 
 def test_a_wavefronts_error_is_over_all_modes_and_its_worst_mode_is_named() -> None:
@@ -61,7 +74,9 @@ def test_the_demos_end_names_commands_that_there_are() -> None:
     assert named <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 
 
-def test_the_demos_end_says_how_to_have_labkit_on_the_path_where_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demos_end_says_how_to_have_labkit_on_the_path_where_it_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent))
     assert "path" not in next_steps(Path("labkit-demo"))
     monkeypatch.setenv("PATH", "/nowhere")

@@ -19,7 +19,9 @@ from labkit.plan import Plan
 from tests.plans import SMALL, plan_text
 
 ROOT = Path(__file__).parents[2]
-PAGES = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "build" not in path.parts]
+PAGES = [
+    path for path in sorted((ROOT / "docs").rglob("*.md")) if "build" not in path.parts
+]
 
 
 @pytest.mark.parametrize(("key", "field"), list(keys()))
@@ -52,25 +54,35 @@ def test_a_docstring_in_numpys_form_is_shown_as_lists() -> None:
 
 
 def test_every_option_and_argument_says_what_it_is() -> None:
-    parameters = [(path, p) for path, command in leaves() for p in command.params if p.name != "help"]
-    assert [f"{path} {p.name}" for path, p in parameters if not (p.help or "").endswith(".")] == []
+    parameters = [
+        (path, p) for path, command in leaves() for p in command.params if p.name != "help"
+    ]
+    assert [
+        f"{path} {p.name}" for path, p in parameters if not (p.help or "").endswith(".")
+    ] == []
 
 
 def test_the_columns_of_advise_are_those_that_are_documented() -> None:
     heading, *rows = range_rows(advise(Plan.parse(plan_text(SMALL)), ranges_mm=[2000.0]))
     page = (ROOT / "docs" / "reference" / "advise.md").read_text(encoding="utf-8")
-    documented = re.findall(r"^\| `(.+?)` \|", page.partition("## For the whole session")[0], re.MULTILINE)
+    documented = re.findall(
+        r"^\| `(.+?)` \|", page.partition("## For the whole session")[0], re.MULTILINE
+    )
     assert heading == documented
     assert [len(row) for row in rows] == [len(heading)]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_pages_generated_places_are_known(page: Path) -> None:
-    assert {place[1] for place in PLACE.finditer(page.read_text(encoding="utf-8"))} <= set(MADE)
+    assert {place[1] for place in PLACE.finditer(page.read_text(encoding="utf-8"))} <= set(
+        MADE
+    )
 
 
 def test_a_place_is_filled_and_the_text_around_it_stays() -> None:
-    assert filled("before\n<!-- generated: panels -->\nafter").startswith("before\n| `display.panel` |")
+    assert filled("before\n<!-- generated: panels -->\nafter").startswith(
+        "before\n| `display.panel` |"
+    )
 
 
 def test_dead_links_and_what_is_fetched_from_elsewhere_are_found(tmp_path: Path) -> None:
@@ -87,7 +99,11 @@ def test_dead_links_and_what_is_fetched_from_elsewhere_are_found(tmp_path: Path)
 
 def test_the_search_wants_every_word(tmp_path: Path) -> None:
     pytest.importorskip("sphinx")
-    found = {"docnames": ["one", "two"], "terms": {"rail": [0, 1], "photograph": 1}, "titleterms": {"home": 0}}
+    found = {
+        "docnames": ["one", "two"],
+        "terms": {"rail": [0, 1], "photograph": 1},
+        "titleterms": {"home": 0},
+    }
     (tmp_path / "searchindex.js").write_text(f"Search.setIndex({json.dumps(found)})")
     index = Index(tmp_path)
     assert index.search("rails") == {"one", "two"}

@@ -17,8 +17,14 @@ def turned_square(angle_deg: float, side: float = 120.0, size: int = 240) -> Flo
     y, x = (np.mgrid[0 : size * finer, 0 : size * finer] + 0.5) / finer - size / 2
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     inside = np.maximum(np.abs(x * c + y * s), np.abs(y * c - x * s)) < side / 2
-    picture = gaussian_filter(inside.astype(float), 1.5 * finer).reshape(size, finer, size, finer).mean(axis=(1, 3))
-    return np.asarray(400 + 3000 * picture + np.random.default_rng(1).normal(0, 30, picture.shape))
+    picture = (
+        gaussian_filter(inside.astype(float), 1.5 * finer)
+        .reshape(size, finer, size, finer)
+        .mean(axis=(1, 3))
+    )
+    return np.asarray(
+        400 + 3000 * picture + np.random.default_rng(1).normal(0, 30, picture.shape)
+    )
 
 
 def test_all_sides_of_a_square_are_found_with_their_normals_towards_the_light() -> None:
@@ -29,14 +35,21 @@ def test_all_sides_of_a_square_are_found_with_their_normals_towards_the_light() 
     for edge in found:
         # inward, from the middle of the piece to the middle of the square
         inward = np.array([119.5 - edge.middle[1], 119.5 - edge.middle[0]])
-        assert inward @ [np.cos(edge.angle), np.sin(edge.angle)] == pytest.approx(60, abs=1.5)
+        assert inward @ [np.cos(edge.angle), np.sin(edge.angle)] == pytest.approx(
+            60, abs=1.5
+        )
         assert edge.box[0] <= edge.middle[0] < edge.box[2]
         assert edge.box[1] <= edge.middle[1] < edge.box[3]
 
 
 def test_boxes_of_a_plane_are_in_pixels_of_the_raw() -> None:
-    whole, plane = find_edges(turned_square(12.0)), find_edges(turned_square(12.0), (1, 0), 2)
-    assert [(2 * a + 1, 2 * b) for a, b in (e.middle for e in whole)] == [e.middle for e in plane]
+    whole, plane = (
+        find_edges(turned_square(12.0)),
+        find_edges(turned_square(12.0), (1, 0), 2),
+    )
+    assert [(2 * a + 1, 2 * b) for a, b in (e.middle for e in whole)] == [
+        e.middle for e in plane
+    ]
 
 
 def test_noise_and_an_even_picture_have_no_edges() -> None:
@@ -45,8 +58,15 @@ def test_noise_and_an_even_picture_have_no_edges() -> None:
 
 
 def region(counts: Floats) -> Region:
-    rows, columns = (a.ravel().astype(float) for a in np.mgrid[0 : counts.shape[0], 0 : counts.shape[1]])
-    return Region(rows, columns, counts.ravel(), ((counts.shape[0] - 1) / 2, (counts.shape[1] - 1) / 2))
+    rows, columns = (
+        a.ravel().astype(float) for a in np.mgrid[0 : counts.shape[0], 0 : counts.shape[1]]
+    )
+    return Region(
+        rows,
+        columns,
+        counts.ravel(),
+        ((counts.shape[0] - 1) / 2, (counts.shape[1] - 1) / 2),
+    )
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,9 @@ def test_a_range_comes_back_from_the_golden_sessions_law(range_mm: float) -> Non
     assert found.range_mm.value == pytest.approx(range_mm, rel=1e-9)
     step = 1e-4 * range_mm
     slope = (defocus_waves(range_mm + step, FOCI["G"]) - waves) / step
-    assert found.range_mm.std == pytest.approx(0.003 / slope, rel=2e-3)  # and the law's bend over that step
+    assert found.range_mm.std == pytest.approx(
+        0.003 / slope, rel=2e-3
+    )  # and the law's bend over that step
     assert found.other is None
 
 
@@ -77,12 +79,17 @@ def test_errors_of_the_lens_are_in_the_ranges() -> None:
 
 def test_ranges_are_on_the_scale_that_best_focus_is_on() -> None:
     waves = defocus_waves(1700.0, FOCI["G"])
-    assert edge_range(law("G", zero_mm=3.0), [("G", sides(waves))]).range_mm.value == pytest.approx(1697.0)
+    assert edge_range(
+        law("G", zero_mm=3.0), [("G", sides(waves))]
+    ).range_mm.value == pytest.approx(1697.0)
 
 
 def test_errors_that_colours_have_in_common_do_not_average_out() -> None:
     every = [(name, sides(defocus_waves(1900.0, FOCI[name]), std=0.03)) for name in FOCI]
     alone = edge_range(law("G"), every[1:2]).range_mm.std
-    apart, alike = (edge_range(law(*FOCI), every, c).range_mm.std for c in (np.eye(3), np.full((3, 3), 0.99)))
+    apart, alike = (
+        edge_range(law(*FOCI), every, c).range_mm.std
+        for c in (np.eye(3), np.full((3, 3), 0.99))
+    )
     assert apart == pytest.approx(alone / np.sqrt(3), rel=0.05)
     assert alike == pytest.approx(alone, rel=0.2)

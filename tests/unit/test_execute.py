@@ -84,7 +84,10 @@ def test_an_exception_ends_tasks_that_would_go_on_for_an_hour() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.02, 1.0])
 def test_an_interrupt_ends_all_workers_and_leaves_no_files(
-    delay_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    delay_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     # at once: while the workers are being started; later: while they work
@@ -110,7 +113,9 @@ def test_large_tasks_and_results_travel() -> None:
     ]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL]
+)
 def test_workers_end_with_their_parent_however_it_dies_and_leave_no_files(
     number: signal.Signals, tmp_path: Path
 ) -> None:
@@ -141,7 +146,9 @@ def test_tasks_under_way_when_a_worker_is_killed_are_tried_again(tmp_path: Path)
 def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
     results = run_all(kill_at, range(6), 2)
     assert sorted(next(results)[0] for _ in range(5)) == [0, 1, 3, 4, 5]
-    with pytest.raises(LostTasksError, match="1 of the tasks did not come to an end: the process at work") as caught:
+    with pytest.raises(
+        LostTasksError, match="1 of the tasks did not come to an end: the process at work"
+    ) as caught:
         next(results)
     assert [task for task, _ in caught.value.lost] == [2]
 
@@ -205,7 +212,13 @@ def test_processes_that_are_killed_before_there_is_work_are_begun_anew() -> None
 def test_a_script_needs_no_guard_of_its_main_part(tmp_path: Path) -> None:
     script = tmp_path / "plain.py"
     script.write_text(PLAIN, encoding="utf-8")
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
     assert done.stdout == f"[(0, 120), (1, 720), (2, 5040)] __main__ {script}\n"
 
 
@@ -216,12 +229,16 @@ def test_one_worker_needs_no_warming_up() -> None:
         assert set(active_children()) == before
 
 
-def test_a_full_folder_for_temporary_files_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_full_folder_for_temporary_files_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def full(path: Path, content: bytes) -> int:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(InputError, match=f"cannot write {tmp_path}/labkit-.*: No space left on device"):
+    with pytest.raises(
+        InputError, match=f"cannot write {tmp_path}/labkit-.*: No space left on device"
+    ):
         list(run_all(factorial, [1, 2], 2))
     assert list(tmp_path.iterdir()) == []

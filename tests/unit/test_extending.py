@@ -31,15 +31,21 @@ PLAN = Plan.parse(plan_text(SMALL))
 def install(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put a page's files where Python finds them, with the entry points that its pyproject.toml states."""
     text = (PAGES / f"{page}.md").read_text(encoding="utf-8")
-    files = dict(re.findall(r"```\{code-block\} \w+\n:caption: (\S+)\n(.*?)```", text, re.DOTALL))
+    files = dict(
+        re.findall(r"```\{code-block\} \w+\n:caption: (\S+)\n(.*?)```", text, re.DOTALL)
+    )
     project = tomllib.loads(files.pop("pyproject.toml"))["project"]
     for name, content in files.items():
         (folder / name).write_text(content)
     about = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     about.mkdir()
-    (about / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
+    (about / "METADATA").write_text(
+        f"Name: {project['name']}\nVersion: {project['version']}\n"
+    )
     lines = [
-        f"[{group}]\n{k} = {v}\n" for group, entries in project["entry-points"].items() for k, v in entries.items()
+        f"[{group}]\n{k} = {v}\n"
+        for group, entries in project["entry-points"].items()
+        for k, v in entries.items()
     ]
     (about / "entry_points.txt").write_text("".join(lines))
     monkeypatch.syspath_prepend(folder)
@@ -60,7 +66,10 @@ def controller(refused: str = "") -> Iterator[str]:
             while line := commands.readline().decode().strip():
                 word, _, value = line.partition(" ")
                 at = float(value) if word == "GO" else 0.0 if word == "HOME" else at
-                os.write(ours, f"ERROR {refused}\n".encode() if refused else f"AT {at:.3f}\n".encode())
+                os.write(
+                    ours,
+                    f"ERROR {refused}\n".encode() if refused else f"AT {at:.3f}\n".encode(),
+                )
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
@@ -103,7 +112,10 @@ def test_the_rail_of_the_page_does_not_wait_for_ever() -> None:
     from acme_rail import AcmeRail  # type: ignore[import-not-found]
 
     ours, theirs = os.openpty()
-    with AcmeRail(os.ttyname(theirs), reply_s=0.05) as rail, pytest.raises(DeviceTimeoutError, match="does not answer"):
+    with (
+        AcmeRail(os.ttyname(theirs), reply_s=0.05) as rail,
+        pytest.raises(DeviceTimeoutError, match="does not answer"),
+    ):
         rail.home()
     os.close(ours)
     os.close(theirs)
@@ -114,7 +126,9 @@ def test_the_target_of_the_page_is_rendered(
 ) -> None:
     install("target", tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
-    command, shown = re.findall(r"\$ labkit (.*)\n(.*)\n", (PAGES / "target.md").read_text(encoding="utf-8"))[0]
+    command, shown = re.findall(
+        r"\$ labkit (.*)\n(.*)\n", (PAGES / "target.md").read_text(encoding="utf-8")
+    )[0]
     assert run(command.split()) == 0
     assert shown in capsys.readouterr().out
     dots = np.asarray(Image.open("hadamard.png"))[5::10, 5::10] > 127

@@ -21,7 +21,14 @@ from labkit.estimation.findings import (
     undetermined,
 )
 from labkit.finding import Finding, each_once
-from labkit.findings import NO_ANSWER, TEXTS, flats_of_another_range, flats_partly_unlit, found, unanswered
+from labkit.findings import (
+    NO_ANSWER,
+    TEXTS,
+    flats_of_another_range,
+    flats_partly_unlit,
+    found,
+    unanswered,
+)
 from labkit.imaging.parts import KNOWN
 from labkit.key import Key
 from labkit.types import JSON
@@ -35,14 +42,28 @@ SAMPLES = [
     found("session-mended", note="journal.jsonl: left out a torn last line"),
     found("same-photograph", file="b.dng", same_as="a.dng"),
     found("exif-focal-length", file="a.dng", focal_length_mm=50.0, planned_mm=70.0),
-    found("exif-f-number", file="a.dng", f_number=4.0, plan_key="lens.f_number", planned=2.8),
     found(
-        "settings-differ", None, {"first": "50 mm", "other": "70 mm"}, setting="focal length", first_file="a", file="b"
+        "exif-f-number", file="a.dng", f_number=4.0, plan_key="lens.f_number", planned=2.8
+    ),
+    found(
+        "settings-differ",
+        None,
+        {"first": "50 mm", "other": "70 mm"},
+        setting="focal length",
+        first_file="a",
+        file="b",
     ),
     found("picture-altered", note="the photographs were sharpened"),
-    found("picture-processed", file_format="JPEG", bits=8, tone_curve="tone curve undone by sRGB"),
+    found(
+        "picture-processed",
+        file_format="JPEG",
+        bits=8,
+        tone_curve="tone curve undone by sRGB",
+    ),
     found("colours-at-half-resolution"),
-    found("panel-pixels-seen", None, {"to_add": "pixels = {}"}, pitch_mm=0.0962, contrast=0.02),
+    found(
+        "panel-pixels-seen", None, {"to_add": "pixels = {}"}, pitch_mm=0.0962, contrast=0.02
+    ),
     found("no-dark-frames"),
     found("bias-instead-of-darks"),
     found("dark-exposure-differs", least_s=0.01, most_s=0.02),
@@ -50,7 +71,10 @@ SAMPLES = [
     flats_of_another_range(2150.0, 2200.0),
     flats_partly_unlit(2000.0, 0.125),
     found("gain-not-measured"),
-    found("fit-left-out", note="G at 3010 mm is left out: killed; close other programs and fit again"),
+    found(
+        "fit-left-out",
+        note="G at 3010 mm is left out: killed; close other programs and fit again",
+    ),
     found("search-cut-short", GREEN, patience_s=120.0, starts=40),
     found("fit-mended", GREEN),
     found("fit-does-not-belong", GREEN),
@@ -80,7 +104,9 @@ SAMPLES = [
 def entries() -> Iterator[str]:
     """Codes that have an entry in the pages: code in a line above an explanation."""
     for page in PAGES.glob("*.md"):
-        for terms in re.findall(r"^(`.+)\n: ", page.read_text(encoding="utf-8"), re.MULTILINE):
+        for terms in re.findall(
+            r"^(`.+)\n: ", page.read_text(encoding="utf-8"), re.MULTILINE
+        ):
             yield from re.findall(r"`([^`]+)`", terms)
 
 
@@ -94,11 +120,16 @@ def test_each_code_makes_one_sentence_that_begins_with_its_key() -> None:
         assert len(finding.text.splitlines()) == 1
         if finding.key == GREEN:
             assert finding.text.startswith("G at 3200 mm: ")
-        assert Finding.from_json(json.loads(json.dumps(finding.as_json())), [finding.text]) == finding
+        assert (
+            Finding.from_json(json.loads(json.dumps(finding.as_json())), [finding.text])
+            == finding
+        )
 
 
 def test_what_is_not_finite_is_null_and_the_rest_is_read_back() -> None:
-    finding = Finding("a-code", GREEN, {"p_value": float("nan"), "many": (1, np.float64(2.5))}, "words")
+    finding = Finding(
+        "a-code", GREEN, {"p_value": float("nan"), "many": (1, np.float64(2.5))}, "words"
+    )
     assert finding.numbers == {"p_value": None, "many": [1, 2.5]}
     kept = json.loads(json.dumps(finding.as_json(), allow_nan=False))
     assert Finding.from_json(kept, ["words"]) == finding
@@ -118,7 +149,9 @@ def test_numbers_are_json() -> None:
 
 
 def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
-    assert [Finding(code, None, {}, text).code for code, text in TEXTS.items()] == list(TEXTS)
+    assert [Finding(code, None, {}, text).code for code, text in TEXTS.items()] == list(
+        TEXTS
+    )
     assert set(NO_ANSWER) <= set(TEXTS)
     with pytest.raises(KeyError):
         found("no-such-code")
@@ -131,14 +164,21 @@ def test_every_part_of_the_camera_has_words_for_a_sentence(name: str) -> None:
 
 
 def test_both_camps_are_named_with_their_keys() -> None:
-    finding = two_camps([Key(3200.0, "G"), Key(3300.0, "G")], [Key(3100.0, "G"), Key(3150.0, "G")])
-    assert "G at 3200 mm, G at 3300 mm follow one lens, G at 3100 mm, G at 3150 mm another" in finding.text
+    finding = two_camps(
+        [Key(3200.0, "G"), Key(3300.0, "G")], [Key(3100.0, "G"), Key(3150.0, "G")]
+    )
+    assert (
+        "G at 3200 mm, G at 3300 mm follow one lens, G at 3100 mm, G at 3150 mm another"
+        in finding.text
+    )
     assert finding.numbers["outliers"] == ["3100_G", "3150_G"]
 
 
 def test_a_model_that_is_poor_for_all_says_so_once() -> None:
     finding = model_incomplete_everywhere({"3200_G": 1.234, "3300_G": 1.9}, 3)
-    assert finding.text.startswith("the residuals of 2 of 3 fits are more than noise (χ² per pixel 1.23 to 1.90)")
+    assert finding.text.startswith(
+        "the residuals of 2 of 3 fits are more than noise (χ² per pixel 1.23 to 1.90)"
+    )
     assert finding.numbers["chi2_per_pixel"] == {"3200_G": 1.234, "3300_G": 1.9}
 
 
@@ -148,7 +188,10 @@ def test_the_same_sentence_is_said_once() -> None:
 
 
 def test_what_could_not_be_estimated_is_the_answer() -> None:
-    findings = [found("no-dark-frames"), found("no-best-focus", why="every fit was rejected")]
+    findings = [
+        found("no-dark-frames"),
+        found("no-best-focus", why="every fit was rejected"),
+    ]
     assert unanswered(findings) == "no best focus: every fit was rejected"
     assert unanswered(findings[:1]) is None
 
@@ -163,11 +206,20 @@ def test_an_accepted_optimum_and_a_doubtful_one_have_codes_of_their_own() -> Non
     )
     doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, [], None)
     assert (doubtful.code, doubtful.key) == ("optimum-doubtful", GREEN)
-    assert doubtful.numbers == {"p_value": None, "chi2_per_pixel": 1.2, "missing": [], "confirmed_by": None}
+    assert doubtful.numbers == {
+        "p_value": None,
+        "chi2_per_pixel": 1.2,
+        "missing": [],
+        "confirmed_by": None,
+    }
 
 
 def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
-    moved = {"best_focus_moves_mm": {"G": 0.024}, "waves_move": 0.013, "psf_moves_l1": 0.031}
+    moved = {
+        "best_focus_moves_mm": {"G": 0.024},
+        "waves_move": 0.013,
+        "psf_moves_l1": 0.031,
+    }
     words = "best focus by G +0.024 mm, wavefronts by up to 0.013 waves RMS, PSFs by up to 3.1 % (L1)"
     missing = camera_parts_missing(["smear", "veil"], MOVES)
     assert missing.numbers == {"parts": ["smear", "veil"]} | moved
@@ -179,15 +231,24 @@ def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
 
 
 def test_a_part_is_told_with_its_numbers() -> None:
-    values = {"spread_px": Uncertain(0.55, 0.01, "px"), "rows_px": Uncertain(0.5, 0.01, "px")}
+    values = {
+        "spread_px": Uncertain(0.55, 0.01, "px"),
+        "rows_px": Uncertain(0.5, 0.01, "px"),
+    }
     finding = camera_part_found("low_pass_filter", values, None, None)
     assert finding.text.endswith("which the plan does not state: rows 0.500 ± 0.010 px")
-    assert finding.numbers["values"] == {name: value.as_json() for name, value in values.items()}
+    assert finding.numbers["values"] == {
+        name: value.as_json() for name, value in values.items()
+    }
 
 
 def test_ranges_and_combinations_are_told_in_words() -> None:
-    assert flats_of_another_range(None, 2200.0).text.startswith("no flat frames without a range: those at 2200 mm are")
-    assert flats_partly_unlit(2000.0, 0.125).text.startswith("flat frames at 2000 mm leave 12% of the frame unlit")
+    assert flats_of_another_range(None, 2200.0).text.startswith(
+        "no flat frames without a range: those at 2200 mm are"
+    )
+    assert flats_partly_unlit(2000.0, 0.125).text.startswith(
+        "flat frames at 2000 mm leave 12% of the frame unlit"
+    )
     assert undetermined(GREEN, ["defocus", "mode 11"]).text.startswith(
         "G at 3200 mm: the frames do not determine defocus, mode 11;"
     )

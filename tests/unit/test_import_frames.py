@@ -51,7 +51,12 @@ class Folder:
         self.add("target.dng", "target", 3000.0)
 
     def add(
-        self, file: str, kind: str, range_mm: object, counts: NDArray[np.uint16] | None = None, **dng: object
+        self,
+        file: str,
+        kind: str,
+        range_mm: object,
+        counts: NDArray[np.uint16] | None = None,
+        **dng: object,
     ) -> Path:
         self.rows.append(f"{file},{kind},{'' if range_mm is None else range_mm}")
         counts = picture(kind, len(self.rows)) if counts is None else counts
@@ -62,7 +67,9 @@ class Folder:
         csv = "file,kind,range_mm\n" + "\n".join(self.rows) + "\n" if csv is None else csv
         (self.path / "plan.toml").write_text(self.plan, encoding)
         (self.path / "frames.csv").write_text(csv, encoding)
-        return import_frames(self.path / "frames.csv", self.path / "plan.toml", self.session)
+        return import_frames(
+            self.path / "frames.csv", self.path / "plan.toml", self.session
+        )
 
     def refusal(self, kind: type[InputError] = InputError, csv: str | None = None) -> str:
         """The one-line message; nothing has been made, not even the folder above the session."""
@@ -97,23 +104,41 @@ def test_a_camera_never_met_is_imported_with_its_own_phase_depth_levels_and_orie
     tmp_path: Path, write_dng: WriteDng, cfa: str, black: int, white: int
 ) -> None:
     folder = Folder(tmp_path, write_dng)
-    for name, kind in (("dark.dng", "dark"), ("flat.dng", "flat"), ("target.dng", "target")):
+    for name, kind in (
+        ("dark.dng", "dark"),
+        ("flat.dng", "flat"),
+        ("target.dng", "target"),
+    ):
         light = (picture(kind).astype(float) - BLACK) / (WHITE - BLACK)
-        counts = np.clip(np.rint(black + light * (white - black)), 0, white).astype(np.uint16)
+        counts = np.clip(np.rint(black + light * (white - black)), 0, white).astype(
+            np.uint16
+        )
         write_dng(tmp_path / name, counts, cfa=cfa, black=black, white=white, orientation=6)
     session = folder.run()
     mosaic = read_raw(session.frames[2].path, session.plan.sensor)
-    assert (mosaic.cfa, mosaic.white, mosaic.black[1, 1], mosaic.counts.shape) == (cfa, white, black, SIZE)
+    assert (mosaic.cfa, mosaic.white, mosaic.black[1, 1], mosaic.counts.shape) == (
+        cfa,
+        white,
+        black,
+        SIZE,
+    )
 
 
 def test_further_columns_are_kept(folder: Folder) -> None:
-    session = folder.run("kind,file,lens,range_mm,\n target , target.dng ,Nikkor 70,3000,\n")
+    session = folder.run(
+        "kind,file,lens,range_mm,\n target , target.dng ,Nikkor 70,3000,\n"
+    )
     assert session.frames[0].meta["columns"] == {"lens": "Nikkor 70"}
 
 
 @pytest.mark.parametrize("separator", [",", ";"])
-def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(folder: Folder, separator: str) -> None:
-    session = folder.run("file,kind,range_mm\r\ntarget.dng,target,3000\r\n".replace(",", separator), "utf-8-sig")
+def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(
+    folder: Folder, separator: str
+) -> None:
+    session = folder.run(
+        "file,kind,range_mm\r\ntarget.dng,target,3000\r\n".replace(",", separator),
+        "utf-8-sig",
+    )
     assert (session.frames[0].file, session.frames[0].range_mm) == ("target.dng", 3000.0)
     assert session.plan == Plan.parse(PLAN)
 
@@ -121,17 +146,31 @@ def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(folder: Fo
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        (f"{'a' * 140_000},target,3000", "line 2: not CSV: field larger than field limit (131072)"),
+        (
+            f"{'a' * 140_000},target,3000",
+            "line 2: not CSV: field larger than field limit (131072)",
+        ),
         (f"{'a' * 100_000},target,3000", "line 2: file 'aaaa"),
         ('"target.dng,target,3000', "not CSV: unexpected end of data"),
-        ("target.dng,target,3000,70, wide", "line 2: 5 cells, but the header has 3: put quotes around"),
-        ("target\x1b[2J\0.dng,target,3000", "line 2: file 'target\\x1b[2J\\x00.dng' is no usable path"),
-        ('target.dng,target,"3000,5"', "range_mm '3000,5': allowed is nothing, or a number above the focal length"),
+        (
+            "target.dng,target,3000,70, wide",
+            "line 2: 5 cells, but the header has 3: put quotes around",
+        ),
+        (
+            "target\x1b[2J\0.dng,target,3000",
+            "line 2: file 'target\\x1b[2J\\x00.dng' is no usable path",
+        ),
+        (
+            'target.dng,target,"3000,5"',
+            "range_mm '3000,5': allowed is nothing, or a number above the focal length",
+        ),
         ('target.dng,target,"3000,5"', "70 mm; write 3000.5"),
     ],
     ids=lambda value: value[:30],
 )
-def test_a_row_that_no_spreadsheet_would_write_is_named(folder: Folder, row: str, words: str) -> None:
+def test_a_row_that_no_spreadsheet_would_write_is_named(
+    folder: Folder, row: str, words: str
+) -> None:
     message = folder.refusal(csv=f"file,kind,range_mm\n{row}\n")
     assert words in message
     assert len(message) < 400
@@ -149,8 +188,14 @@ def test_names_are_made_safe_and_different(folder: Folder) -> None:
     folder.add("a/mein Bild.dng", "target", 3100)
     folder.add("b/mein Bild.dng", "target", 3200)
     session = folder.run()
-    assert [frame.file for frame in session.frames[3:]] == ["mein_Bild.dng", "6_mein_Bild.dng"]
-    assert [frame.meta["origin"] for frame in session.frames[3:]] == ["a/mein Bild.dng", "b/mein Bild.dng"]
+    assert [frame.file for frame in session.frames[3:]] == [
+        "mein_Bild.dng",
+        "6_mein_Bild.dng",
+    ]
+    assert [frame.meta["origin"] for frame in session.frames[3:]] == [
+        "a/mein Bild.dng",
+        "b/mein Bild.dng",
+    ]
 
 
 def test_ranges_may_be_left_out(folder: Folder) -> None:
@@ -208,9 +253,17 @@ def test_a_missing_and_a_truncated_photograph_are_both_named(folder: Folder) -> 
 @pytest.mark.parametrize(
     ("dng", "shape", "words"),
     [
-        ({"model": "D2"}, SIZE, "another camera than the first photograph: Acme D2, not Acme Acme D1"),
+        (
+            {"model": "D2"},
+            SIZE,
+            "another camera than the first photograph: Acme D2, not Acme Acme D1",
+        ),
         ({}, (124, 158), "another size than the first photograph: 124×158, not 126×158"),
-        ({"cfa": "BGGR"}, SIZE, "another filter array than the first photograph: BGGR, not RGGB"),
+        (
+            {"cfa": "BGGR"},
+            SIZE,
+            "another filter array than the first photograph: BGGR, not RGGB",
+        ),
     ],
 )
 def test_a_raw_of_another_camera_is_refused(
@@ -233,7 +286,9 @@ def test_a_frame_just_below_saturation_is_taken(folder: Folder, kind: str) -> No
     assert len(folder.run().frames) == 4
 
 
-def test_hot_pixels_and_a_reflection_do_not_make_a_frame_overexposed(folder: Folder) -> None:
+def test_hot_pixels_and_a_reflection_do_not_make_a_frame_overexposed(
+    folder: Folder,
+) -> None:
     counts = picture("target")
     counts[::20, ::20] = WHITE
     counts[:10, :30] = WHITE
@@ -260,7 +315,9 @@ def test_a_dark_frame_that_has_seen_light_is_refused(folder: Folder) -> None:
 
 
 def test_a_channel_that_the_camera_lacks_is_refused(folder: Folder) -> None:
-    folder.plan = plan_text(PORTRAIT, {"channel": [{"name": "mono", "wavelength_nm": 550.0}]})
+    folder.plan = plan_text(
+        PORTRAIT, {"channel": [{"name": "mono", "wavelength_nm": 550.0}]}
+    )
     assert "has no channel mono: its filter array is RGGB" in folder.refusal()
 
 
@@ -283,8 +340,12 @@ def test_an_import_that_was_killed_leaves_nothing_for_good(folder: Folder) -> No
     folder.run()
     shutil.rmtree(folder.session)
     command = [sys.executable, "-c", KILLED, "frames.csv", "plan.toml", str(folder.session)]
-    assert subprocess.run(command, cwd=folder.path, timeout=60).returncode == -signal.SIGKILL
-    assert [path.name.rpartition(".")[2] for path in folder.session.parent.iterdir()] == ["import"]
+    assert (
+        subprocess.run(command, cwd=folder.path, timeout=60).returncode == -signal.SIGKILL
+    )
+    assert [path.name.rpartition(".")[2] for path in folder.session.parent.iterdir()] == [
+        "import"
+    ]
     assert len(folder.run().frames) == 3
     assert list(folder.session.parent.iterdir()) == [folder.session]
 

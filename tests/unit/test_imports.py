@@ -45,11 +45,26 @@ ROOMS = [
 LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
 
 MATHEMATICS = (
-    *("labkit/optics", "labkit/imaging", "labkit/estimation", "labkit/edges", "labkit/restoration"),
+    *(
+        "labkit/optics",
+        "labkit/imaging",
+        "labkit/estimation",
+        "labkit/edges",
+        "labkit/restoration",
+    ),
     "labkit/experiments/methods",
 )
 
-FILES_AND_DEVICES = {"csv", "json", "pathlib", "rawpy", "serial", "shutil", "tifffile", "usb"}
+FILES_AND_DEVICES = {
+    "csv",
+    "json",
+    "pathlib",
+    "rawpy",
+    "serial",
+    "shutil",
+    "tifffile",
+    "usb",
+}
 
 
 def modules(*folders: str) -> list[Path]:
@@ -88,7 +103,9 @@ def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", [p for p in modules("labkit") if p != ROOT / "labkit/__init__.py"], ids=name)
+@pytest.mark.parametrize(
+    "path", [p for p in modules("labkit") if p != ROOT / "labkit/__init__.py"], ids=name
+)
 def test_a_room_imports_only_from_rooms_above_it(path: Path) -> None:
     own = path.relative_to(ROOT / "labkit").parts[0].removesuffix(".py")
     below = [
@@ -101,20 +118,30 @@ def test_a_room_imports_only_from_rooms_above_it(path: Path) -> None:
 
 @pytest.mark.parametrize("path", modules("labkit"), ids=name)
 def test_the_core_imports_no_driver_and_no_target(path: Path) -> None:
-    assert [dotted for dotted in imported(path) if room(dotted) in ("drivers", "targets")] == []
+    assert [
+        dotted for dotted in imported(path) if room(dotted) in ("drivers", "targets")
+    ] == []
 
 
 @pytest.mark.parametrize(
-    "path", modules("labkit", "drivers", "targets", "tests", "benchmarks", "examples", "docs"), ids=name
+    "path",
+    modules("labkit", "drivers", "targets", "tests", "benchmarks", "examples", "docs"),
+    ids=name,
 )
 def test_nobody_imports_drivers_or_targets_by_their_bare_names(path: Path) -> None:
     # that would give a second copy of every class in them
-    assert [dotted for dotted in imported(path) if dotted.split(".")[0] in ("drivers", "targets")] == []
+    assert [
+        dotted
+        for dotted in imported(path)
+        if dotted.split(".")[0] in ("drivers", "targets")
+    ] == []
 
 
 @pytest.mark.parametrize("path", modules(*MATHEMATICS), ids=name)
 def test_the_mathematics_knows_no_file_and_no_device(path: Path) -> None:
-    assert [dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES] == []
+    assert [
+        dotted for dotted in imported(path) if dotted.split(".")[0] in FILES_AND_DEVICES
+    ] == []
 
 
 @pytest.mark.parametrize("path", modules("targets"), ids=name)
@@ -134,7 +161,15 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> Non
 @pytest.mark.parametrize("path", modules("drivers"), ids=name)
 def test_a_driver_knows_nothing_of_the_model_that_it_tests(path: Path) -> None:
     # the simulated bench would agree with any mistake that it shared
-    forbidden = {"optics", "imaging", "estimation", "calibration", "analysis", "results", "report"}
+    forbidden = {
+        "optics",
+        "imaging",
+        "estimation",
+        "calibration",
+        "analysis",
+        "results",
+        "report",
+    }
     assert {room(dotted) for dotted in imported(path)} & forbidden == set()
 
 
@@ -148,7 +183,9 @@ def reached(start: Path) -> set[str]:
     while todo:
         for dotted in imported(todo.pop()):
             # "labkit.raw.mosaic.Mosaic" is a name in the module labkit.raw.mosaic
-            module = next((m for m in (dotted, dotted.rpartition(".")[0]) if m in DOTTED), dotted)
+            module = next(
+                (m for m in (dotted, dotted.rpartition(".")[0]) if m in DOTTED), dotted
+            )
             if module not in found:
                 found.add(module)
                 todo += [DOTTED[module]] if module in DOTTED else []
@@ -157,16 +194,28 @@ def reached(start: Path) -> set[str]:
 
 def test_devices_reach_no_raw_decoding() -> None:
     for path in modules("labkit/devices"):
-        assert {"rawpy", "labkit.raw.decode", "labkit.raw.formats"} & reached(path) == set(), name(path)
+        assert {"rawpy", "labkit.raw.decode", "labkit.raw.formats"} & reached(
+            path
+        ) == set(), name(path)
 
 
 def test_no_driver_reaches_a_simulator() -> None:
     for path in modules("drivers"):
         if "simulated" not in path.parts:
-            assert {m for m in reached(path) if m.startswith("labkit.drivers.simulated")} == set(), name(path)
+            assert {
+                m for m in reached(path) if m.startswith("labkit.drivers.simulated")
+            } == set(), name(path)
 
 
 def test_the_mathematics_reaches_no_session_and_no_device() -> None:
     for path in modules(*MATHEMATICS):
-        below = {"session", "raw", "devices", "acquisition", "drivers", "analysis", "report"}
+        below = {
+            "session",
+            "raw",
+            "devices",
+            "acquisition",
+            "drivers",
+            "analysis",
+            "report",
+        }
         assert {m for m in reached(path) if room(m) in below} == set(), name(path)

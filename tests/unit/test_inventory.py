@@ -60,7 +60,9 @@ def test_a_camera_is_told_by_its_interface(monkeypatch: pytest.MonkeyPatch) -> N
     )
 
 
-def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_libusb_is_a_note_that_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def no_backend(find_all: bool) -> None:
         raise usb.core.NoBackendError("No backend available")
 
@@ -70,19 +72,29 @@ def test_missing_libusb_is_a_note_that_says_what_to_install(monkeypatch: pytest.
     assert "apt-get install libusb" in found.notes[0]
 
 
-def test_cameras_are_listed_as_their_drivers_see_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inventory, "finders", lambda: {"a": lambda: [("a:1", "One\n")], "b": lambda: []})
+def test_cameras_are_listed_as_their_drivers_see_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        inventory, "finders", lambda: {"a": lambda: [("a:1", "One\n")], "b": lambda: []}
+    )
     assert list_connected().cameras == (FoundCamera("a:1", "One?"),)
 
 
-def probed(monkeypatch: pytest.MonkeyPatch, ports: list[SimpleNamespace], answers: Any) -> Connected:
+def probed(
+    monkeypatch: pytest.MonkeyPatch, ports: list[SimpleNamespace], answers: Any
+) -> Connected:
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
-    monkeypatch.setattr(inventory, "probes", lambda: {"acme": lambda path: None, "rig": answers})
+    monkeypatch.setattr(
+        inventory, "probes", lambda: {"acme": lambda path: None, "rig": answers}
+    )
     return list_connected(probe=True)
 
 
-def test_a_rail_that_answers_is_listed_with_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rail_that_answers_is_listed_with_its_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     builtin = SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None)
     asked: list[str] = []
 
@@ -92,10 +104,14 @@ def test_a_rail_that_answers_is_listed_with_its_address(monkeypatch: pytest.Monk
 
     found = probed(monkeypatch, [builtin, fake_port("/dev/ttyUSB90")], answers)
     assert found.rails == (FoundRail("rig:/dev/ttyUSB90", "Rig 3"),)
-    assert asked == ["/dev/ttyUSB90"]  # what is no USB device may be anything: it is not written to
+    assert asked == [
+        "/dev/ttyUSB90"
+    ]  # what is no USB device may be anything: it is not written to
 
 
-def test_a_port_that_does_not_open_is_noted_and_without_probing_none_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_does_not_open_is_noted_and_without_probing_none_is_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def held(path: str) -> str:
         raise RailError("held by another program")
 
@@ -137,7 +153,9 @@ def test_a_program_that_holds_a_port_is_named(monkeypatch: pytest.MonkeyPatch) -
             assert f"sleep ({program.pid})" in holders([path])[path]
             monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
             monkeypatch.setattr(list_ports, "comports", lambda: [fake_port(path)])
-            assert f"{path}: in use by sleep ({program.pid})" in " ".join(list_connected().notes)
+            assert f"{path}: in use by sleep ({program.pid})" in " ".join(
+                list_connected().notes
+            )
         finally:
             program.kill()
     assert holders([path])[path] == ()
@@ -152,20 +170,30 @@ def test_this_very_process_is_not_told_as_a_holder() -> None:
     os.close(far)
 
 
-def test_without_proc_it_is_noted_that_holders_are_not_known(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_proc_it_is_noted_that_holders_are_not_known(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     # as on macOS
     monkeypatch.setattr(inventory, "PROC", tmp_path / "proc")
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
-    assert list_connected().notes == (f"which programs hold a device is not known: this system has no {tmp_path}/proc",)
+    assert list_connected().notes == (
+        f"which programs hold a device is not known: this system has no {tmp_path}/proc",
+    )
     assert holders(["/dev/null"], tmp_path / "proc") == {"/dev/null": ()}
 
 
-def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [])
     held = {"/dev/bus/usb/001/004": ("gvfsd-gphoto2 (812)",)}
-    monkeypatch.setattr(inventory, "holders", lambda paths, proc: {path: held.get(path, ()) for path in paths})
+    monkeypatch.setattr(
+        inventory,
+        "holders",
+        lambda paths, proc: {path: held.get(path, ()) for path in paths},
+    )
     assert list_connected().notes == (
         "usb:001,004: in use by gvfsd-gphoto2 (812); let it go with: gio mount -s gphoto2",
     )
@@ -175,7 +203,11 @@ def test_a_missing_permission_points_to_the_rule(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert [note for note in list_connected().notes if "/dev/null: no permission" in note and "--udev" in note]
+    assert [
+        note
+        for note in list_connected().notes
+        if "/dev/null: no permission" in note and "--udev" in note
+    ]
 
 
 def connection(**changes: Any) -> Connected:
@@ -187,7 +219,9 @@ def test_rules_match_what_is_plugged_in_and_nothing_else() -> None:
     camera = UsbDevice("001,004", "04b0:0430", "Nikon DSC D7000", is_camera=True)
     hub = UsbDevice("001,001", "1d6b:0002", "hub", is_camera=False)
     rail = SerialPort("/dev/ttyUSB0", "CH340", "1a86:7523")
-    rules = udev_rules(connection(usb=(hub, camera), serial=(SerialPort("/dev/ttyS0", "n/a"), rail, rail)))
+    rules = udev_rules(
+        connection(usb=(hub, camera), serial=(SerialPort("/dev/ttyS0", "n/a"), rail, rail))
+    )
     assert [line for line in rules.splitlines() if not line.startswith("#")] == [
         'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="04b0", ATTR{idProduct}=="0430", '
         'MODE="0660", GROUP="plugdev", TAG+="uaccess"',
@@ -208,4 +242,8 @@ def test_a_devices_name_cannot_add_a_rule(monkeypatch: pytest.MonkeyPatch) -> No
     assert "\n" not in found.serial[0].name
     direct = UsbDevice("001,004", "04b0:0430", evil, is_camera=True)
     for rules in (udev_rules(found), udev_rules(connection(usb=(direct,)))):
-        assert not [line for line in rules.splitlines() if "RUN" in line and not line.startswith("# ")]
+        assert not [
+            line
+            for line in rules.splitlines()
+            if "RUN" in line and not line.startswith("# ")
+        ]

@@ -23,7 +23,9 @@ class Played:
 
     asked: list[Any] = field(default_factory=list)
 
-    def __call__(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def __call__(
+        self, function: Callable[[Any], Any], tasks: Sequence[Any]
+    ) -> Iterator[tuple[int, Any]]:
         self.asked += tasks
         for index in reversed(range(len(tasks))):
             yield index, function(tasks[index])
@@ -40,9 +42,17 @@ def run() -> Played:
 
 def test_what_is_kept_is_not_made_again(run: Played, tmp_path: Path) -> None:
     tasks = [("a", HALF), ("bb", HALF), ("ccc", HALF)]
-    assert list(KeptFits(run, tmp_path / "f")(judged, tasks[1:2])) == [(0, judged(tasks[1]))]
-    again = [(name, np.array(values)) for name, values in tasks]  # equal, but lying otherwise in memory
-    assert [(k, v.p_value) for k, v in KeptFits(run, tmp_path / "f")(judged, again)] == [(1, 2.0), (2, 3.0), (0, 1.0)]
+    assert list(KeptFits(run, tmp_path / "f")(judged, tasks[1:2])) == [
+        (0, judged(tasks[1]))
+    ]
+    again = [
+        (name, np.array(values)) for name, values in tasks
+    ]  # equal, but lying otherwise in memory
+    assert [(k, v.p_value) for k, v in KeptFits(run, tmp_path / "f")(judged, again)] == [
+        (1, 2.0),
+        (2, 3.0),
+        (0, 1.0),
+    ]
     assert [name for name, _ in run.asked] == ["bb", "a", "ccc"]
 
 
@@ -67,7 +77,9 @@ class Harmful:
         return Path.touch, (Path("harm"),)
 
 
-def test_what_somebody_put_there_runs_nothing(run: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_somebody_put_there_runs_nothing(
+    run: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     list(KeptFits(run, tmp_path / "f")(judged, ["a"]))
     (kept,) = (tmp_path / "f").iterdir()
@@ -77,7 +89,9 @@ def test_what_somebody_put_there_runs_nothing(run: Played, tmp_path: Path, monke
     assert run.asked == ["a", "a"]
 
 
-def test_a_folder_that_cannot_be_written_to_costs_no_fit(run: Played, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_to_costs_no_fit(
+    run: Played, tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     kept = KeptFits(run, tmp_path / "file" / "f")
     assert list(kept(judged, ["a"])) == [(0, judged("a"))]

@@ -30,13 +30,20 @@ def test_a_key_has_a_name_and_a_label(key: Key, name: str, label: str) -> None:
 
 
 def test_keys_without_a_range_come_first_and_whole_frames_before_tiles() -> None:
-    expected = [Key(None, "R"), Key(900.0, "R"), Key(3200.0, "B"), Key(3200.0, "B", (0, 1)), Key(3200.0, "G")]
+    expected = [
+        Key(None, "R"),
+        Key(900.0, "R"),
+        Key(3200.0, "B"),
+        Key(3200.0, "B", (0, 1)),
+        Key(3200.0, "G"),
+    ]
     mixed = [expected[k] for k in (3, 0, 4, 2, 1)]
     assert sorted(mixed) == expected
 
 
 @pytest.mark.parametrize(
-    "entry", [{}, {"range_mm": "near", "channel": "G"}, {"range_mm": 1, "channel": "G", "tile": 3}]
+    "entry",
+    [{}, {"range_mm": "near", "channel": "G"}, {"range_mm": 1, "channel": "G", "tile": 3}],
 )
 def test_what_is_no_key_is_refused(entry: dict[str, object]) -> None:
     with pytest.raises((KeyError, TypeError, ValueError)):

@@ -47,7 +47,9 @@ def near_session(mp: float = 1.0, **changed: Any) -> tuple[list[Observed], State
 
 
 def test_a_lens_is_found_again() -> None:
-    plan = stated(60.0, 4.0, f_number=Uncertain(4.1, 0.4), focal_length=Uncertain(60.0, 1e-9, "mm"))
+    plan = stated(
+        60.0, 4.0, f_number=Uncertain(4.1, 0.4), focal_length=Uncertain(60.0, 1e-9, "mm")
+    )
     fit = lens_of(members(NEAR, 482.0, 60.0, 4.0, 0.93), plan)
     # prior values pull: the magnification's by (error / 0.7)^2 of its distance
     assert np.exp(fit.value(MAGNIFICATION)) == pytest.approx(0.93, abs=2e-5)
@@ -60,11 +62,21 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     every, plan = near_session()
     fit, rng = lens_of(every, plan), np.random.default_rng(2)
     noise = fit.solved.normal.covariance
-    shifts = np.array([0.3 * rng.normal(size=3) * np.sqrt(np.diag(measured_of(one).covariance)) for one in every])
-    shifted = [with_values(one, measured_of(one).values + shift) for one, shift in zip(every, shifts, strict=True)]
+    shifts = np.array(
+        [
+            0.3 * rng.normal(size=3) * np.sqrt(np.diag(measured_of(one).covariance))
+            for one in every
+        ]
+    )
+    shifted = [
+        with_values(one, measured_of(one).values + shift)
+        for one, shift in zip(every, shifts, strict=True)
+    ]
     there = lens_of(shifted, plan)
     moved = there.theta - fit.theta
-    biased = replace(fit, bias=Point(moved, fit.solved.point.own), bias_chi2=there.chi2 - fit.chi2)
+    biased = replace(
+        fit, bias=Point(moved, fit.solved.point.own), bias_chi2=there.chi2 - fit.chi2
+    )
     widened = covariance_with_bias(noise * biased.birge_ratio**2, moved)
     np.testing.assert_allclose(biased.errors, widened)
     # the members disagree as they would after the move, not as they do now
@@ -76,13 +88,19 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
 def test_the_sources_of_an_error_with_a_bias_add_up_to_its_variance() -> None:
     every, plan = near_session()
     fit = lens_of(every, plan)
-    biased = replace(fit, bias=Point(0.5 * np.sqrt(np.diag(fit.errors)), fit.solved.point.own))
+    biased = replace(
+        fit, bias=Point(0.5 * np.sqrt(np.diag(fit.errors)), fit.solved.point.own)
+    )
     for k, unit in enumerate(np.eye(len(biased.theta))):
         shares = biased.contributions(unit)
-        assert sum(share**2 for share in shares.values()) == pytest.approx(biased.errors[k, k])
+        assert sum(share**2 for share in shares.values()) == pytest.approx(
+            biased.errors[k, k]
+        )
 
 
-def drawn(rng: np.random.Generator, plan: Stated, mp: float) -> tuple[list[Observed], dict[str, float]]:
+def drawn(
+    rng: np.random.Generator, plan: Stated, mp: float
+) -> tuple[list[Observed], dict[str, float]]:
     """A session whose lens, tape, steps and sizes are off as stated, and whose fits err as they say; and its truth."""
     f, n = (rng.normal(x.value, x.std) for x in (plan.focal_length, plan.f_number))
     zero, size = rng.normal(0, plan.range_zero_std_mm), rng.normal(0, plan.size_std)
@@ -114,12 +132,25 @@ def pulls(rng: np.random.Generator, actual: Stated, believed: Stated) -> Floats:
     fit = lens_of(every, believed)
     scores = []
     for name, value in truth.items():
-        unit = fit.model.best_focus(name) if name in COLOURS else np.eye(len(fit.theta))[fit.model.index(name)]
-        scores.append((unit @ fit.theta - value) / np.sqrt(unit @ fit.solved.normal.covariance @ unit))
+        unit = (
+            fit.model.best_focus(name)
+            if name in COLOURS
+            else np.eye(len(fit.theta))[fit.model.index(name)]
+        )
+        scores.append(
+            (unit @ fit.theta - value) / np.sqrt(unit @ fit.solved.normal.covariance @ unit)
+        )
     return np.array(scores)
 
 
-USUAL = stated(60.0, 4.0, f_number=Uncertain(4.0, 0.12), range_zero_std_mm=1.0, range_std_mm=0.01, size_std=1e-4)
+USUAL = stated(
+    60.0,
+    4.0,
+    f_number=Uncertain(4.0, 0.12),
+    range_zero_std_mm=1.0,
+    range_std_mm=0.01,
+    size_std=1e-4,
+)
 
 
 def test_errors_are_as_large_as_the_estimate_says() -> None:
@@ -134,9 +165,13 @@ def test_the_misfit_of_a_session_is_as_large_as_chance_makes_it() -> None:
     rng = np.random.default_rng(4)
     fits = [lens_of(drawn(rng, USUAL, 0.97)[0], USUAL) for _ in range(40)]
     # nothing was known of three best focuses and of two colours' sizes
-    assert [fit.degrees_of_freedom for fit in fits] == pytest.approx([15 * 3 - 5] * 40, rel=1e-6)
+    assert [fit.degrees_of_freedom for fit in fits] == pytest.approx(
+        [15 * 3 - 5] * 40, rel=1e-6
+    )
     # the mean of 40 chi-squareds over their 40 freedoms errs by sqrt(2 / 1600); allow four of them
-    assert np.mean([fit.reduced_chi2 for fit in fits]) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1600))
+    assert np.mean([fit.reduced_chi2 for fit in fits]) == pytest.approx(
+        1.0, abs=4 * np.sqrt(2 / 1600)
+    )
 
 
 def test_an_estimate_that_believes_the_rail_is_exact_is_wrong() -> None:
@@ -146,24 +181,54 @@ def test_an_estimate_that_believes_the_rail_is_exact_is_wrong() -> None:
 
 
 def independent_std(
-    ranges: tuple[float, ...], focus: float, plan: Stated, size_std: float, *, floors: bool = True
+    ranges: tuple[float, ...],
+    focus: float,
+    plan: Stated,
+    size_std: float,
+    *,
+    floors: bool = True,
 ) -> dict[str, float]:
     """The standard errors by the information matrix of the printed laws, slopes by complex steps."""
     f, n, far = plan.focal_length, plan.f_number, max(ranges)
     axial, lateral = SETTINGS.colour_std * far, SETTINGS.colour_std
     # f, N, ln mp, zero, best focus, and of R and B: best focus and size beside green's; the steps of the rail
-    centre = np.array([f.value, n.value, 0.0, 0.0, focus, *np.zeros(4), *np.zeros(len(ranges))])
-    prior = [f.std, n.std, USUAL_LOG_MAGNIFICATION, plan.range_zero_std_mm, 100 * far, axial, axial, lateral, lateral]
+    centre = np.array(
+        [f.value, n.value, 0.0, 0.0, focus, *np.zeros(4), *np.zeros(len(ranges))]
+    )
+    prior = [
+        f.std,
+        n.std,
+        USUAL_LOG_MAGNIFICATION,
+        plan.range_zero_std_mm,
+        100 * far,
+        axial,
+        axial,
+        lateral,
+        lateral,
+    ]
     information = np.diag(np.array([*prior, *(plan.range_std_mm for _ in ranges)]) ** -2.0)
     for k, r in enumerate(ranges):
         waves = laws(r, focus, focus, f.value, n.value, 1.0)[0]
-        floor = np.diag([SETTINGS.defocus_floor_waves**2, 0.0, SETTINGS.size_floor**2]) if floors else 0.0
+        floor = (
+            np.diag([SETTINGS.defocus_floor_waves**2, 0.0, SETTINGS.size_floor**2])
+            if floors
+            else 0.0
+        )
         noise = covariance(waves, size_std=size_std) + floor
         for axial_at, lateral_at in ((5, 7), (None, None), (6, 8)):
             rows = []
             for t in centre + 1e-30j * np.eye(len(centre)):
-                colour, size = (0.0, 0.0) if axial_at is None else (t[axial_at], t[lateral_at])
-                there = laws(r + t[3] + t[9 + k], t[4] + t[3] + colour, t[4] + t[3], t[0], t[1], np.exp(t[2]))
+                colour, size = (
+                    (0.0, 0.0) if axial_at is None else (t[axial_at], t[lateral_at])
+                )
+                there = laws(
+                    r + t[3] + t[9 + k],
+                    t[4] + t[3] + colour,
+                    t[4] + t[3],
+                    t[0],
+                    t[1],
+                    np.exp(t[2]),
+                )
                 rows.append([*there[:2], there[2] + size])
             slope = np.array(rows).imag.T / 1e-30
             information += slope.T @ np.linalg.solve(noise, slope)
@@ -176,26 +241,68 @@ def independent_std(
 NO_SIZES = 10.0
 CASES = {
     # of physics.md §15: best focus, f-number in per cent, focal length, magnification, zero point
-    "far, exact": (FAR, 3150.0, 70.0, 2.8, True, SIZE_STD, (0.037, None, None, 0.003, None)),
-    "far, no sizes": (FAR, 3150.0, 70.0, 2.8, False, NO_SIZES, (0.038, 0.7, 0.22, 0.26, 5.0)),
-    "near, exact": (NEAR, 482.0, 60.0, 4.0, True, SIZE_STD, (0.0017, None, None, 0.0007, None)),
-    "near, no sizes": (NEAR, 482.0, 60.0, 4.0, False, NO_SIZES, (0.0020, 1.4, 0.34, 0.16, 4.4)),
+    "far, exact": (
+        FAR,
+        3150.0,
+        70.0,
+        2.8,
+        True,
+        SIZE_STD,
+        (0.037, None, None, 0.003, None),
+    ),
+    "far, no sizes": (
+        FAR,
+        3150.0,
+        70.0,
+        2.8,
+        False,
+        NO_SIZES,
+        (0.038, 0.7, 0.22, 0.26, 5.0),
+    ),
+    "near, exact": (
+        NEAR,
+        482.0,
+        60.0,
+        4.0,
+        True,
+        SIZE_STD,
+        (0.0017, None, None, 0.0007, None),
+    ),
+    "near, no sizes": (
+        NEAR,
+        482.0,
+        60.0,
+        4.0,
+        False,
+        NO_SIZES,
+        (0.0020, 1.4, 0.34, 0.16, 4.4),
+    ),
 }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_standard_errors_are_those_of_an_independent_calculation(case: str) -> None:
     ranges, focus, f, n, exact, size_std, printed = CASES[case]
-    held = {"focal_length": Uncertain(f, 1e-9), "f_number": Uncertain(n, 1e-9), "range_zero_std_mm": 1e-9}
+    held = {
+        "focal_length": Uncertain(f, 1e-9),
+        "f_number": Uncertain(n, 1e-9),
+        "range_zero_std_mm": 1e-9,
+    }
     plan = stated(f, n, **(held if exact else {}))
     fit = lens_of(members(ranges, focus, f, n, size_std=size_std), plan)
-    found = {name: fit.std(name) for name in ("focal length", "f-number", MAGNIFICATION, RANGE_ZERO)}
+    found = {
+        name: fit.std(name)
+        for name in ("focal length", "f-number", MAGNIFICATION, RANGE_ZERO)
+    }
     found[FOCUS] = best_focus(fit, "G").std
     for name, std in independent_std(ranges, focus, plan, size_std).items():
         if std > 1e-6:  # what is held exact has no error to compare
             assert found[name] == pytest.approx(std, rel=2e-6), name
     pure = independent_std(ranges, focus, plan, size_std, floors=False)
-    numbers = [pure[name] for name in (FOCUS, "f-number", "focal length", MAGNIFICATION, RANGE_ZERO)]
+    numbers = [
+        pure[name]
+        for name in (FOCUS, "f-number", "focal length", MAGNIFICATION, RANGE_ZERO)
+    ]
     numbers[1] *= 100 / n
     for number, wanted in zip(numbers, printed, strict=True):
         # the table does not say what it takes for known of the magnification beforehand, nor where focus lay
@@ -205,17 +312,28 @@ def test_standard_errors_are_those_of_an_independent_calculation(case: str) -> N
 def test_sizes_tell_of_pupils_and_f_number() -> None:
     plan = stated(70.0, 2.8)
     blind, seeing = (
-        lens_of(members(FAR, 3150.0, 70.0, 2.8, size_std=std), plan).std(MAGNIFICATION) for std in (NO_SIZES, 1.5e-5)
+        lens_of(members(FAR, 3150.0, 70.0, 2.8, size_std=std), plan).std(MAGNIFICATION)
+        for std in (NO_SIZES, 1.5e-5)
     )
     assert seeing < blind / 3
 
 
 def test_the_sources_of_an_error_add_up_to_its_variance() -> None:
-    every, plan = near_session(size_std=1e-4, wavelength_std=dict.fromkeys(COLOURS, 0.005), range_std_mm=0.01)
-    flats = [replace(measured_of(one), calibration=0.2 * measured_of(one).covariance) for one in every]
-    fit = lens_of([with_measured(one, of) for one, of in zip(every, flats, strict=True)], plan)
+    every, plan = near_session(
+        size_std=1e-4, wavelength_std=dict.fromkeys(COLOURS, 0.005), range_std_mm=0.01
+    )
+    flats = [
+        replace(measured_of(one), calibration=0.2 * measured_of(one).covariance)
+        for one in every
+    ]
+    fit = lens_of(
+        [with_measured(one, of) for one, of in zip(every, flats, strict=True)], plan
+    )
     shares = budget(fit)
-    for name, std in (("best_focus_mm.R", best_focus(fit, "R").std), ("f_number", fit.std("f-number"))):
+    for name, std in (
+        ("best_focus_mm.R", best_focus(fit, "R").std),
+        ("f_number", fit.std("f-number")),
+    ):
         assert np.linalg.norm(list(shares[name].values())) == pytest.approx(std, rel=1e-6)
     assert shares["range_zero_mm"]["geometry"] > shares["range_zero_mm"]["photons"] > 0
     assert all(share["calibration"] > 0 for share in shares.values())
@@ -223,27 +341,40 @@ def test_the_sources_of_an_error_add_up_to_its_variance() -> None:
 
 def test_errors_grow_where_the_members_disagree() -> None:
     every, plan = near_session()
-    fit = lens_of([moved(one, 0.01) if k % 4 == 0 else one for k, one in enumerate(every)], plan)
+    fit = lens_of(
+        [moved(one, 0.01) if k % 4 == 0 else one for k, one in enumerate(every)], plan
+    )
     assert fit.birge_ratio > 3
     shares = budget(fit)["best_focus_mm.G"]
-    assert np.linalg.norm(list(shares.values())) == pytest.approx(best_focus(fit, "G").std, rel=1e-6)
+    assert np.linalg.norm(list(shares.values())) == pytest.approx(
+        best_focus(fit, "G").std, rel=1e-6
+    )
 
 
-@pytest.mark.parametrize("of", [Laws(), Laws(mode_scatter=0.01)], ids=["shared", "scattered"])
+@pytest.mark.parametrize(
+    "of", [Laws(), Laws(mode_scatter=0.01)], ids=["shared", "scattered"]
+)
 def test_a_prediction_is_that_of_an_estimate_without_the_observation(of: Laws) -> None:
     plan, every = stated(60.0, 4.0), members(NEAR, 482.0, 60.0, 4.0, modes={7: 0.02})
     every = [moved(one, 3e-4 * (-1) ** k, modes=2e-3 * k) for k, one in enumerate(every)]
     whole = lens_of(every, plan, of)
-    others = fit_lens(whole.model, replace(whole.measured, used=np.arange(15) != 4), whole.solved.point)
+    others = fit_lens(
+        whole.model, replace(whole.measured, used=np.arange(15) != 4), whole.solved.point
+    )
     (predicted, covariance), (alone, spread) = whole.predictions, others.predictions
     std = np.sqrt(np.diag(spread[4]))
     np.testing.assert_allclose(predicted[4] / std, alone[4] / std, atol=5e-5)
-    np.testing.assert_allclose(covariance[4] / np.outer(std, std), spread[4] / np.outer(std, std), atol=5e-4)
+    np.testing.assert_allclose(
+        covariance[4] / np.outer(std, std), spread[4] / np.outer(std, std), atol=5e-4
+    )
 
 
 def test_a_mode_that_scatters_is_between_its_measurement_and_the_others() -> None:
     plan, scatter = stated(60.0, 4.0), 2e-3
-    every = [moved(one, modes=1e-3 * k) for k, one in enumerate(members(NEAR, 482.0, 60.0, 4.0, modes={7: 0.02}))]
+    every = [
+        moved(one, modes=1e-3 * k)
+        for k, one in enumerate(members(NEAR, 482.0, 60.0, 4.0, modes={7: 0.02}))
+    ]
     fit = lens_of(every, plan, Laws(mode_scatter=scatter))
     common = fit.solved.predicted[4, 1]
     value, covariance = fit.posterior(4)
@@ -262,11 +393,15 @@ def marginal(fit: LensFit) -> float:
     noise = fit.measured.covariance + np.diag(fit.model.scatter())
     whitening = np.linalg.inv(np.linalg.cholesky(noise))
     rest = (whitening @ (fit.measured.values - fit.solved.predicted)[..., None]).ravel()
-    rows = np.concatenate([(whitening @ fit.solved.slopes).reshape(rest.size, -1) * std, np.eye(len(std))])
+    rows = np.concatenate(
+        [(whitening @ fit.solved.slopes).reshape(rest.size, -1) * std, np.eye(len(std))]
+    )
     q, r = np.linalg.qr(rows)
     target = np.concatenate([rest, away])
     misfit = target - q @ (q.T @ target)
-    log_determinant = np.linalg.slogdet(noise)[1].sum() + 2 * np.log(np.abs(np.diag(r))).sum()
+    log_determinant = (
+        np.linalg.slogdet(noise)[1].sum() + 2 * np.log(np.abs(np.diag(r))).sum()
+    )
     return float(-0.5 * (misfit @ misfit + log_determinant))
 
 
@@ -287,11 +422,15 @@ def focus_of(fit: LensFit) -> Any:
 
 
 def test_one_range_gives_no_best_focus() -> None:
-    assert as_focus(lens_of(members((3000.0,), 3050.0, 70.0, 2.8), stated(70.0, 2.8))) is None
+    assert (
+        as_focus(lens_of(members((3000.0,), 3050.0, 70.0, 2.8), stated(70.0, 2.8))) is None
+    )
 
 
 def test_far_ranges_tell_no_pupil_magnification() -> None:
-    far = lens_of(members((30_000.0, 32_000.0, 33_000.0), 31_000.0, 70.0, 2.8), stated(70.0, 2.8))
+    far = lens_of(
+        members((30_000.0, 32_000.0, 33_000.0), 31_000.0, 70.0, 2.8), stated(70.0, 2.8)
+    )
     assert not focus_of(far).identifiable
     assert focus_of(lens_of(*near_session())).identifiable
 
@@ -315,14 +454,24 @@ def tilted(one: Observed, foreshortening: float, std: float) -> Observed:
     """A member whose target is tilted, which makes its size less by `foreshortening`."""
     of = measured_of(one)
     return with_measured(
-        one, replace(of, values=of.values - [0.0, 0.0, foreshortening], foreshortening=(foreshortening, std))
+        one,
+        replace(
+            of,
+            values=of.values - [0.0, 0.0, foreshortening],
+            foreshortening=(foreshortening, std),
+        ),
     )
 
 
-def test_a_tilt_that_all_ranges_share_costs_no_precision_of_one_size_against_another() -> None:
+def test_a_tilt_that_all_ranges_share_costs_no_precision_of_one_size_against_another() -> (
+    None
+):
     every = members((1900, 2000, 2100), 2010, 70.0, 2.8)
     straight = lens_of(every, stated(70.0, 2.8))
-    fit = lens_of([tilted(one, 8e-4, 3e-4 if k else 1e-5) for k, one in enumerate(every)], stated(70.0, 2.8))
+    fit = lens_of(
+        [tilted(one, 8e-4, 3e-4 if k else 1e-5) for k, one in enumerate(every)],
+        stated(70.0, 2.8),
+    )
     assert fit.model.tilt_std == 1e-5
     off = np.abs(fit.theta - straight.theta) / np.sqrt(np.diag(straight.errors))
     assert off.max() < 1e-3
@@ -331,9 +480,13 @@ def test_a_tilt_that_all_ranges_share_costs_no_precision_of_one_size_against_ano
 
 def test_tilts_that_differ_count_each_for_itself_with_their_errors() -> None:
     every, plan = members((1900, 2000, 2100), 2010, 70.0, 2.8), stated(70.0, 2.8)
-    fit = lens_of([tilted(one, (2e-4, 8e-4, 5e-4)[k // 3], 2e-5) for k, one in enumerate(every)], plan)
+    fit = lens_of(
+        [tilted(one, (2e-4, 8e-4, 5e-4)[k // 3], 2e-5) for k, one in enumerate(every)], plan
+    )
     assert fit.model.tilt_std == 0.0
     variances = fit.measured.covariance[:, -1, -1]
     np.testing.assert_allclose(variances, SIZE_STD**2 + 2e-5**2)
     straight = lens_of(every, plan)
-    assert fit.value("focal length") == pytest.approx(straight.value("focal length"), abs=0.02)
+    assert fit.value("focal length") == pytest.approx(
+        straight.value("focal length"), abs=0.02
+    )

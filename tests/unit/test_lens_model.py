@@ -23,13 +23,22 @@ TILES = ((0, 0), (0, 1), (1, 1))
 def sampled() -> LensModel:
     """Three ranges and colours, homed thrice."""
     homed = {480.0: (1, 1), 500.0: (1, 2), 530.0: (2, 3)}
-    readings = [replace(reading(r, c), homings=homings) for r, homings in homed.items() for c in COLOURS]
+    readings = [
+        replace(reading(r, c), homings=homings)
+        for r, homings in homed.items()
+        for c in COLOURS
+    ]
     return LensModel(tuple(readings), NOLL, (), stated(60.0, 4.0))
 
 
 def tiled() -> LensModel:
     """Three tiles at three ranges and in three colours."""
-    readings = [reading(r, c, tile) for r in (480.0, 500.0, 530.0) for c in COLOURS for tile in TILES]
+    readings = [
+        reading(r, c, tile)
+        for r in (480.0, 500.0, 530.0)
+        for c in COLOURS
+        for tile in TILES
+    ]
     return LensModel(tuple(readings), NOLL, (), stated(60.0, 4.0))
 
 
@@ -41,14 +50,22 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
         return theta[model.index(kind, *name)]
 
     channel = here.key.channel
-    homed = [here.homings.count(h) / len(here.homings) * at("homing", h) for h in {*here.homings} - {1}]
+    homed = [
+        here.homings.count(h) / len(here.homings) * at("homing", h)
+        for h in {*here.homings} - {1}
+    ]
     range_mm = here.range_mm + at("tape") + at("steps", here.station) + sum(homed)
     colour = 0.0 if channel == "G" else at("axial colour", channel)
     reference = at("best focus") + at("tape")
     f, n, mp = at("focal length"), at("f-number"), np.exp(at("pupil magnification"))
     own_focus, own_size, *own_modes = own if len(own) else (0.0, 0.0)
     waves, cone, scale = laws(range_mm, reference + colour + own_focus, reference, f, n, mp)
-    scale = scale + at("target size") + own_size + (0.0 if channel == "G" else at("lateral colour", channel))
+    scale = (
+        scale
+        + at("target size")
+        + own_size
+        + (0.0 if channel == "G" else at("lateral colour", channel))
+    )
     upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
     wavelength = at("wavelength", channel)
     modes = [mode * (1 - wavelength) for mode in (waves, *upper)]
@@ -60,7 +77,9 @@ def near_focus(model: LensModel) -> tuple[Floats, Floats]:
     rng, groups = np.random.default_rng(1), int(model.groups.max()) + 1
     theta = np.array([505.0 if c.kind == FOCUS else c.value for c in model.columns])
     theta = theta + np.array([c.scale for c in model.columns]) * rng.normal(size=len(theta))
-    own = np.array([c.scale for c in model.local_columns]) * rng.normal(size=(groups, len(model.local_columns)))
+    own = np.array([c.scale for c in model.local_columns]) * rng.normal(
+        size=(groups, len(model.local_columns))
+    )
     return theta, own
 
 
@@ -70,14 +89,22 @@ def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
     slopes, own_slopes = model.slopes(theta, own)
     predicted = model.predicted(theta, own)
     for k, group in enumerate(model.groups):
-        np.testing.assert_allclose(predicted[k], true_values(model, theta, own[group], k), rtol=1e-12)
+        np.testing.assert_allclose(
+            predicted[k], true_values(model, theta, own[group], k), rtol=1e-12
+        )
         steps = theta + 1e-30j * np.eye(len(theta))
-        wanted = np.array([true_values(model, step, own[group], k).imag / 1e-30 for step in steps]).T
+        wanted = np.array(
+            [true_values(model, step, own[group], k).imag / 1e-30 for step in steps]
+        ).T
         # differences over 1e-4 of an argument err by its square, and by as much by rounding
         np.testing.assert_allclose(slopes[k], wanted, rtol=9e-8, atol=1e-9)
         steps = own[group] + 1e-30j * np.eye(own.shape[1])
-        wanted = np.array([true_values(model, theta, step, k).imag / 1e-30 for step in steps]).T
-        np.testing.assert_allclose(own_slopes[k], wanted.reshape(own_slopes[k].shape), rtol=9e-8, atol=1e-9)
+        wanted = np.array(
+            [true_values(model, theta, step, k).imag / 1e-30 for step in steps]
+        ).T
+        np.testing.assert_allclose(
+            own_slopes[k], wanted.reshape(own_slopes[k].shape), rtol=9e-8, atol=1e-9
+        )
 
 
 def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
@@ -100,7 +127,10 @@ def test_sums_over_groups_are_those_of_each_channel_and_tile() -> None:
     rows = np.random.default_rng(4).normal(size=(27, 2))
     sums = model.by_group(rows)
     for k, one in enumerate(model.readings):
-        alike = [(r.key.channel, r.key.tile) == (one.key.channel, one.key.tile) for r in model.readings]
+        alike = [
+            (r.key.channel, r.key.tile) == (one.key.channel, one.key.tile)
+            for r in model.readings
+        ]
         np.testing.assert_allclose(sums[model.groups[k]], rows[alike].sum(axis=0))
 
 

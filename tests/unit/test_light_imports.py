@@ -41,7 +41,13 @@ print(json.dumps(sorted(sys.modules)))
 def loaded_by(statements: str) -> set[str]:
     """Names of all modules that a Python loads that runs these statements alone."""
     program = PROGRAM.format(statements=statements)
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     return set(json.loads(ran.stdout.splitlines()[-1]))
 
 
@@ -60,7 +66,8 @@ def session(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "module", ["labkit.report.html", "labkit.results", "labkit.session.session", "labkit.raw.decode"]
+    "module",
+    ["labkit.report.html", "labkit.results", "labkit.session.session", "labkit.raw.decode"],
 )
 def test_an_import_loads_no_device_no_decoder_and_no_estimate(module: str) -> None:
     modules = loaded_by(f"import {module}")
@@ -69,7 +76,9 @@ def test_an_import_loads_no_device_no_decoder_and_no_estimate(module: str) -> No
 
 
 def test_results_are_loaded_by_results_and_optics(session: Path) -> None:
-    modules = loaded_by(f"import labkit; labkit.Results.load({str(session)!r})[3000, 'R'].strehl")
+    modules = loaded_by(
+        f"import labkit; labkit.Results.load({str(session)!r})[3000, 'R'].strehl"
+    )
     assert "labkit.optics.strehl" in modules
     assert unneeded(modules) == set()
 

@@ -22,7 +22,9 @@ def session(square: float, std: float = STD, channels: str = "G") -> Estimate:
     score_test = ScoreTest(np.array([square / std**2]), np.array([[std**-2]]))
 
     def ends(task: Task) -> Found:
-        return Found((optimum(task.optics, range_of(task), scores={"spectrum": score_test}),))
+        return Found(
+            (optimum(task.optics, range_of(task), scores={"spectrum": score_test}),)
+        )
 
     return played(Play(ends), channels)
 
@@ -45,6 +47,9 @@ def test_fits_that_say_nothing_allow_what_can_be_modelled() -> None:
 def test_of_light_that_the_plan_states_nothing_is_said() -> None:
     fits = session(2e-4, channels="GR")
     tables = PLAN.model_dump(mode="json", exclude_none=True)
-    stated = [channel | ({"width_nm": 12.0} if channel["name"] == "G" else {}) for channel in tables["channel"]]
+    stated = [
+        channel | ({"width_nm": 12.0} if channel["name"] == "G" else {})
+        for channel in tables["channel"]
+    ]
     assert [*widest_light_nm(fits, PLAN)] == ["G", "R"]
     assert [*widest_light_nm(fits, Plan.from_tables(tables | {"channel": stated}))] == ["R"]

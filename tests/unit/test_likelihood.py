@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from labkit.estimation.climb import NoisePrior, Problem, State
-from labkit.estimation.likelihood import Detector, FrameData, log_likelihood, low_orders, predict, score
+from labkit.estimation.likelihood import (
+    Detector,
+    FrameData,
+    log_likelihood,
+    low_orders,
+    predict,
+    score,
+)
 from labkit.estimation.residual_tests import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation
@@ -21,9 +28,14 @@ UNEVEN = np.array([0.1, -0.05, 0.02, 0.03, -0.04])
 
 def case(rng: np.random.Generator) -> tuple[Evaluation, FrameData]:
     n = SHAPE[0] * SHAPE[1]
-    evaluation = Evaluation(rng.uniform(0.1, 1, n), rng.normal(size=(3, n)), rng.normal(size=(8, n)))
+    evaluation = Evaluation(
+        rng.uniform(0.1, 1, n), rng.normal(size=(3, n)), rng.normal(size=(8, n))
+    )
     frame = FrameData(
-        np.zeros(SHAPE), np.ones(SHAPE, bool), rng.uniform(0.8, 1.2, SHAPE), rng.uniform(0.0, 0.02, SHAPE)
+        np.zeros(SHAPE),
+        np.ones(SHAPE, bool),
+        rng.uniform(0.8, 1.2, SHAPE),
+        rng.uniform(0.0, 0.02, SHAPE),
     )
     return evaluation, exposed(evaluation.mean, frame, rng)
 
@@ -32,13 +44,26 @@ def exposed(relative: Floats, frame: FrameData, rng: np.random.Generator) -> Fra
     """Counts drawn from thesis (3.4), written out here."""
     mean = frame.illumination * (400.0 * relative.reshape(SHAPE) + 30.0)
     variance = 0.5 * mean + 4.0 + (frame.relative_std * mean) ** 2
-    return FrameData(rng.normal(mean, np.sqrt(variance)), frame.used, frame.illumination, frame.relative_std)
+    return FrameData(
+        rng.normal(mean, np.sqrt(variance)),
+        frame.used,
+        frame.illumination,
+        frame.relative_std,
+    )
 
 
 def stepped(evaluation: Evaluation, frame: FrameData, step: Floats) -> float:
-    relative = evaluation.mean + step[:3] @ evaluation.by_waves + step[3:11] @ evaluation.by_pose
+    relative = (
+        evaluation.mean + step[:3] @ evaluation.by_waves + step[3:11] @ evaluation.by_pose
+    )
     noise, uneven = np.exp(step[-2:]), UNEVEN[: step.size - 15] + step[13:-2]
-    own = Detector(400.0 + step[11], 30.0 + step[12], 0.5 * float(noise[0]), 4.0 * float(noise[1]), uneven)
+    own = Detector(
+        400.0 + step[11],
+        30.0 + step[12],
+        0.5 * float(noise[0]),
+        4.0 * float(noise[1]),
+        uneven,
+    )
     return log_likelihood(relative, frame, own)
 
 
@@ -62,7 +87,10 @@ def test_the_score_scatters_as_the_information_says() -> None:
     rng = np.random.default_rng(7)
     evaluation, frame = case(rng)
     information = score(evaluation, frame, DETECTOR).information
-    draws = [score(evaluation, exposed(evaluation.mean, frame, rng), DETECTOR).gradient for _ in range(3000)]
+    draws = [
+        score(evaluation, exposed(evaluation.mean, frame, rng), DETECTOR).gradient
+        for _ in range(3000)
+    ]
     whiten = np.linalg.inv(np.linalg.cholesky(information))
     covariance = whiten @ np.cov(np.array(draws).T) @ whiten.T
     # entries of a covariance of 3000 unit normals err by sqrt(2/3000) at most; allow five (225 of them are looked at)
@@ -73,13 +101,21 @@ def test_light_of_low_order_multiplies_the_illumination() -> None:
     evaluation, frame = case(np.random.default_rng(9))
     even, _ = predict(evaluation.mean, frame, DETECTOR)
     frame = replace(frame, departures=low_orders(*SHAPE))
-    leaning, _ = predict(evaluation.mean, frame, replace(DETECTOR, unevenness=np.array([0.0, 0.2, 0.0, 0.0, 0.0])))
-    np.testing.assert_allclose((leaning / even).reshape(SHAPE)[:, 3], np.linspace(0.8, 1.2, SHAPE[0]))
+    leaning, _ = predict(
+        evaluation.mean,
+        frame,
+        replace(DETECTOR, unevenness=np.array([0.0, 0.2, 0.0, 0.0, 0.0])),
+    )
+    np.testing.assert_allclose(
+        (leaning / even).reshape(SHAPE)[:, 3], np.linspace(0.8, 1.2, SHAPE[0])
+    )
 
 
 def test_departures_of_another_shape_are_refused() -> None:
     _, frame = case(np.random.default_rng(9))
-    with pytest.raises(ValueError, match=r"departures has shape \(5, 3, 4\); \(any, 12, 15\) is needed"):
+    with pytest.raises(
+        ValueError, match=r"departures has shape \(5, 3, 4\); \(any, 12, 15\) is needed"
+    ):
         replace(frame, departures=low_orders(3, 4))
 
 

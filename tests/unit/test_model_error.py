@@ -12,14 +12,24 @@ from labkit.estimation.local import Found, Optimum
 from labkit.estimation.model_error import confirmed, shift, with_model_error
 from labkit.plan import Plan
 from tests.lens_samples import best_focus
-from tests.optimum_samples import PLAN, RANGES_MM, Play, optimum, played, range_of, true_values
+from tests.optimum_samples import (
+    PLAN,
+    RANGES_MM,
+    Play,
+    optimum,
+    played,
+    range_of,
+    true_values,
+)
 
 MOVED = 0.004
 """Waves of defocus."""
 ENDS = RANGES_MM[::3]
 FILTER = "low_pass_filter"
 TABLES = PLAN.model_dump(mode="json", exclude_none=True)
-FILTERED = Plan.from_tables(TABLES | {"sensor": TABLES["sensor"] | {FILTER: {"spread_px": "fit"}}})
+FILTERED = Plan.from_tables(
+    TABLES | {"sensor": TABLES["sensor"] | {FILTER: {"spread_px": "fit"}}}
+)
 """A plan that wants a filter fitted."""
 
 
@@ -63,14 +73,19 @@ def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
     assert biased is not None
     assert biased.bias is not None
     std = np.sqrt(np.diag(plain.lens.errors))
-    np.testing.assert_allclose(biased.bias.theta / std, wanted / std, atol=0.05)  # to first order
+    np.testing.assert_allclose(
+        biased.bias.theta / std, wanted / std, atol=0.05
+    )  # to first order
 
 
 def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
     """Both fits have a filter, 0.2 pixels squared, and none once they have the part that their model lacked."""
     play = Play(lambda task: Found((optimum(task.optics, range_of(task), square=0.2),)))
     found = played(play, ranges_mm=ENDS, plan=FILTERED)
-    without = tuple(optimum(fit.optics.without([FILTER]), r) for fit, r in zip(found.fits, ENDS, strict=True))
+    without = tuple(
+        optimum(fit.optics.without([FILTER]), r)
+        for fit, r in zip(found.fits, ENDS, strict=True)
+    )
     biased = with_model_error(replace(found, missing=("smear",), with_missing=without)).lens
     assert biased is not None
     assert biased.bias is not None

@@ -25,7 +25,19 @@ ROWS = (
     'file,kind,range_mm,lens\ntarget.dng,target,3000,"70, wide"\nflat 1.dng,flat,3000.5,\na/dark.dng,dark,,\n'
     "b/bias.dng;bias;;\n"
 )
-TOML = (*NASTY, b"=", b"[", b"[[", b".a" * 50, b"{", b"'''", b"0x" + b"f" * 5000, b"f/2.8", b"[lens]\n", b"channel")
+TOML = (
+    *NASTY,
+    b"=",
+    b"[",
+    b"[[",
+    b".a" * 50,
+    b"{",
+    b"'''",
+    b"0x" + b"f" * 5000,
+    b"f/2.8",
+    b"[lens]\n",
+    b"channel",
+)
 CSV = (*NASTY, b",", b";", b"'", b"a" * 140_000, b"file", b"kind", b"/", b"target", b"1_0")
 
 
@@ -60,7 +72,9 @@ def rows_in(folder: Path) -> Callable[[bytes], object]:
 def check(messages: list[str], inputs: int) -> None:
     """Damage is mostly found, not always: some of it makes another good file."""
     assert inputs / 2 < len(messages) < inputs
-    assert [message for message in messages if not message.isprintable() or len(message) > 4000] == []
+    assert [
+        message for message in messages if not message.isprintable() or len(message) > 4000
+    ] == []
 
 
 def pictures() -> dict[str, bytes]:
@@ -107,15 +121,25 @@ def test_damaged_csvs_are_taken_or_refused_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["pgm", "digits", "tiff"])
-def test_damaged_pictures_are_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_damaged_pictures_are_taken_or_refused_in_one_line(
+    name: str, tmp_path: Path
+) -> None:
     messages = refusals(mutated(pictures()[name], 300, seed=3), picture_in(tmp_path))
     assert len(messages) > 50  # a number that is changed is another number
-    assert [message for message in messages if not message.isprintable() or len(message) > 300] == []
+    assert [
+        message for message in messages if not message.isprintable() or len(message) > 300
+    ] == []
 
 
 @pytest.mark.parametrize("name", ["png", "packed"])
-def test_damaged_pictures_that_reach_the_decoder_are_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_damaged_pictures_that_reach_the_decoder_are_taken_or_refused_in_one_line(
+    name: str, tmp_path: Path
+) -> None:
     damaged = mutated(pictures()[name], 25, seed=4)
-    messages = refusals(map(mended, damaged) if name == "png" else damaged, picture_in(tmp_path))
+    messages = refusals(
+        map(mended, damaged) if name == "png" else damaged, picture_in(tmp_path)
+    )
     assert len(messages) > 5
-    assert [message for message in messages if not message.isprintable() or len(message) > 300] == []
+    assert [
+        message for message in messages if not message.isprintable() or len(message) > 300
+    ] == []

@@ -23,15 +23,66 @@ from labkit.types import Floats
 # ANSI Z80.28-2004, table of (n, m) from j = 0; the same in Thibos et al., J. Refract. Surg. 18, S652 (2002), table 2
 OSA = [
     *[(0, 0), (1, -1), (1, 1), (2, -2), (2, 0), (2, 2), (3, -3), (3, -1), (3, 1), (3, 3)],
-    *[(4, -4), (4, -2), (4, 0), (4, 2), (4, 4), (5, -5), (5, -3), (5, -1), (5, 1), (5, 3), (5, 5)],
+    *[
+        (4, -4),
+        (4, -2),
+        (4, 0),
+        (4, 2),
+        (4, 4),
+        (5, -5),
+        (5, -3),
+        (5, -1),
+        (5, 1),
+        (5, 3),
+        (5, 5),
+    ],
     *[(6, -6), (6, -4), (6, -2), (6, 0), (6, 2), (6, 4), (6, 6)],
 ]
 
 # Wyant and Creath, Appl. Opt. Optical Eng. 11 (1992), ch. 1, table of Fringe polynomials, counted from 1; m < 0 for a sine
 FRINGE = [
-    *[(0, 0), (1, 1), (1, -1), (2, 0), (2, 2), (2, -2), (3, 1), (3, -1), (4, 0), (3, 3), (3, -3), (4, 2), (4, -2)],
-    *[(5, 1), (5, -1), (6, 0), (4, 4), (4, -4), (5, 3), (5, -3), (6, 2), (6, -2), (7, 1), (7, -1), (8, 0)],
-    *[(5, 5), (5, -5), (6, 4), (6, -4), (7, 3), (7, -3), (8, 2), (8, -2), (9, 1), (9, -1), (10, 0)],
+    *[
+        (0, 0),
+        (1, 1),
+        (1, -1),
+        (2, 0),
+        (2, 2),
+        (2, -2),
+        (3, 1),
+        (3, -1),
+        (4, 0),
+        (3, 3),
+        (3, -3),
+        (4, 2),
+        (4, -2),
+    ],
+    *[
+        (5, 1),
+        (5, -1),
+        (6, 0),
+        (4, 4),
+        (4, -4),
+        (5, 3),
+        (5, -3),
+        (6, 2),
+        (6, -2),
+        (7, 1),
+        (7, -1),
+        (8, 0),
+    ],
+    *[
+        (5, 5),
+        (5, -5),
+        (6, 4),
+        (6, -4),
+        (7, 3),
+        (7, -3),
+        (8, 2),
+        (8, -2),
+        (9, 1),
+        (9, -1),
+        (10, 0),
+    ],
 ]
 
 NOLL = tuple(range(4, 38))
@@ -39,7 +90,14 @@ NOLL = tuple(range(4, 38))
 
 def fitted(waves: Floats, covariance: Floats | None = None) -> FittedWavefront:
     modes = len(waves)
-    return FittedWavefront(NOLL[:modes], waves, np.eye(modes) if covariance is None else covariance, 0.55, 0.45, 2.8)
+    return FittedWavefront(
+        NOLL[:modes],
+        waves,
+        np.eye(modes) if covariance is None else covariance,
+        0.55,
+        0.45,
+        2.8,
+    )
 
 
 @pytest.mark.parametrize(("j", "nm"), list(enumerate(OSA)))
@@ -60,7 +118,9 @@ def test_every_number_comes_back(j: int) -> None:
     assert nm_to_noll(*noll_to_nm(j)) == j
 
 
-@pytest.mark.parametrize("convert", [osa_to_noll, fringe_to_noll, noll_to_osa, noll_to_fringe])
+@pytest.mark.parametrize(
+    "convert", [osa_to_noll, fringe_to_noll, noll_to_osa, noll_to_fringe]
+)
 def test_a_number_before_the_first_is_refused(convert: Callable[[int], int]) -> None:
     with pytest.raises(ValueError, match=r"counted from [01]"):
         convert(-1)
@@ -87,7 +147,9 @@ def test_a_fringe_coefficient_multiplies_the_published_polynomial(
     (place,) = np.flatnonzero(fringe.waves)
     assert fringe.index[place] == number
     path = wavefront.opd(rho * np.cos(theta), rho * np.sin(theta))
-    np.testing.assert_allclose(fringe.waves[place] * polynomial(rho, theta), path, atol=1e-12)
+    np.testing.assert_allclose(
+        fringe.waves[place] * polynomial(rho, theta), path, atol=1e-12
+    )
 
 
 def test_covariances_are_sorted_and_scaled_with_their_coefficients() -> None:
@@ -95,7 +157,9 @@ def test_covariances_are_sorted_and_scaled_with_their_coefficients() -> None:
     wavefront = fitted(np.arange(12.0), root @ root.T)
     fringe = coefficients(wavefront, "fringe")
     a, b = fringe.index.index(9), fringe.index.index(7)  # spherical and coma: Noll 11 and 8
-    assert fringe.covariance[a, b] == pytest.approx(wavefront.covariance[7, 4] * np.sqrt(5) * np.sqrt(8))
+    assert fringe.covariance[a, b] == pytest.approx(
+        wavefront.covariance[7, 4] * np.sqrt(5) * np.sqrt(8)
+    )
     assert fringe.std[a] == pytest.approx(np.sqrt(5) * wavefront.std[7])
     osa = coefficients(wavefront, "osa")
     assert osa.index == tuple(range(3, 15))
@@ -111,7 +175,9 @@ def test_another_order_is_refused() -> None:
 def test_a_mode_is_its_polynomial_in_x_and_y(j: int) -> None:
     x, y = np.random.default_rng(j).uniform(-0.7, 0.7, (2, 40))
     values = np.polynomial.polynomial.polyval2d(x, y, cartesian(j))
-    np.testing.assert_allclose(values, zernike(j, np.hypot(x, y), np.arctan2(y, x)), atol=1e-11)
+    np.testing.assert_allclose(
+        values, zernike(j, np.hypot(x, y), np.arctan2(y, x)), atol=1e-11
+    )
 
 
 def test_no_mode_has_orders_that_do_not_match() -> None:

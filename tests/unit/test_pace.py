@@ -22,7 +22,9 @@ def test_time_left_falls_all_the_time_and_never_to_nothing() -> None:
     left = [pace.left_s(50.0 + t) or 0.0 for t in range(100)]
     assert left[0] == 80.0
     assert np.all(np.diff(left) < 0)
-    assert np.diff(left)[0] == pytest.approx(-1, abs=0.06)  # at first as a clock does: exp(-0.1) is 0.905
+    assert np.diff(left)[0] == pytest.approx(
+        -1, abs=0.06
+    )  # at first as a clock does: exp(-0.1) is 0.905
     assert min(left) > 70.0  # seven more steps
 
 
@@ -66,7 +68,14 @@ def test_another_count_begins_anew() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (89.0, "89 s"), (90.0, "1 min 30 s"), (180, "3 min"), (1000, "17 min"), (5399, "1 h 30 min")],
+    [
+        (0.2, "1 s"),
+        (89.0, "89 s"),
+        (90.0, "1 min 30 s"),
+        (180, "3 min"),
+        (1000, "17 min"),
+        (5399, "1 h 30 min"),
+    ],
 )
 def test_times_are_said_as_people_say_them(seconds: float, words: str) -> None:
     assert in_words(seconds) == words

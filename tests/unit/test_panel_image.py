@@ -37,26 +37,38 @@ def test_a_white_surround_fills_the_panel() -> None:
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        (CellTarget(CHESS, (2.2, 3.3)), r"the nearest that does is .* mm; give that as target\.size_mm"),
+        (
+            CellTarget(CHESS, (2.2, 3.3)),
+            r"the nearest that does is .* mm; give that as target\.size_mm",
+        ),
         (CellTarget(CHESS, (10.4, 15.6)), "the panel has 100 × 120: take a smaller target"),
         (CellTarget(2 * CHESS, (2.0, 3.0)), "radiance goes up to 2"),
     ],
 )
-def test_a_target_that_a_panel_cannot_show_is_refused(target: CellTarget, words: str) -> None:
+def test_a_target_that_a_panel_cannot_show_is_refused(
+    target: CellTarget, words: str
+) -> None:
     with pytest.raises(TargetError, match=words):
         panel_picture(target, PANEL)
 
 
 def test_a_panel_is_known_by_name_or_by_pitch_and_pixels() -> None:
     ipad = panel_info(DisplaySettings(address="web:", panel="ipad-9.7-retina"))
-    assert ipad.size_mm == pytest.approx((147.8, 197.0), abs=0.05)  # the maker: 5.82 by 7.76 inches
-    assert panel_info(DisplaySettings(address="web:", pixel_pitch_mm=0.2, pixels=(30, 40))).size_mm == (6.0, 8.0)
+    assert ipad.size_mm == pytest.approx(
+        (147.8, 197.0), abs=0.05
+    )  # the maker: 5.82 by 7.76 inches
+    assert panel_info(
+        DisplaySettings(address="web:", pixel_pitch_mm=0.2, pixels=(30, 40))
+    ).size_mm == (6.0, 8.0)
     with pytest.raises(PlanError, match=r"known are ipad-10\.2, "):
         panel_info(DisplaySettings(address="web:", panel="ipad"))
     assert all(panel.pixels[0] < panel.pixels[1] for panel in PANELS.values())
 
 
-@pytest.mark.parametrize("make", [lambda: Travel(3, 3), lambda: PanelInfo((0, 4), 0.1), lambda: PanelInfo((4, 4), 0)])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: Travel(3, 3), lambda: PanelInfo((0, 4), 0.1), lambda: PanelInfo((4, 4), 0)],
+)
 def test_impossible_hardware_is_refused(make: object) -> None:
     with pytest.raises(ValueError, match=r"empty travel|a panel has"):
         make()  # type: ignore[operator]

@@ -5,22 +5,38 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.calibration.photon_transfer import NoiseEstimate, Scatter, photon_transfer, scatter_of
+from labkit.calibration.photon_transfer import (
+    NoiseEstimate,
+    Scatter,
+    photon_transfer,
+    scatter_of,
+)
 from labkit.types import Floats
 
 GAIN, READ_NOISE = 0.45, 1.1
 
 
-def expose(mean_e: Floats, frames: int, rng: np.random.Generator, brightness: float = 0.0) -> Floats:
+def expose(
+    mean_e: Floats, frames: int, rng: np.random.Generator, brightness: float = 0.0
+) -> Floats:
     """(frames, m) whole counts: Poisson electrons, Gaussian read noise, black level 100 taken off again."""
     light = 1 + brightness * rng.standard_normal((frames, 1))
-    counts = GAIN * rng.poisson(mean_e * light) + READ_NOISE * rng.standard_normal((frames, mean_e.size))
+    counts = GAIN * rng.poisson(mean_e * light) + READ_NOISE * rng.standard_normal(
+        (frames, mean_e.size)
+    )
     return np.rint(counts + 100) - 100
 
 
-def flats_and_darks(rng: np.random.Generator, frames: int = 2) -> tuple[list[Scatter], list[Scatter]]:
-    pattern = 1 + 0.01 * rng.standard_normal(3000)  # fixed response, which must not count as noise
-    lit = [scatter_of(expose(level * pattern, frames, rng, 0.01), lit=True) for level in (2000.0, 8000.0, 20000.0)]
+def flats_and_darks(
+    rng: np.random.Generator, frames: int = 2
+) -> tuple[list[Scatter], list[Scatter]]:
+    pattern = 1 + 0.01 * rng.standard_normal(
+        3000
+    )  # fixed response, which must not count as noise
+    lit = [
+        scatter_of(expose(level * pattern, frames, rng, 0.01), lit=True)
+        for level in (2000.0, 8000.0, 20000.0)
+    ]
     return lit, [scatter_of(expose(np.zeros(3000), frames, rng), lit=False)]
 
 
@@ -60,7 +76,9 @@ def test_the_gain_errs_by_its_standard_error_without_darks_too() -> None:
 
 def test_flats_of_little_light_tell_the_read_noise_without_darks() -> None:
     rng = np.random.default_rng(6)
-    found = photon_transfer([scatter_of(expose(np.full(20000, e), 4, rng), lit=True) for e in (5.0, 20.0, 80.0)])
+    found = photon_transfer(
+        [scatter_of(expose(np.full(20000, e), 4, rng), lit=True) for e in (5.0, 20.0, 80.0)]
+    )
     assert found.read_noise is not None
     assert found.read_noise_std is not None
     assert abs(found.read_noise - READ_NOISE) < 4 * found.read_noise_std
@@ -72,7 +90,9 @@ def test_darks_alone_tell_the_read_noise_and_no_gain() -> None:
     assert (found.gain, found.gain_std) == (None, None)
     assert found.read_noise is not None
     assert found.read_noise_std is not None
-    assert found.read_noise_std == pytest.approx(READ_NOISE / np.sqrt(2 * 3 * 40000), rel=0.1)
+    assert found.read_noise_std == pytest.approx(
+        READ_NOISE / np.sqrt(2 * 3 * 40000), rel=0.1
+    )
     assert abs(found.read_noise - READ_NOISE) < 4 * found.read_noise_std
 
 
@@ -80,7 +100,9 @@ def test_one_level_of_light_tells_the_gain_as_if_there_were_no_read_noise() -> N
     rng = np.random.default_rng(8)
     found = photon_transfer([scatter_of(expose(np.full(20000, 20000.0), 4, rng), lit=True)])
     assert found.gain == pytest.approx(GAIN, rel=0.03)
-    assert found.gain_std == pytest.approx(0.03 * GAIN, rel=0.2)  # what the prior leaves open
+    assert found.gain_std == pytest.approx(
+        0.03 * GAIN, rel=0.2
+    )  # what the prior leaves open
 
 
 def test_particles_and_telegraph_noise_do_not_move_the_estimate() -> None:
@@ -88,7 +110,12 @@ def test_particles_and_telegraph_noise_do_not_move_the_estimate() -> None:
     lit, dark = flats_and_darks(rng, 4)
     clean = photon_transfer(lit, dark)
     for group in (*lit, *dark):
-        np.multiply(group.variance, 1e4, out=group.variance, where=rng.random(group.variance.size) < 1e-3)
+        np.multiply(
+            group.variance,
+            1e4,
+            out=group.variance,
+            where=rng.random(group.variance.size) < 1e-3,
+        )
     spoilt = photon_transfer(lit, dark)
     assert clean.gain is not None
     assert clean.read_noise is not None

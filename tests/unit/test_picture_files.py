@@ -23,13 +23,26 @@ DATA = np.random.default_rng(3).integers(0, 65536, (13, 21)).astype(np.uint16)
 
 
 def chunk(name: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+    return (
+        struct.pack(">I", len(data))
+        + name
+        + data
+        + struct.pack(">I", zlib.crc32(name + data))
+    )
 
 
-def png(rows: int, cols: int, pixels: bytes, *more: bytes, bits: int = 8, colours: int = 0) -> bytes:
+def png(
+    rows: int, cols: int, pixels: bytes, *more: bytes, bits: int = 8, colours: int = 0
+) -> bytes:
     """A PNG by its specification, with whatever it declares and holds; more: chunks before its pixels."""
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", cols, rows, bits, colours, 0, 0, 0))
-    return PNG + header + b"".join(more) + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b"")
+    return (
+        PNG
+        + header
+        + b"".join(more)
+        + chunk(b"IDAT", zlib.compress(pixels))
+        + chunk(b"IEND", b"")
+    )
 
 
 def tiff(numbers: NDArray[Any], **tags: Any) -> bytes:
@@ -56,8 +69,12 @@ def refusal(folder: Path, content: bytes) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("compression", [None, "tiff_lzw", "tiff_adobe_deflate", "packbits"])
-def test_a_tiff_comes_out_as_another_library_put_it_in(tmp_path: Path, compression: str | None) -> None:
+@pytest.mark.parametrize(
+    "compression", [None, "tiff_lzw", "tiff_adobe_deflate", "packbits"]
+)
+def test_a_tiff_comes_out_as_another_library_put_it_in(
+    tmp_path: Path, compression: str | None
+) -> None:
     Image.fromarray(DATA).save(tmp_path / "a.tif", compression=compression)
     picture = read_picture(tmp_path / "a.tif")
     np.testing.assert_array_equal(picture.numbers, DATA)
@@ -67,8 +84,12 @@ def test_a_tiff_comes_out_as_another_library_put_it_in(tmp_path: Path, compressi
 
 @pytest.mark.parametrize("byteorder", ["<", ">"])
 @pytest.mark.parametrize("compression", [None, "zlib"])
-def test_either_order_of_bytes_is_read(tmp_path: Path, byteorder: str, compression: str | None) -> None:
-    (tmp_path / "a.tif").write_bytes(tiff(DATA, byteorder=byteorder, compression=compression))
+def test_either_order_of_bytes_is_read(
+    tmp_path: Path, byteorder: str, compression: str | None
+) -> None:
+    (tmp_path / "a.tif").write_bytes(
+        tiff(DATA, byteorder=byteorder, compression=compression)
+    )
     np.testing.assert_array_equal(read_picture(tmp_path / "a.tif").numbers, DATA)
 
 
@@ -80,7 +101,9 @@ def test_a_png_of_one_bit_is_black_and_white(tmp_path: Path) -> None:
 
 
 def test_a_pgm_in_digits_is_read(tmp_path: Path) -> None:
-    (tmp_path / "a.pgm").write_bytes(b"P2\n#by hand\n3 2 #size\n1000\n0 500 1000\n7\n 8 9\n")
+    (tmp_path / "a.pgm").write_bytes(
+        b"P2\n#by hand\n3 2 #size\n1000\n0 500 1000\n7\n 8 9\n"
+    )
     picture = read_picture(tmp_path / "a.pgm")
     np.testing.assert_array_equal(picture.numbers, [[0, 500, 1000], [7, 8, 9]])
     assert picture.white == 1000
@@ -89,14 +112,23 @@ def test_a_pgm_in_digits_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (png(2**31 - 1, 2**31 - 1, b""), "declares 2147483647 × 2147483647 pixels: allowed are 1 to 65536 a side"),
-        (png(30_000, 30_000, b""), "declares 30000 × 30000 pixels: allowed are 268 million in all"),
+        (
+            png(2**31 - 1, 2**31 - 1, b""),
+            "declares 2147483647 × 2147483647 pixels: allowed are 1 to 65536 a side",
+        ),
+        (
+            png(30_000, 30_000, b""),
+            "declares 30000 × 30000 pixels: allowed are 268 million in all",
+        ),
         (png(0, 9, b""), "declares 0 × 9 pixels"),
         (b"P5 99999 99999 255\n", "declares 99999 × 99999 pixels"),
         (b"P2 60000 60000 255\n1 2 3", "declares 60000 × 60000 pixels"),
         (tiff_of_size(2**31, 2**31), "declares 2147483648 × 2147483648 pixels"),
         (tiff_of_size(50_000, 50_000), "declares 50000 × 50000 pixels"),
-        (tiff_of_size(16_000, 16_000), "is truncated or damaged: 546 of 512000000 bytes are there"),
+        (
+            tiff_of_size(16_000, 16_000),
+            "is truncated or damaged: 546 of 512000000 bytes are there",
+        ),
         (b"P5 9 9 255\n" + bytes(80), "is truncated: 80 of 81 bytes are there"),
         (b"P2 2 2 255\n1 2 3", "is truncated: 3 of 4 numbers are there"),
         (b"P2 2 2 255\n1 2 3 x", "b'x' stands among its numbers"),
@@ -104,7 +136,9 @@ def test_a_pgm_in_digits_is_read(tmp_path: Path) -> None:
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_a_declared_size_is_looked_at_first(tmp_path: Path, content: bytes, words: str) -> None:
+def test_a_declared_size_is_looked_at_first(
+    tmp_path: Path, content: bytes, words: str
+) -> None:
     assert words in refusal(tmp_path, content)
 
 
@@ -124,7 +158,9 @@ def test_a_declared_size_is_looked_at_first(tmp_path: Path, content: bytes, word
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_what_is_no_whole_grey_picture_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+def test_what_is_no_whole_grey_picture_is_refused(
+    tmp_path: Path, content: bytes, words: str
+) -> None:
     assert words in refusal(tmp_path, content)
 
 
@@ -150,12 +186,20 @@ def test_an_interlaced_png_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png").numbers, [[0x11, 0x22]])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no limit of a process's memory")
-def test_a_decoder_that_takes_too_much_memory_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="other systems have no limit of a process's memory"
+)
+def test_a_decoder_that_takes_too_much_memory_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(files, "DECODER_MEMORY_BYTES", 20_000_000 - 4 * 2000 * 2000)
-    assert "it takes more than 19 MiB to decode" in refusal(tmp_path, png(2000, 2000, bytes(2001) * 2000))
+    assert "it takes more than 19 MiB to decode" in refusal(
+        tmp_path, png(2000, 2000, bytes(2001) * 2000)
+    )
 
 
-def test_a_decoder_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_decoder_that_takes_too_long_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(files, "UNDER_LOAD", 1e-6)
     assert "to decode" in refusal(tmp_path, png(2000, 2000, bytes(2001) * 2000))

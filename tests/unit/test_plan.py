@@ -17,7 +17,11 @@ from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 LEAST = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 5, "size_mm": 46.8}})
 CAPTURE = plan_text(
     simulated([3000, 3200, 3300], 2950.0),
-    {"display": IPAD, "camera": {"address": "gphoto2:usb:001,004"}, "rail": {"address": "grbl:/dev/ttyUSB0"}},
+    {
+        "display": IPAD,
+        "camera": {"address": "gphoto2:usb:001,004"},
+        "rail": {"address": "grbl:/dev/ttyUSB0"},
+    },
 )
 
 
@@ -64,71 +68,152 @@ def test_a_capture_plan_keeps_addresses_and_ranges() -> None:
         ("[lens]", "[lense]", ["lense is no known key", "did you mean lens?"]),
         ("order = 5", "order = 5.5", ["target.order = 5.5", "whole number, 1 to 8"]),
         ("order = 5", "", ["target.order is missing", "sierpinski"]),
-        ("order = 5", 'order = 5\nsurround = "red"', ["target.surround = 'red'", "'black', 'white' or 'unknown'"]),
+        (
+            "order = 5",
+            'order = 5\nsurround = "red"',
+            ["target.surround = 'red'", "'black', 'white' or 'unknown'"],
+        ),
         ('kind = "sierpinski"', 'kind = "image"', ["target.file is missing"]),
-        ('kind = "sierpinski"', 'kind = "image"\nfile = "no.pgm"', ["no.pgm", "no such file"]),
-        ("order = 5", "order = 5\ncorners_px = [[0, 0], [1, 1], [0, 1], [1, 0]]", ["target.corners_px", "convex"]),
-        ("order = 5", "order = 5\ncorners_px = [[0, 0], [0, 9], [9, 9]]", ["target.corners_px", "four finite corners"]),
-        ("[target]", "[fit]\nzernike_noll = [4, 99]\n[target]", ["fit.zernike_noll = [4, 99]", "last <= 66"]),
-        ("[target]", "[fit]\nzernike_noll = [1, 15]\n[target]", ["fit.zernike_noll = [1, 15]", "4 <= first"]),
+        (
+            'kind = "sierpinski"',
+            'kind = "image"\nfile = "no.pgm"',
+            ["no.pgm", "no such file"],
+        ),
+        (
+            "order = 5",
+            "order = 5\ncorners_px = [[0, 0], [1, 1], [0, 1], [1, 0]]",
+            ["target.corners_px", "convex"],
+        ),
+        (
+            "order = 5",
+            "order = 5\ncorners_px = [[0, 0], [0, 9], [9, 9]]",
+            ["target.corners_px", "four finite corners"],
+        ),
+        (
+            "[target]",
+            "[fit]\nzernike_noll = [4, 99]\n[target]",
+            ["fit.zernike_noll = [4, 99]", "last <= 66"],
+        ),
+        (
+            "[target]",
+            "[fit]\nzernike_noll = [1, 15]\n[target]",
+            ["fit.zernike_noll = [1, 15]", "4 <= first"],
+        ),
         ("= 4.78", '= 4.78\ncfa_pattern = "RGG"', ["sensor.cfa_pattern = 'RGG'", '"mono"']),
         ("= 4.78", '= 4.78\ncfa_pattern = "mono"', ["2 [[channel]] tables", "exactly one"]),
         ("= 4.78", '= 4.78\ncfa_pattern = "RYYB"', ['channel.name = "G"', "RYYB"]),
-        ("= 4.78", "= 4.78\nblack_level = 600\nwhite_level = 255", ["sensor.white_level = 255", "600"]),
-        ("= 4.78", '= 4.78\nlow_pass_filter = {spread_px = "fitt"}', ["low_pass_filter.spread_px = 'fitt'", '"fit"']),
-        ("= 4.78", "= 4.78\nlow_pass_filter = {spread_px = [1, 2, 3]}", ["spread_px = [1, 2, 3]", "0 to 3 pixels"]),
-        ("= 4.78", "= 4.78\nlow_pass_filter = {spread_px = -1}", ["spread_px = -1", "0 to 3 pixels"]),
-        ("= 550.0", "= 550.0\nspectrum = [[550, 0]]", ['"G".spectrum has no weight', "[[nm, weight], ...]"]),
+        (
+            "= 4.78",
+            "= 4.78\nblack_level = 600\nwhite_level = 255",
+            ["sensor.white_level = 255", "600"],
+        ),
+        (
+            "= 4.78",
+            '= 4.78\nlow_pass_filter = {spread_px = "fitt"}',
+            ["low_pass_filter.spread_px = 'fitt'", '"fit"'],
+        ),
+        (
+            "= 4.78",
+            "= 4.78\nlow_pass_filter = {spread_px = [1, 2, 3]}",
+            ["spread_px = [1, 2, 3]", "0 to 3 pixels"],
+        ),
+        (
+            "= 4.78",
+            "= 4.78\nlow_pass_filter = {spread_px = -1}",
+            ["spread_px = -1", "0 to 3 pixels"],
+        ),
+        (
+            "= 550.0",
+            "= 550.0\nspectrum = [[550, 0]]",
+            ['"G".spectrum has no weight', "[[nm, weight], ...]"],
+        ),
         (
             "= 550.0",
             "= 550.0\nspectrum = [[640, 1]]",
             ["outside the channel", "mean is 640 nm", "wavelength_nm is 550"],
         ),
-        ("= 550.0", "= 550.0\nspectrum = [[550]]", ['"G".spectrum = [[550]]', "[[nm, weight], ...]"]),
+        (
+            "= 550.0",
+            "= 550.0\nspectrum = [[550]]",
+            ['"G".spectrum = [[550]]', "[[nm, weight], ...]"],
+        ),
         ('name = "G"', 'name = "R"', ['channel.name = "R"', "each name once"]),
-        ('name = "G"', 'name = "red"', ['channel.name = "red": allowed is R, G or B', "did you mean R?"]),
+        (
+            'name = "G"',
+            'name = "red"',
+            ['channel.name = "red": allowed is R, G or B', "did you mean R?"],
+        ),
         ('name = "G"', 'name = "E"', ['channel.name = "E": allowed is R, G or B']),
-        ("= 4.78", '= 4.78\ncfa_pattern = "GGRG"\n[[channel]]\nname = "GG"\nwavelength_nm = 1e3', ['"GG": allowed']),
-        ("wavelength_nm = 550.0", "wavelength_nm = 5", ['channel "G".wavelength_nm = 5: allowed is a number, 100']),
+        (
+            "= 4.78",
+            '= 4.78\ncfa_pattern = "GGRG"\n[[channel]]\nname = "GG"\nwavelength_nm = 1e3',
+            ['"GG": allowed'],
+        ),
+        (
+            "wavelength_nm = 550.0",
+            "wavelength_nm = 5",
+            ['channel "G".wavelength_nm = 5: allowed is a number, 100'],
+        ),
         ('name = "G"', "", ["[[channel]] number 2.name is missing"]),
         ('name = "G"', "name = 7", ["channel.name = 7: allowed is"]),
-        ("[3000, 3200, 3300]", "[3000, 60]", ["rail.ranges_mm has 60 mm", "more than the focal length, 70 mm"]),
+        (
+            "[3000, 3200, 3300]",
+            "[3000, 60]",
+            ["rail.ranges_mm has 60 mm", "more than the focal length, 70 mm"],
+        ),
         ("[3000, 3200, 3300]", "[3000, 3000]", ["rail.ranges_mm", "3000 twice"]),
         ("[3000, 3200, 3300]", "[]", ["rail.ranges_mm = []", "one or more"]),
         ("grbl:/dev", "/dev", ["rail.address = '/dev/ttyUSB0'", "grbl:/dev/ttyUSB0"]),
-        ('panel = "ipad-9.7-retina"', "pixel_pitch_mm = 0.1", ["display.pixel_pitch_mm and pixels"]),
+        (
+            'panel = "ipad-9.7-retina"',
+            "pixel_pitch_mm = 0.1",
+            ["display.pixel_pitch_mm and pixels"],
+        ),
         (
             "[3000, 3200, 3300]",
             '[3000, "far"]',
             ["rail.ranges_mm = [3000, 'far']: allowed is one or more ranges in mm"],
         ),
-        ('panel = "ipad-9.7-retina"', 'panel = "\\u001b[2J"', ["display.panel = '\\x1b[2J': allowed is printable"]),
+        (
+            'panel = "ipad-9.7-retina"',
+            'panel = "\\u001b[2J"',
+            ["display.panel = '\\x1b[2J': allowed is printable"],
+        ),
         ("= 2950.0", "= 2950.0\ndirection = 0", ["rail.direction = 0", "1 or -1"]),
     ],
 )
-def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed(old: str, new: str, words: list[str]) -> None:
+def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed(
+    old: str, new: str, words: list[str]
+) -> None:
     message = refusal(old, new)
     for word in words:
         assert word in message
 
 
 @pytest.mark.parametrize(
-    ("spread", "squares"), [("0.7", (0.49, 0.49)), ("[0.5, 0.6]", (0.25, 0.36)), ('"fit"', (0.25, 0.25))]
+    ("spread", "squares"),
+    [("0.7", (0.49, 0.49)), ("[0.5, 0.6]", (0.25, 0.36)), ('"fit"', (0.25, 0.25))],
 )
-def test_a_low_pass_filter_is_stated_or_to_be_fitted(spread: str, squares: tuple[float, float]) -> None:
+def test_a_low_pass_filter_is_stated_or_to_be_fitted(
+    spread: str, squares: tuple[float, float]
+) -> None:
     text = LEAST.replace("= 4.78", f"= 4.78\nlow_pass_filter = {{spread_px = {spread}}}")
     plan = Plan.parse(text)
     assert plan.sensor.low_pass_filter is not None
     assert plan.sensor.low_pass_filter.squares == pytest.approx(squares)
     optics = optics_of(plan, "G")
-    fitted, given = (optics.parts, optics.given) if spread == '"fit"' else (optics.given, optics.parts)
+    fitted, given = (
+        (optics.parts, optics.given) if spread == '"fit"' else (optics.given, optics.parts)
+    )
     assert fitted[0].values == pytest.approx(squares)
     assert given == ()
     assert Plan.parse(plan.to_toml()) == plan
 
 
 def test_a_spectrum_stands_for_the_channels_light() -> None:
-    plan = Plan.parse(LEAST.replace("= 550.0", "= 550.0\nspectrum = [[530, 1], [550, 2], [580, 1]]"))
+    plan = Plan.parse(
+        LEAST.replace("= 550.0", "= 550.0\nspectrum = [[530, 1], [550, 2], [580, 1]]")
+    )
     spectrum = optics_of(plan, "G").light
     assert np.dot(spectrum.weights, spectrum.nodes) == pytest.approx(552.5 / 550)
     assert optics_of(plan, "R").light.nodes == (1.0,)
@@ -136,8 +221,12 @@ def test_a_spectrum_stands_for_the_channels_light() -> None:
 
 
 def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
-    text = LEAST.replace("= 4.78", "= 4.78\ndiffusion_px = {0}\nsmear_px = {0}").replace("= 2.8", "= 2.8\nveil = {0}")
-    stated, wanted = (optics_of(Plan.parse(text.format(number)), "G") for number in ("0.2", '"fit"'))
+    text = LEAST.replace("= 4.78", "= 4.78\ndiffusion_px = {0}\nsmear_px = {0}").replace(
+        "= 2.8", "= 2.8\nveil = {0}"
+    )
+    stated, wanted = (
+        optics_of(Plan.parse(text.format(number)), "G") for number in ("0.2", '"fit"')
+    )
     assert stated.given == (Diffusion(0.2**2), Veil(0.2), Smear(0.2**2, 0.2**2))
     assert stated.parts == ()
     assert wanted.given == ()
@@ -150,9 +239,16 @@ def test_a_veil_has_a_scale() -> None:
     assert optics_of(near, "G").given == (Veil(0.03, 8.0),)
     assert Plan.parse(near.to_toml()) == near
     for scale in (NARROWEST_PX, SCALE_PX, BROADEST_PX):  # of a plan and of a fit
-        assert Plan.parse(LEAST.replace("= 2.8", f"= 2.8\nveil_scale_px = {scale}")).lens.veil_scale_px == scale
+        assert (
+            Plan.parse(
+                LEAST.replace("= 2.8", f"= 2.8\nveil_scale_px = {scale}")
+            ).lens.veil_scale_px
+            == scale
+        )
     assert Plan.parse(LEAST).lens.veil_scale_px == SCALE_PX
-    assert "allowed is a number, 3 to 100" in refusal("= 2.8", f"= 2.8\nveil_scale_px = {1.01 * BROADEST_PX}")
+    assert "allowed is a number, 3 to 100" in refusal(
+        "= 2.8", f"= 2.8\nveil_scale_px = {1.01 * BROADEST_PX}"
+    )
 
 
 def test_a_width_stands_for_a_spectrum() -> None:
@@ -164,8 +260,12 @@ def test_a_width_stands_for_a_spectrum() -> None:
     assert 550 * np.sqrt(weights @ (nodes - 1) ** 2) == pytest.approx(11)
     assert stated.parts == ()  # not estimated
     assert wanted.parts == (SpectrumWidth(),)
-    assert "allowed is up to 8% of the wavelength, 44 nm" in refusal("= 550.0", "= 550.0\nwidth_nm = 60")
-    assert "allowed is one of them" in refusal("= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]")
+    assert "allowed is up to 8% of the wavelength, 44 nm" in refusal(
+        "= 550.0", "= 550.0\nwidth_nm = 60"
+    )
+    assert "allowed is one of them" in refusal(
+        "= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]"
+    )
     assert WIDEST_LIGHT == WIDEST  # of a plan and of a fit
 
 
@@ -206,7 +306,10 @@ def test_a_missing_plan_is_one_line(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_in_the_only_channel_is_said_once() -> None:
-    with pytest.raises(PlanError, match=r'^channel "G"\.wavelength_nm = 0\.55: allowed is a number, 100 to 20000$'):
+    with pytest.raises(
+        PlanError,
+        match=r'^channel "G"\.wavelength_nm = 0\.55: allowed is a number, 100 to 20000$',
+    ):
         parse(
             "[lens]\nfocal_length_mm = 50\nf_number = 2\n[sensor]\npixel_pitch_um = 4\n[[channel]]\nname = 'G'\n"
             "wavelength_nm = 0.55\n[target]\nkind = 'sierpinski'\norder = 3\nsize_mm = 10\n"
@@ -215,40 +318,72 @@ def test_what_is_wrong_in_the_only_channel_is_said_once() -> None:
 
 def test_a_folder_in_the_place_of_a_plan_is_answered_with_its_plan(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").touch()
-    with pytest.raises(PlanError, match=rf"{tmp_path}: is a folder: give {tmp_path}/plan\.toml$"):
+    with pytest.raises(
+        PlanError, match=rf"{tmp_path}: is a folder: give {tmp_path}/plan\.toml$"
+    ):
         Plan.load(tmp_path)
 
 
 @pytest.mark.parametrize("names", ["R", "G", "mono", "L"])
 def test_a_lone_channel_is_a_colour_or_that_of_a_mono_sensor(names: str) -> None:
-    assert Plan.parse(plan_text(PORTRAIT, {"channel": [{"name": names, "wavelength_nm": 550.0}]})).channel
+    assert Plan.parse(
+        plan_text(PORTRAIT, {"channel": [{"name": names, "wavelength_nm": 550.0}]})
+    ).channel
 
 
 @pytest.mark.parametrize("name", ["red", "r", "Green", "blue"])
-def test_a_lone_channel_named_like_a_colour_is_refused_unless_the_sensor_is_mono(name: str) -> None:
+def test_a_lone_channel_named_like_a_colour_is_refused_unless_the_sensor_is_mono(
+    name: str,
+) -> None:
     channel = {"channel": [{"name": name, "wavelength_nm": 550.0}]}
     with pytest.raises(PlanError, match=f"did you mean {name[0].upper()}"):
         Plan.parse(plan_text(PORTRAIT, channel))
-    assert Plan.parse(plan_text(PORTRAIT, channel, {"sensor": {"cfa_pattern": "mono"}})).channel[0].name == name
+    assert (
+        Plan.parse(plan_text(PORTRAIT, channel, {"sensor": {"cfa_pattern": "mono"}}))
+        .channel[0]
+        .name
+        == name
+    )
 
 
 def test_one_pair_of_brackets_too_few_is_what_the_message_says() -> None:
     one = plan_text(PORTRAIT).replace("[[channel]]", "[channel]")
-    with pytest.raises(PlanError, match=r"write \[\[channel\]\], with double brackets, once for each channel$"):
+    with pytest.raises(
+        PlanError,
+        match=r"write \[\[channel\]\], with double brackets, once for each channel$",
+    ):
         Plan.parse(one)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("f_number = 2.8", "f_number = f/2.8", ["line 3", "f_number = f/2.8", "; write 2.8"]),
-        ("f_number = 2.8", 'f_number = "f/2.8"', ["lens.f_number = 'f/2.8': allowed is a number", "; write 2.8"]),
+        (
+            "f_number = 2.8",
+            "f_number = f/2.8",
+            ["line 3", "f_number = f/2.8", "; write 2.8"],
+        ),
+        (
+            "f_number = 2.8",
+            'f_number = "f/2.8"',
+            ["lens.f_number = 'f/2.8': allowed is a number", "; write 2.8"],
+        ),
         ("f_number = 2.8", "f_number = 2,8", ["f_number = 2,8", "; write 2.8"]),
-        ("exposure_s = 0.02", "exposure_s = 1/50  # s", ["exposure_s = 1/50", "; write 0.02"]),
-        ("exposure_s = 0.02", 'exposure_s = "1/50"', ["camera.exposure_s = '1/50': allowed is", "; write 0.02"]),
+        (
+            "exposure_s = 0.02",
+            "exposure_s = 1/50  # s",
+            ["exposure_s = 1/50", "; write 0.02"],
+        ),
+        (
+            "exposure_s = 0.02",
+            'exposure_s = "1/50"',
+            ["camera.exposure_s = '1/50': allowed is", "; write 0.02"],
+        ),
     ],
 )
-def test_numbers_as_engraved_are_given_as_they_should_be_written(old: str, new: str, words: list[str]) -> None:
+def test_numbers_as_engraved_are_given_as_they_should_be_written(
+    old: str, new: str, words: list[str]
+) -> None:
     message = refusal(old, new)
     for word in words:
         assert word in message
@@ -260,7 +395,10 @@ def test_numbers_as_engraved_are_given_as_they_should_be_written(old: str, new: 
         (f"f_number = {'9' * 5000}", "not TOML: an integer of more than 64 bits"),
         (f"f_number = 0x{'f' * 5000}", "lens.f_number: an integer of more than 64 bits"),
         (f"f_number = {'[' * 20000}", "too deep in one another"),
-        (f"f_number = {'[' * 30}{']' * 30}", "lens.f_number: lists or tables more than 6 deep"),
+        (
+            f"f_number = {'[' * 30}{']' * 30}",
+            "lens.f_number: lists or tables more than 6 deep",
+        ),
         (f"f_number{'.a' * 20} = 1", "lens.f_number: lists or tables more than 6 deep"),
         (f"f_number{'.a' * 20000} = 1", "too deep in one another"),
         (f"f_number = '{'a' * 100_000}'", "'aaa"),
@@ -269,7 +407,9 @@ def test_numbers_as_engraved_are_given_as_they_should_be_written(old: str, new: 
     ],
     ids=lambda value: value[:20],
 )
-def test_no_number_no_depth_and_no_letter_ends_in_more_than_a_short_printable_line(new: str, words: str) -> None:
+def test_no_number_no_depth_and_no_letter_ends_in_more_than_a_short_printable_line(
+    new: str, words: str
+) -> None:
     message = refusal("f_number = 2.8", new)
     assert words in message
     assert len(message) < 300

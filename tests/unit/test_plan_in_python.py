@@ -22,19 +22,31 @@ def number(low: float, high: float) -> st.SearchStrategy[float]:
 
 LINES = st.text(st.characters(categories=("L", "N", "P", "S")) | st.just(" "), min_size=1)
 TABLES = {
-    "lens": st.fixed_dictionaries({"focal_length_mm": number(0.1, 900), "f_number": number(0.3, 256)}),
+    "lens": st.fixed_dictionaries(
+        {"focal_length_mm": number(0.1, 900), "f_number": number(0.3, 256)}
+    ),
     "sensor": st.fixed_dictionaries(
         {"pixel_pitch_um": number(0.1, 1000)},
-        optional={"fill_factor": st.floats(0.001, 1), "black_level": number(0, 99), "white_level": number(100, 65535)},
+        optional={
+            "fill_factor": st.floats(0.001, 1),
+            "black_level": number(0, 99),
+            "white_level": number(100, 65535),
+        },
     ),
     "channel": st.lists(
-        st.fixed_dictionaries({"name": st.sampled_from("RGB"), "wavelength_nm": number(100, 20_000)}),
+        st.fixed_dictionaries(
+            {"name": st.sampled_from("RGB"), "wavelength_nm": number(100, 20_000)}
+        ),
         min_size=1,
         max_size=3,
         unique_by=lambda channel: channel["name"],
     ),
     "target": st.fixed_dictionaries(
-        {"kind": st.just("sierpinski"), "order": st.integers(1, 8), "size_mm": number(1, 1e6)},
+        {
+            "kind": st.just("sierpinski"),
+            "order": st.integers(1, 8),
+            "size_mm": number(1, 1e6),
+        },
         optional={
             "surround": st.sampled_from(["black", "white", "unknown"]),
             "corners_px": st.just([[0, 0.5], [0, 9], [9, 9], [9, 1e-5]]),
@@ -42,11 +54,17 @@ TABLES = {
     ),
 }
 DEVICES = {
-    "fit": st.fixed_dictionaries({}, optional={"zernike_noll": st.just([4, 22]), "range_std_mm": number(0, 1000)}),
-    "camera": st.fixed_dictionaries({"address": st.just("gphoto2:usb:001,004"), "exposure_s": number(1e-5, 3600)}),
+    "fit": st.fixed_dictionaries(
+        {}, optional={"zernike_noll": st.just([4, 22]), "range_std_mm": number(0, 1000)}
+    ),
+    "camera": st.fixed_dictionaries(
+        {"address": st.just("gphoto2:usb:001,004"), "exposure_s": number(1e-5, 3600)}
+    ),
     "rail": st.fixed_dictionaries(
         {
-            "address": st.builds("grbl:{}".format, LINES.map(lambda text: text.replace(" ", ""))),
+            "address": st.builds(
+                "grbl:{}".format, LINES.map(lambda text: text.replace(" ", ""))
+            ),
             "ranges_mm": st.lists(number(1000, 1e6), min_size=1, unique_by=float),
             "range_at_zero_mm": number(-1e6, 1e6),
         }
@@ -78,7 +96,9 @@ def test_a_table_is_changed_key_by_key_and_the_plan_is_not() -> None:
 
 
 def test_channels_take_the_place_of_all_channels() -> None:
-    changed = PLAN.replace(channel=[{"name": "R", "wavelength_nm": 650}, {"name": "B", "wavelength_nm": 450}])
+    changed = PLAN.replace(
+        channel=[{"name": "R", "wavelength_nm": 650}, {"name": "B", "wavelength_nm": 450}]
+    )
     assert [channel.name for channel in changed.channel] == ["R", "B"]
     assert changed.replace(channel=PLAN.channel) == PLAN
 
@@ -90,24 +110,37 @@ def test_none_takes_a_key_or_a_table_out_again() -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    changed = PLAN.replace(fit={"zernike_noll": np.array([4, 22])}, lens={"f_number": np.float32(8)})
+    changed = PLAN.replace(
+        fit={"zernike_noll": np.array([4, 22])}, lens={"f_number": np.float32(8)}
+    )
     assert (changed.fit.zernike_noll, changed.lens.f_number) == ((4, 22), 8.0)
 
 
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"fit": {"zernike_noll": (4, 99)}}, r"^fit\.zernike_noll = \[4, 99\]: allowed is .* last <= 66$"),
-        ({"fit": {"zernike": (4, 9)}}, r"^fit\.zernike is no known key; did you mean zernike_noll\?"),
+        (
+            {"fit": {"zernike_noll": (4, 99)}},
+            r"^fit\.zernike_noll = \[4, 99\]: allowed is .* last <= 66$",
+        ),
+        (
+            {"fit": {"zernike": (4, 9)}},
+            r"^fit\.zernike is no known key; did you mean zernike_noll\?",
+        ),
         ({"fits": {}}, "^fits is no known key; did you mean fit"),
         ({"lens": None}, "^lens is missing"),
         ({"lens": 70}, "^lens = 70: allowed is a table$"),
         ({"camera": {"iso": 2**64}}, r"^camera\.iso: an integer of more than 64 bits"),
         ({"camera": {"iso": 100.5}}, r"^camera\.iso = 100\.5: allowed is a whole number"),
-        ({"rail": {"ranges_mm": [40]}}, r"^rail\.ranges_mm has 40 mm: allowed is more than the focal length"),
+        (
+            {"rail": {"ranges_mm": [40]}},
+            r"^rail\.ranges_mm has 40 mm: allowed is more than the focal length",
+        ),
     ],
 )
-def test_what_a_file_may_not_say_python_may_not_say_either(tables: dict[str, Any], words: str) -> None:
+def test_what_a_file_may_not_say_python_may_not_say_either(
+    tables: dict[str, Any], words: str
+) -> None:
     with pytest.raises(PlanError, match=words) as caught:
         PLAN.replace(**tables)
     assert "\n" not in str(caught.value)

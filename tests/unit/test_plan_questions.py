@@ -17,15 +17,21 @@ from labkit.plan import Plan
 from tests.unit.test_exif import photograph
 
 
-def asked(answers: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
-    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
+def asked(
+    answers: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str
+) -> int:
+    monkeypatch.setattr(
+        "sys.stdin", io.StringIO("".join(f"{answer}\n" for answer in answers))
+    )
     return run(["plan", "--interactive", "--out", str(tmp_path / "plan.toml"), *options])
 
 
 BEFORE_TARGET = ["yes", "70", "f/2,8", "4.78", "650", "550", "450"]
 
 
-def test_defaults_alone_make_a_plan_with_comments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_defaults_alone_make_a_plan_with_comments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert asked([""] * 13, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
     assert (plan.lens.focal_length_mm, plan.target.order, plan.camera) == (50.0, 5, None)
@@ -34,13 +40,30 @@ def test_defaults_alone_make_a_plan_with_comments(tmp_path: Path, monkeypatch: p
     assert "order = 5  # of the carpet" in lines
 
 
-def test_answers_are_read_as_people_write_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_are_read_as_people_write_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rail = ["grbl:/dev/ttyUSB0", "3000, 3200 3300", "2950", "-1"]
     camera = ["gphoto2:usb:001,004", "1/50", "", "2", "4", "0"]
-    answers = [*BEFORE_TARGET, "", "4", "15.6", "white", "", "yes", *camera, *rail, "manual:"]
+    answers = [
+        *BEFORE_TARGET,
+        "",
+        "4",
+        "15.6",
+        "white",
+        "",
+        "yes",
+        *camera,
+        *rail,
+        "manual:",
+    ]
     assert asked(answers, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
-    assert (plan.lens.f_number, plan.target.size_mm, plan.target.surround) == (2.8, 15.6, "white")
+    assert (plan.lens.f_number, plan.target.size_mm, plan.target.surround) == (
+        2.8,
+        15.6,
+        "white",
+    )
     assert plan.camera is not None
     assert plan.rail is not None
     assert plan.display is not None
@@ -49,9 +72,16 @@ def test_answers_are_read_as_people_write_them(tmp_path: Path, monkeypatch: pyte
     assert plan.display.by_hand
 
 
-def test_what_a_target_needs_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_target_needs_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert (
-        asked(["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", "4, 11", ""], tmp_path, monkeypatch) == 0
+        asked(
+            ["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", "4, 11", ""],
+            tmp_path,
+            monkeypatch,
+        )
+        == 0
     )
     plan = Plan.load(tmp_path / "plan.toml")
     assert (plan.target.grid, plan.target.diameter_mm) == ((3, 4), 1.5)
@@ -62,21 +92,34 @@ def test_what_a_target_needs_is_asked_for(tmp_path: Path, monkeypatch: pytest.Mo
     ("answers", "words"),
     [
         (["perhaps"], "'perhaps': allowed is yes or no"),
-        (["yes", "long"], "lens.focal_length_mm = 'long': allowed is a number, 0.1 to 10000"),
+        (
+            ["yes", "long"],
+            "lens.focal_length_mm = 'long': allowed is a number, 0.1 to 10000",
+        ),
         ([*BEFORE_TARGET, "carpet"], "target.kind = 'carpet': allowed is checkerboard"),
         ([*BEFORE_TARGET, "image", "no.pgm"], "no.pgm"),
         ([*BEFORE_TARGET, "", "9"], "target.order = 9: allowed is a whole number, 1 to 8"),
-        ([*BEFORE_TARGET, "", "", "", "", "", "yes", "usb:1"], "camera.address = 'usb:1': allowed is one of gphoto2:"),
+        (
+            [*BEFORE_TARGET, "", "", "", "", "", "yes", "usb:1"],
+            "camera.address = 'usb:1': allowed is one of gphoto2:",
+        ),
         (
             [*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 7, "40"],
             "rail.ranges_mm has 40 mm: allowed is more than the focal",
         ),
-        ([*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 11, "iphone"], 'display.panel = "iphone": known are'),
+        (
+            [*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 11, "iphone"],
+            'display.panel = "iphone": known are',
+        ),
         (["yes", "70"], "the input ended at the question: f-number"),
     ],
 )
 def test_an_answer_that_no_plan_takes_is_refused_and_nothing_is_written(
-    answers: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    answers: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert asked(answers, tmp_path, monkeypatch) == 2
     last = capsys.readouterr().err.splitlines()[-1]
@@ -94,7 +137,9 @@ def test_a_file_that_is_there_is_said_before_anything_is_asked(
     assert (tmp_path / "plan.toml").read_text() == "mine"
 
 
-def test_a_photograph_gives_the_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_photograph_gives_the_defaults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stated: dict[str, Any] = {"FocalLength": 105.0, "FNumber": 4.0}
     image = photograph(tmp_path / "a.jpg", **stated)
     assert asked([""] * 30, tmp_path, monkeypatch, str(image)) == 0
@@ -103,15 +148,30 @@ def test_a_photograph_gives_the_defaults(tmp_path: Path, monkeypatch: pytest.Mon
     assert "# by EXIF" in (tmp_path / "plan.toml").read_text()
 
 
-def test_neither_photograph_nor_questions_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_neither_photograph_nor_questions_is_said(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert run(["plan"]) == 2
-    assert "give a photograph to make the plan from, or --interactive" in capsys.readouterr().err
+    assert (
+        "give a photograph to make the plan from, or --interactive"
+        in capsys.readouterr().err
+    )
 
 
-def test_at_a_terminal_a_wrong_answer_is_asked_for_again_and_ctrl_c_writes_nothing(tmp_path: Path) -> None:
+def test_at_a_terminal_a_wrong_answer_is_asked_for_again_and_ctrl_c_writes_nothing(
+    tmp_path: Path,
+) -> None:
     near, far = os.openpty()
-    command = [sys.executable, "-c", "from labkit.cli import main; main()", "plan", "--interactive"]
-    with subprocess.Popen(command, stdin=far, stderr=subprocess.PIPE, cwd=tmp_path) as running:
+    command = [
+        sys.executable,
+        "-c",
+        "from labkit.cli import main; main()",
+        "plan",
+        "--interactive",
+    ]
+    with subprocess.Popen(
+        command, stdin=far, stderr=subprocess.PIPE, cwd=tmp_path
+    ) as running:
         try:
             assert running.stderr is not None
             seen = b""

@@ -25,7 +25,9 @@ def plan(**tables: Mapping[str, object]) -> Plan:
     return Plan.parse(plan_text(SMALL, STATED, tables), Path())
 
 
-def side_px(true_mm: float, focal_mm: float = 70.0, mp: float = 1.0, best_mm: float = 3000.0) -> float:
+def side_px(
+    true_mm: float, focal_mm: float = 70.0, mp: float = 1.0, best_mm: float = 3000.0
+) -> float:
     """Of a target of 46.8 mm, by chief rays: distance of the sensor from the exit pupil over that from the entrance pupil."""
     behind = best_mm * focal_mm / (best_mm - focal_mm) + (mp - 1) * focal_mm
     return 46.8 * behind / mp / (true_mm - focal_mm + focal_mm / mp) / 4.78e-3
@@ -35,7 +37,9 @@ def sight(stated_mm: float, side: float) -> Sight:
     return Sight(stated_mm, np.array([[0, 0], [0, side], [side, side], [side, 0.0]]) + 40)
 
 
-def told(stated: Plan, *sights: Sight, size_mm: tuple[float, float] | None = None) -> str | None:
+def told(
+    stated: Plan, *sights: Sight, size_mm: tuple[float, float] | None = None
+) -> str | None:
     try:
         refuse_contradictions(sights, stated, size_mm or (stated.target.size_mm,) * 2)
     except DataError as error:
@@ -73,7 +77,11 @@ def test_what_is_honestly_uncertain_is_not_told(
     [
         ({"target": {"size_mm": 4.68}}, "363 mm", "46.8 mm"),
         ({"target": {"size_mm": 23.4}}, "1535 mm", "46.8 mm"),
-        ({"sensor": {"pixel_pitch_um": 9.56}}, "1535 mm", "93.6 mm"),  # one colour plane's, of a file with all of them
+        (
+            {"sensor": {"pixel_pitch_um": 9.56}},
+            "1535 mm",
+            "93.6 mm",
+        ),  # one colour plane's, of a file with all of them
         ({"lens": {"focal_length_mm": 28.0}}, "1200 mm", "119 mm"),
     ],
 )
@@ -90,23 +98,33 @@ def test_a_number_of_the_plan_that_is_off_by_a_factor_is_told(
 def test_ranges_in_centimetres_are_told() -> None:
     message = told(plan(), *(sight(mm / 10, side_px(mm)) for mm in RANGES))
     assert message is not None
-    assert "at 320 mm a target of 46.8 mm would span 2,741 pixels; it spans 219, as it would at 3195 mm" in message
+    assert (
+        "at 320 mm a target of 46.8 mm would span 2,741 pixels; it spans 219, as it would at 3195 mm"
+        in message
+    )
     assert "range_mm in the imported CSV" in message
 
 
 @pytest.mark.parametrize("typed_mm", [300.0, 2300.0, 3020.0, 32000.0])
 def test_one_range_that_the_others_contradict_is_named(typed_mm: float) -> None:
-    sights = [sight(typed_mm if mm == 3200 else mm, side_px(mm)) for mm in (*RANGES, 3400.0)]
+    sights = [
+        sight(typed_mm if mm == 3200 else mm, side_px(mm)) for mm in (*RANGES, 3400.0)
+    ]
     message = told(plan(), *sights)
     assert message is not None
-    assert message.startswith(f"at {typed_mm:g} mm the target spans 219 pixels, as it would at 320")
+    assert message.startswith(
+        f"at {typed_mm:g} mm the target spans 219 pixels, as it would at 320"
+    )
     assert "by its sizes at 3000, 3300, 3400 mm; check range_mm" in message
 
 
 def test_two_ranges_that_contradict_each_other_are_both_named() -> None:
     message = told(plan(), sight(3000.0, side_px(3000.0)), sight(3300.0, side_px(3000.0)))
     assert message is not None
-    assert "in pixels: 234 at 3000 mm, 234 at 3300 mm; check range_mm in the imported CSV" in message
+    assert (
+        "in pixels: 234 at 3000 mm, 234 at 3300 mm; check range_mm in the imported CSV"
+        in message
+    )
 
 
 def test_a_range_within_the_focal_length_is_told() -> None:
@@ -125,7 +143,12 @@ def test_a_long_target_is_measured_along_its_first_axis() -> None:
 
 def test_rail_and_corners_are_named_where_the_plan_has_them() -> None:
     corners = {"corners_px": [[0, 0], [0, 9], [9, 9], [9, 0]]}
-    bench = Plan.parse(plan_text(SMALL, STATED, simulated([3000], 2950.0), {"target": corners}), Path())
+    bench = Plan.parse(
+        plan_text(SMALL, STATED, simulated([3000], 2950.0), {"target": corners}), Path()
+    )
     message = told(bench, sight(3000.0, 9.0))
     assert message is not None
-    assert "rail.ranges_mm, rail.range_at_zero_mm and rail.direction, target.corners_px" in message
+    assert (
+        "rail.ranges_mm, rail.range_at_zero_mm and rail.direction, target.corners_px"
+        in message
+    )

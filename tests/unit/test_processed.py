@@ -51,7 +51,9 @@ def frame(path: Path) -> Frame:
 
 def in_colours(mosaic: Mosaic) -> NDArray[np.uint16]:
     """(rows, cols, 3)"""
-    return np.dstack([mosaic.part(name, (slice(0, None), slice(0, None))).counts for name in "RGB"])
+    return np.dstack(
+        [mosaic.part(name, (slice(0, None), slice(0, None))).counts for name in "RGB"]
+    )
 
 
 def profile_of(power: float | None) -> bytes:
@@ -68,7 +70,9 @@ def by_little_cms(icc: bytes) -> NDArray[np.float64]:
     """(256,) light of each number of grey, as littleCMS has it: linear in the XYZ that a profile leads to."""
     linear = BytesIO(profile_of(1.0))
     steps = Image.fromarray(np.dstack([RAMP] * 3)[None][0].reshape(1, 256, 3))
-    transform = ImageCms.buildTransform(BytesIO(icc), linear, "RGB", "RGB", flags=ImageCms.Flags.NOOPTIMIZE)
+    transform = ImageCms.buildTransform(
+        BytesIO(icc), linear, "RGB", "RGB", flags=ImageCms.Flags.NOOPTIMIZE
+    )
     done = ImageCms.applyTransform(steps, transform)
     assert done is not None
     return np.asarray(done)[0, :, 1] / 255.0
@@ -79,15 +83,21 @@ def test_a_profiles_tone_curve_is_littlecms_own(power: float | None) -> None:
     curves = profile_curves(profile_of(power))
     for curve in curves:
         # littleCMS rounds to 8 bit at the end
-        np.testing.assert_allclose(curve(RAMP / 255), by_little_cms(profile_of(power)), atol=0.5 / 255 + 1e-3)
+        np.testing.assert_allclose(
+            curve(RAMP / 255), by_little_cms(profile_of(power)), atol=0.5 / 255 + 1e-3
+        )
 
 
 def test_a_table_in_a_profile_is_gone_through_linearly() -> None:
     icc = profile_of(None)
     at = icc.index(b"para\0\0\0\0")
-    table = b"curv\0\0\0\0\0\0\0\3" + b"".join(value.to_bytes(2) for value in (0, 13107, 65535))
+    table = b"curv\0\0\0\0\0\0\0\3" + b"".join(
+        value.to_bytes(2) for value in (0, 13107, 65535)
+    )
     (curve, *_) = profile_curves(icc[:at] + table + icc[at + len(table) :])
-    np.testing.assert_allclose(curve(np.array([0, 0.25, 0.5, 0.75, 1])), [0, 0.1, 0.2, 0.6, 1], atol=1e-5)
+    np.testing.assert_allclose(
+        curve(np.array([0, 0.25, 0.5, 0.75, 1])), [0, 0.1, 0.2, 0.6, 1], atol=1e-5
+    )
 
 
 def test_damaged_profiles_give_a_rising_curve_or_are_refused() -> None:
@@ -108,14 +118,20 @@ def test_damaged_profiles_give_a_rising_curve_or_are_refused() -> None:
 
 def test_srgbs_curve_is_the_one_of_the_standards_examples() -> None:
     # IEC 61966-2-1: the linear part's slope is 1/12.92; half of full light is stored as 187.5 of 255
-    np.testing.assert_allclose(srgb(np.array([0, 0.04, 187.516 / 255, 1.0])), [0, 0.04 / 12.92, 0.5, 1], atol=1e-5)
+    np.testing.assert_allclose(
+        srgb(np.array([0, 0.04, 187.516 / 255, 1.0])), [0, 0.04 / 12.92, 0.5, 1], atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
 def test_a_picture_in_colours_is_three_whole_planes_of_light(
     tmp_path: Path, colours: NDArray[np.uint8], suffix: str
 ) -> None:
-    path = saved(tmp_path / f"a{suffix}", colours, **({"quality": 100, "subsampling": 0} if suffix == ".jpg" else {}))
+    path = saved(
+        tmp_path / f"a{suffix}",
+        colours,
+        **({"quality": 100, "subsampling": 0} if suffix == ".jpg" else {}),
+    )
     mosaic = read_raw(path, SILENT)
     assert (mosaic.shape, mosaic.cfa, mosaic.white) == ((48, 64), "RGB", 65535)
     stored = np.asarray(Image.open(path), dtype=np.float64) / 255
@@ -126,21 +142,28 @@ def test_a_picture_in_colours_is_three_whole_planes_of_light(
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
-def test_an_embedded_profile_is_taken(tmp_path: Path, colours: NDArray[np.uint8], suffix: str) -> None:
+def test_an_embedded_profile_is_taken(
+    tmp_path: Path, colours: NDArray[np.uint8], suffix: str
+) -> None:
     path = saved(tmp_path / f"a{suffix}", colours, icc_profile=profile_of(2.0))
     stored = np.asarray(Image.open(path), dtype=np.float64) / 255
     mosaic = read_raw(path, SILENT)
-    np.testing.assert_allclose(in_colours(mosaic)[..., 1:], 65535 * stored[..., 1:] ** 2, atol=0.51)
+    np.testing.assert_allclose(
+        in_colours(mosaic)[..., 1:], 65535 * stored[..., 1:] ** 2, atol=0.51
+    )
     assert "ICC profile" in mosaic.notes[0].text
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_colours_of_16_bit_are_linear_or_not_as_the_plan_says(tmp_path: Path, suffix: str) -> None:
+def test_colours_of_16_bit_are_linear_or_not_as_the_plan_says(
+    tmp_path: Path, suffix: str
+) -> None:
     deep = np.random.default_rng(1).integers(0, 65536, (20, 30, 3)).astype(np.uint16)
     path = tmp_path / f"a{suffix}"
     assert cv2.imwrite(str(path), deep[..., ::-1])
     with pytest.raises(
-        RawError, match=r'does not say how its numbers stand to light: .* tone_curve = "linear" or "sRGB"'
+        RawError,
+        match=r'does not say how its numbers stand to light: .* tone_curve = "linear" or "sRGB"',
     ):
         read_raw(path, SILENT)
     mosaic = read_raw(path, Sensor(pixel_pitch_um=5.0, tone_curve="linear"))
@@ -150,14 +173,18 @@ def test_colours_of_16_bit_are_linear_or_not_as_the_plan_says(tmp_path: Path, su
     np.testing.assert_allclose(in_colours(bent), 65535 * srgb(deep / 65535), atol=0.51)
 
 
-def test_a_grey_jpeg_is_mono_and_a_grey_png_stays_linear_unless_the_plan_says_so(tmp_path: Path) -> None:
+def test_a_grey_jpeg_is_mono_and_a_grey_png_stays_linear_unless_the_plan_says_so(
+    tmp_path: Path,
+) -> None:
     grey = np.tile(RAMP, (20, 1))
     jpeg = read_raw(saved(tmp_path / "a.jpg", grey, quality=100), SILENT)
     assert jpeg.cfa == "mono"
     stored = np.asarray(Image.open(tmp_path / "a.jpg")) / 255.0
     np.testing.assert_allclose(jpeg.counts, 65535 * srgb(stored), atol=0.51)
     path = saved(tmp_path / "a.png", grey)
-    as_before = read_raw(path, Sensor(pixel_pitch_um=5.0, cfa_pattern="mono", black_level=0, white_level=255))
+    as_before = read_raw(
+        path, Sensor(pixel_pitch_um=5.0, cfa_pattern="mono", black_level=0, white_level=255)
+    )
     np.testing.assert_array_equal(as_before.counts, grey)
     assert as_before.notes == ()
     undone = read_raw(path, Sensor(pixel_pitch_um=5.0, tone_curve="sRGB"))
@@ -167,15 +194,26 @@ def test_a_grey_jpeg_is_mono_and_a_grey_png_stays_linear_unless_the_plan_says_so
 def test_full_scale_is_the_files_own(tmp_path: Path) -> None:
     numbers = np.array([[0, 1000, 4095]], dtype=">u2")
     (tmp_path / "a.pgm").write_bytes(b"P5 3 1 4095\n" + numbers.tobytes())
-    Image.fromarray(np.array([[0, 1], [1, 0]], dtype=bool)).save(tmp_path / "b.png")  # of one bit
+    Image.fromarray(np.array([[0, 1], [1, 0]], dtype=bool)).save(
+        tmp_path / "b.png"
+    )  # of one bit
     undone = Sensor(pixel_pitch_um=5.0, tone_curve="sRGB")
-    np.testing.assert_allclose(read_raw(tmp_path / "a.pgm", undone).counts, 65535 * srgb(numbers / 4095), atol=0.51)
-    np.testing.assert_array_equal(read_raw(tmp_path / "b.png", undone).counts, [[0, 65535], [65535, 0]])
+    np.testing.assert_allclose(
+        read_raw(tmp_path / "a.pgm", undone).counts, 65535 * srgb(numbers / 4095), atol=0.51
+    )
+    np.testing.assert_array_equal(
+        read_raw(tmp_path / "b.png", undone).counts, [[0, 65535], [65535, 0]]
+    )
 
 
-def test_the_rounding_of_8_bit_is_in_the_noise_through_the_curves_slope(tmp_path: Path) -> None:
+def test_the_rounding_of_8_bit_is_in_the_noise_through_the_curves_slope(
+    tmp_path: Path,
+) -> None:
     # light that is even within each step of 8 bit: what rounding loses is known by simulation, without any formula
-    rng, stored = np.random.default_rng(5), np.repeat([[30, 100, 200]], 40, axis=0).astype(np.uint8)
+    rng, stored = (
+        np.random.default_rng(5),
+        np.repeat([[30, 100, 200]], 40, axis=0).astype(np.uint8),
+    )
     path = saved(tmp_path / "a.png", np.dstack([np.repeat(stored, 20, axis=1)] * 3))
     data = channel_data(NOTHING, frame(path), read_raw(path, SILENT), "G")
     for column, code in ((5, 30), (25, 100), (45, 200)):
@@ -189,13 +227,19 @@ def test_the_rounding_of_8_bit_is_in_the_noise_through_the_curves_slope(tmp_path
     np.testing.assert_allclose(variance, 54.0 + data.rounding.ravel())
 
 
-def test_colours_of_a_jpeg_that_are_coarser_are_told(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
-    halved, whole = (saved(tmp_path / f"{s}.jpg", colours, quality=95, subsampling=s) for s in (2, 0))
+def test_colours_of_a_jpeg_that_are_coarser_are_told(
+    tmp_path: Path, colours: NDArray[np.uint8]
+) -> None:
+    halved, whole = (
+        saved(tmp_path / f"{s}.jpg", colours, quality=95, subsampling=s) for s in (2, 0)
+    )
     assert "half resolution" in " ".join(map(str, read_raw(halved, SILENT).notes))
     assert "half resolution" not in " ".join(map(str, read_raw(whole, SILENT).notes))
 
 
-@pytest.mark.parametrize("how", [{}, {"progressive": True}, {"optimize": True}, {"exif": EXIF}])
+@pytest.mark.parametrize(
+    "how", [{}, {"progressive": True}, {"optimize": True}, {"exif": EXIF}]
+)
 def test_a_jpegs_header_is_read_as_pillow_reads_it(
     tmp_path: Path, colours: NDArray[np.uint8], how: dict[str, Any]
 ) -> None:
@@ -226,24 +270,45 @@ def test_a_damaged_jpeg_is_refused_in_one_line(
         read_raw(path, SILENT)
 
 
-def test_a_jpeg_declared_raw_says_what_to_do(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
-    with pytest.raises(RawError, match=r"is a JPEG, though its name ends in \.NEF: give the camera's raw file"):
+def test_a_jpeg_declared_raw_says_what_to_do(
+    tmp_path: Path, colours: NDArray[np.uint8]
+) -> None:
+    with pytest.raises(
+        RawError,
+        match=r"is a JPEG, though its name ends in \.NEF: give the camera's raw file",
+    ):
         read_raw(saved(tmp_path / "DSC_1.NEF", colours, format="JPEG"), SILENT)
     bayer = Sensor(pixel_pitch_um=5.0, cfa_pattern="RGGB", black_level=0, white_level=255)
-    with pytest.raises(RawError, match=r'is a JPEG, but the plan\'s sensor.cfa_pattern = "RGGB" declares raw numbers'):
+    with pytest.raises(
+        RawError,
+        match=r'is a JPEG, but the plan\'s sensor.cfa_pattern = "RGGB" declares raw numbers',
+    ):
         read_raw(saved(tmp_path / "a.jpg", colours), bayer)
 
 
-def test_what_is_wrong_with_many_files_alike_is_said_once(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
-    names = [saved(tmp_path / f"DSC_{k}.NEF", colours, format="JPEG").name for k in range(9)]
-    (tmp_path / "frames.csv").write_text("\n".join(["file,kind,range_mm", *(f"{name},target," for name in names)]))
+def test_what_is_wrong_with_many_files_alike_is_said_once(
+    tmp_path: Path, colours: NDArray[np.uint8]
+) -> None:
+    names = [
+        saved(tmp_path / f"DSC_{k}.NEF", colours, format="JPEG").name for k in range(9)
+    ]
+    (tmp_path / "frames.csv").write_text(
+        "\n".join(["file,kind,range_mm", *(f"{name},target," for name in names)])
+    )
     (tmp_path / "plan.toml").write_text(plan_text(PORTRAIT))
-    with pytest.raises(DataError, match=r"DSC_0\.NEF: is a JPEG, [^\n;]*\(and 8 more files like it\)$"):
+    with pytest.raises(
+        DataError, match=r"DSC_0\.NEF: is a JPEG, [^\n;]*\(and 8 more files like it\)$"
+    ):
         import_frames(tmp_path / "frames.csv", tmp_path / "plan.toml", tmp_path / "session")
 
 
 def test_overexposed_colours_are_named(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
-    assert exposure_problem(read_raw(saved(tmp_path / "a.png", colours), SILENT), "target", "RGB") is None
+    assert (
+        exposure_problem(
+            read_raw(saved(tmp_path / "a.png", colours), SILENT), "target", "RGB"
+        )
+        is None
+    )
     colours[10:40, 10:40, 2] = 255
     mosaic = read_raw(saved(tmp_path / "b.png", colours), SILENT)
     problem = exposure_problem(mosaic, "target", "RGB")

@@ -44,7 +44,12 @@ def test_another_name_is_an_error_that_names_it() -> None:
 
 def test_importing_labkit_loads_nothing_heavy() -> None:
     heavy = "import sys, labkit; print(sorted({'numpy', 'scipy', 'cv2', 'rawpy', 'matplotlib'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, timeout=60).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", heavy], capture_output=True, text=True, timeout=60
+        ).stdout
+        == "[]\n"
+    )
 
 
 @pytest.mark.slow
@@ -53,5 +58,8 @@ def test_a_room_of_the_same_name_hides_no_function() -> None:
     loaded = "import labkit.cli, labkit.demo, labkit; print(all(callable(getattr(labkit, n)) for n in {names}))"
     program = loaded.format(names=sorted(NAMES - {"__version__"}))
     assert (
-        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60).stdout == "True\n"
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+        ).stdout
+        == "True\n"
     )

@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 
 from labkit.devices.protocols import Travel
-from labkit.devices.rail_calibration import find_zero, measure, misfitting, read_range, stops
+from labkit.devices.rail_calibration import (
+    find_zero,
+    measure,
+    misfitting,
+    read_range,
+    stops,
+)
 from labkit.errors import DataError, PlanError
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_direction_and_zero_are_found_exactly_where_the_tape_is_exact(direction: int) -> None:
+def test_direction_and_zero_are_found_exactly_where_the_tape_is_exact(
+    direction: int,
+) -> None:
     at = [-280.0, -150.0, -20.0]
     found = find_zero(at, [3100.0 + direction * mm for mm in at])
     assert found.direction == direction
@@ -21,7 +29,10 @@ def test_direction_and_zero_are_found_exactly_where_the_tape_is_exact(direction:
 def test_the_standard_error_is_that_of_the_scatter() -> None:
     rng = np.random.default_rng(5)
     at = np.linspace(0, 400, 5)
-    trials = [find_zero(at.tolist(), (2950 + at + rng.normal(0, 0.5, 5)).tolist()) for _ in range(1000)]
+    trials = [
+        find_zero(at.tolist(), (2950 + at + rng.normal(0, 0.5, 5)).tolist())
+        for _ in range(1000)
+    ]
     zeros = [trial.range_at_zero_mm for trial in trials]
     # 0.5 mm over the root of five; a std of 1000 draws has 2.2 % of relative error: allow four of them
     assert np.std(zeros) == pytest.approx(0.5 / np.sqrt(5), rel=0.09)
@@ -42,7 +53,9 @@ def test_two_readings_give_no_standard_error() -> None:
         ([0, 100, 200], [3000, 3010, 3020], "changed by 0.100 mm"),
     ],
 )
-def test_readings_that_tell_no_zero_are_refused(at: list[float], ranges: list[float], words: str) -> None:
+def test_readings_that_tell_no_zero_are_refused(
+    at: list[float], ranges: list[float], words: str
+) -> None:
     with pytest.raises(DataError, match=words):
         find_zero(at, ranges)
 
@@ -60,7 +73,9 @@ def test_measured_places_lie_along_the_travel_or_where_asked() -> None:
         (Travel(-1e6, 1e6), [], "does not report its travel"),
     ],
 )
-def test_places_that_cannot_be_measured_at_are_refused(travel: Travel, asked: list[float], words: str) -> None:
+def test_places_that_cannot_be_measured_at_are_refused(
+    travel: Travel, asked: list[float], words: str
+) -> None:
     with pytest.raises(PlanError, match=words):
         stops(travel, asked)
 
@@ -68,7 +83,10 @@ def test_places_that_cannot_be_measured_at_are_refused(travel: Travel, asked: li
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("1.75", "1.75 mm is not beyond the focal length, 50 mm; if metres were meant, type 1750"),
+        (
+            "1.75",
+            "1.75 mm is not beyond the focal length, 50 mm; if metres were meant, type 1750",
+        ),
         ("50", "not beyond the focal length, 50 mm$"),
         ("a lot", "'a lot' is no range: type a number of mm"),
         ("nan", "is no range"),

@@ -38,7 +38,9 @@ def test_sessions_of_many_modes_go_through_focus(index: int) -> None:
     one = draw_many_modes(1, index)
     lens, tape_mm = one.settings.lens, one.settings.rail.tape_error_mm
     assert one.plan.rail is not None
-    near, about, far = (mm + tape_mm - lens.best_focus_mm["G"] for mm in one.plan.rail.ranges_mm)
+    near, about, far = (
+        mm + tape_mm - lens.best_focus_mm["G"] for mm in one.plan.rail.ranges_mm
+    )
     assert near < 0 < far
     assert abs(about) < min(-near, far) / 2
     assert one.plan.fit.zernike_noll == (4, 22)
@@ -66,18 +68,30 @@ def test_sessions_with_parts_are_those_without_them_and_their_plans_say_nothing(
         assert bare == plain.settings
 
 
-def test_about_half_have_each_part_and_few_a_smear_or_a_veil(with_parts: list[Drawn]) -> None:
-    for part, share in {"low_pass_px": 0.5, "spectrum": 0.5, "diffusion_px": 0.5, "smear": 0.2, "veil": 0.2}.items():
+def test_about_half_have_each_part_and_few_a_smear_or_a_veil(
+    with_parts: list[Drawn],
+) -> None:
+    for part, share in {
+        "low_pass_px": 0.5,
+        "spectrum": 0.5,
+        "diffusion_px": 0.5,
+        "smear": 0.2,
+        "veil": 0.2,
+    }.items():
         having = sum(part in one.kind["parts"] for one in with_parts)
         # four standard deviations of a binomial
-        assert having == pytest.approx(share * SESSIONS, abs=4 * (share * (1 - share) * SESSIONS) ** 0.5)
+        assert having == pytest.approx(
+            share * SESSIONS, abs=4 * (share * (1 - share) * SESSIONS) ** 0.5
+        )
 
 
 def test_what_is_told_of_parts_is_what_the_world_has(with_parts: list[Drawn]) -> None:
     for one in with_parts:
         parts, settings = json.loads(json.dumps(one.kind["parts"])), one.settings
         lens, sensor, smear = settings.lens, settings.sensor, settings.rail.smear
-        assert [sensor.low_pass.rows_px, sensor.low_pass.cols_px] == parts.get("low_pass_px", [0, 0])
+        assert [sensor.low_pass.rows_px, sensor.low_pass.cols_px] == parts.get(
+            "low_pass_px", [0, 0]
+        )
         assert sensor.diffusion_px == parts.get("diffusion_px", 0)
         assert [smear.length_px, smear.direction_deg] == parts.get("smear", [0, 0])
         assert lens.veil.fraction == parts.get("veil", [0])[0]
@@ -95,7 +109,11 @@ def test_plans_are_off_by_the_errors_that_they_state(drawn: list[Drawn]) -> None
     z = []
     for one in drawn:
         plan, lens = one.plan, one.settings.lens
-        focal, f_number, size = plan.lens.stated_focal_length, plan.lens.stated_f_number, plan.target.stated_size
+        focal, f_number, size = (
+            plan.lens.stated_focal_length,
+            plan.lens.stated_f_number,
+            plan.target.stated_size,
+        )
         true_mm = one.settings.panel.pitch_mm * 3 ** (plan.target.order or 0)
         z.append(
             [
@@ -114,7 +132,9 @@ def corners_px(bench: Bench, size_mm: float) -> Floats:
     """Of a target in the middle of the panel, (4, 2) row and column."""
     half = size_mm / 2
     columns, rows = carry(
-        bench._to_pixels(), np.array([-half, half, half, -half]), np.array([-half, -half, half, half])
+        bench._to_pixels(),
+        np.array([-half, half, half, -half]),
+        np.array([-half, -half, half, half]),
     )
     return np.column_stack((rows, columns))
 
@@ -167,7 +187,10 @@ def results(astigmatism: float, accepted: bool) -> dict[str, Any]:
             "f_number": number(2.79, 0.01),
             "range_zero_mm": number(6.02, 1),
         },
-        "focus": {"best_focus_mm": {"G": number(1999.99, 0.01)}, "pupil_magnification": number(1.1, 0.1)},
+        "focus": {
+            "best_focus_mm": {"G": number(1999.99, 0.01)},
+            "pupil_magnification": number(1.1, 0.1),
+        },
         "wavefronts": [wave | {"global_test": {"accepted": accepted}}],
         "findings": [{"code": "fit-mended"}],
     }
@@ -186,17 +209,32 @@ def test_errors_are_counted_in_standard_errors() -> None:
 
 @pytest.mark.parametrize(
     ("astigmatism", "accepted", "counted"),
-    [(0.2, True, "wrong_accepted"), (0.2, False, "wrong_rejected"), (0.1, False, "right_rejected")],
+    [
+        (0.2, True, "wrong_accepted"),
+        (0.2, False, "wrong_rejected"),
+        (0.1, False, "right_rejected"),
+    ],
 )
-def test_wrong_optima_are_told_from_right_ones(astigmatism: float, accepted: bool, counted: str) -> None:
+def test_wrong_optima_are_told_from_right_ones(
+    astigmatism: float, accepted: bool, counted: str
+) -> None:
     line = compared(results(astigmatism, accepted), TRUTH)
-    assert [name for name in ("wrong_accepted", "wrong_rejected", "right_rejected") if line[name]] == [counted]
+    assert [
+        name
+        for name in ("wrong_accepted", "wrong_rejected", "right_rejected")
+        if line[name]
+    ] == [counted]
 
 
 def test_results_of_the_first_schema_tell_less() -> None:
     first = results(0.1, True)
     del first["lens"]
-    assert set(compared(first, TRUTH)["z"]) == {"pupil_magnification", "best_focus", "noll.4", "noll.5"}
+    assert set(compared(first, TRUTH)["z"]) == {
+        "pupil_magnification",
+        "best_focus",
+        "noll.4",
+        "noll.5",
+    }
     assert set(compared(first | {"focus": None}, TRUTH)["z"]) == {"noll.4", "noll.5"}
 
 
@@ -210,11 +248,17 @@ def test_a_torn_line_is_cut_off(tmp_path: Path) -> None:
 
 def test_the_table_sums_up_and_names_what_failed() -> None:
     rng = np.random.default_rng(1)
-    done = [compared(results(0.1, True), TRUTH) | {"failed": None, "index": index} for index in range(400)]
+    done = [
+        compared(results(0.1, True), TRUTH) | {"failed": None, "index": index}
+        for index in range(400)
+    ]
     for line in done:
         line["z"]["noll.5"] = [float(rng.standard_normal())] * 3  # the same at three ranges
     failed = {"failed": "no target", "index": 3}
-    lines = [json.loads(json.dumps(line | {"making_s": 1.0, "fitting_s": 2.0})) for line in (*done, failed)]
+    lines = [
+        json.loads(json.dumps(line | {"making_s": 1.0, "fitting_s": 2.0}))
+        for line in (*done, failed)
+    ]
     text = "\n".join(table(lines))
     (row,) = (line.split() for line in text.splitlines() if line.startswith("other modes"))
     assert row[2] == "400"
@@ -222,23 +266,39 @@ def test_the_table_sums_up_and_names_what_failed() -> None:
     # the mean and the standard deviation of 400 draws, four of their errors wide
     assert float(row[3]) == pytest.approx(0, abs=4 / 400**0.5)
     assert float(row[4]) == pytest.approx(1, abs=4 / 800**0.5)
-    assert "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, mended 400" in text
+    assert (
+        "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, mended 400"
+        in text
+    )
     assert "401 s of making, 802 s of fitting" in text
     assert "session 3 failed: no target" in text
 
 
 def test_parts_are_counted_as_found_missed_standing_in_or_invented() -> None:
     def line(true: list[str], found: list[str], **gains: float) -> dict[str, Any]:
-        return {"failed": None, "parts": dict.fromkeys(true), "found": found, "gains": gains}
+        return {
+            "failed": None,
+            "parts": dict.fromkeys(true),
+            "found": found,
+            "gains": gains,
+        }
 
     lines = [
-        line(["low_pass_px", "diffusion_px"], ["low_pass_filter"], diffusion=2.0),  # too weak to be seen
+        line(
+            ["low_pass_px", "diffusion_px"], ["low_pass_filter"], diffusion=2.0
+        ),  # too weak to be seen
         line(["low_pass_px"], [], low_pass_filter=50.0),
         line(["diffusion_px"], ["low_pass_filter"], diffusion=0.0),
         line(["veil"], ["veil", "spectrum"]),
     ]
     said = dict(words.split(": ", 1) for words in parts_table(lines))
-    assert said["low_pass_filter"].startswith("found in 1 of the 2 that have it, missed in 1;")
-    assert said["low_pass_filter"].endswith("stands in for another blur in 1, is invented in 0")
+    assert said["low_pass_filter"].startswith(
+        "found in 1 of the 2 that have it, missed in 1;"
+    )
+    assert said["low_pass_filter"].endswith(
+        "stands in for another blur in 1, is invented in 0"
+    )
     assert said["diffusion"].startswith("found in 0 of the 2 that have it, missed in 0;")
-    assert said["spectrum"].endswith("the other 4 it stands in for another blur in 0, is invented in 1")
+    assert said["spectrum"].endswith(
+        "the other 4 it stands in for another blur in 0, is invented in 1"
+    )

@@ -42,9 +42,15 @@ def refusal(path: Path, sensor: Sensor, capfd: pytest.CaptureFixture[str]) -> st
 @pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_the_filter_phase_is_the_files_and_the_picture_is_never_turned(
-    tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], cfa: str, orientation: int
+    tmp_path: Path,
+    write_dng: WriteDng,
+    counts: NDArray[np.uint16],
+    cfa: str,
+    orientation: int,
 ) -> None:
-    mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, cfa=cfa, orientation=orientation), SILENT)
+    mosaic = read_raw(
+        write_dng(tmp_path / "a.dng", counts, cfa=cfa, orientation=orientation), SILENT
+    )
     assert mosaic.pattern == (cfa[:2], cfa[2:])
     np.testing.assert_array_equal(mosaic.counts, counts)
     for colour in "RGB":
@@ -53,11 +59,15 @@ def test_the_filter_phase_is_the_files_and_the_picture_is_never_turned(
         np.testing.assert_array_equal(mask, np.tile(cell, (31, 47)))
 
 
-@pytest.mark.parametrize(("black", "white"), [(0, 4095), (256, 4095), (600, 15520), (1024, 65535)])
+@pytest.mark.parametrize(
+    ("black", "white"), [(0, 4095), (256, 4095), (600, 15520), (1024, 65535)]
+)
 def test_black_and_white_levels_are_the_files(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], black: int, white: int
 ) -> None:
-    mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, black=black, white=white), SILENT)
+    mosaic = read_raw(
+        write_dng(tmp_path / "a.dng", counts, black=black, white=white), SILENT
+    )
     assert mosaic.white == white
     np.testing.assert_array_equal(mosaic.black, np.full((2, 2), black))
 
@@ -66,12 +76,16 @@ def test_black_and_white_levels_are_the_files(
 def test_each_place_of_the_cell_has_its_own_black_level(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], cfa: str
 ) -> None:
-    mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, cfa=cfa, black=(600, 601, 602, 603)), SILENT)
+    mosaic = read_raw(
+        write_dng(tmp_path / "a.dng", counts, cfa=cfa, black=(600, 601, 602, 603)), SILENT
+    )
     np.testing.assert_array_equal(mosaic.black, [[600, 601], [602, 603]])
     np.testing.assert_array_equal(mosaic.black_map()[60:, 92:], [[600, 601], [602, 603]])
 
 
-def test_a_raw_without_filters_is_mono(tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]) -> None:
+def test_a_raw_without_filters_is_mono(
+    tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
+) -> None:
     mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, cfa="mono"), SILENT)
     assert (mosaic.pattern, mosaic.cfa) == (("M",), "mono")
     assert mosaic.channel_mask("L").all()
@@ -81,12 +95,16 @@ def test_a_raw_without_filters_is_mono(tmp_path: Path, write_dng: WriteDng, coun
 def test_camera_and_exposure_come_from_the_tags(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
 ) -> None:
-    mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, model="Acme D2", exposure=(1, 125)), SILENT)
+    mosaic = read_raw(
+        write_dng(tmp_path / "a.dng", counts, model="Acme D2", exposure=(1, 125)), SILENT
+    )
     assert (mosaic.camera, mosaic.iso) == ("Acme Acme D2", 200)
     assert mosaic.exposure_s == pytest.approx(0.008, rel=1e-6)
 
 
-def test_the_type_is_recognised_by_the_content(tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]) -> None:
+def test_the_type_is_recognised_by_the_content(
+    tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
+) -> None:
     path = write_dng(tmp_path / "DSC_0001.JPG", counts)
     np.testing.assert_array_equal(read_raw(path, SILENT).counts, counts)
 
@@ -94,7 +112,10 @@ def test_the_type_is_recognised_by_the_content(tmp_path: Path, write_dng: WriteD
 @pytest.mark.parametrize("suffix", [".tif", ".png", ".pgm"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_bare_numbers_come_as_they_are(
-    tmp_path: Path, counts: NDArray[np.uint16], suffix: str, dtype: type[np.uint8] | type[np.uint16]
+    tmp_path: Path,
+    counts: NDArray[np.uint16],
+    suffix: str,
+    dtype: type[np.uint8] | type[np.uint16],
 ) -> None:
     path = tmp_path / f"a{suffix}"
     numbers = (counts % 256).astype(dtype) if dtype is np.uint8 else counts
@@ -109,16 +130,23 @@ def test_bare_numbers_come_as_they_are(
     )
 
 
-def test_a_pgm_of_14_bits_is_not_stretched(tmp_path: Path, counts: NDArray[np.uint16]) -> None:
+def test_a_pgm_of_14_bits_is_not_stretched(
+    tmp_path: Path, counts: NDArray[np.uint16]
+) -> None:
     path = tmp_path / "a.pgm"
     path.write_bytes(b"P5\n# a comment\n94 62\n16383\n" + counts.astype(">u2").tobytes())
     np.testing.assert_array_equal(read_raw(path, BAYER).counts, counts)
 
 
 @pytest.mark.parametrize("compression", ["zlib", "lzw"])
-def test_a_compressed_tiff_is_read(tmp_path: Path, counts: NDArray[np.uint16], compression: str) -> None:
+def test_a_compressed_tiff_is_read(
+    tmp_path: Path, counts: NDArray[np.uint16], compression: str
+) -> None:
     path = tmp_path / "a.tif"
-    tag = {"zlib": cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE, "lzw": cv2.IMWRITE_TIFF_COMPRESSION_LZW}[compression]
+    tag = {
+        "zlib": cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE,
+        "lzw": cv2.IMWRITE_TIFF_COMPRESSION_LZW,
+    }[compression]
     assert cv2.imwrite(str(path), counts, [cv2.IMWRITE_TIFF_COMPRESSION, tag])
     np.testing.assert_array_equal(read_raw(path, BAYER).counts, counts)
 
@@ -127,7 +155,9 @@ def test_bare_numbers_without_levels_in_the_plan_name_what_is_missing(
     tmp_path: Path, counts: NDArray[np.uint16], capfd: pytest.CaptureFixture[str]
 ) -> None:
     tifffile.imwrite(tmp_path / "a.tif", counts)
-    message = refusal(tmp_path / "a.tif", Sensor(pixel_pitch_um=5.0, cfa_pattern="RGGB"), capfd)
+    message = refusal(
+        tmp_path / "a.tif", Sensor(pixel_pitch_um=5.0, cfa_pattern="RGGB"), capfd
+    )
     assert "black_level" in message
     assert "white_level" in message
     assert "cfa_pattern" not in message
@@ -135,15 +165,24 @@ def test_bare_numbers_without_levels_in_the_plan_name_what_is_missing(
 
 @pytest.mark.parametrize("key", ["cfa_pattern", "black_level", "white_level"])
 def test_a_plan_that_contradicts_the_file_is_refused(
-    tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], key: str, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    write_dng: WriteDng,
+    counts: NDArray[np.uint16],
+    key: str,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = write_dng(tmp_path / "a.dng", counts)
     wrong = {"cfa_pattern": "BGGR", "black_level": 0.0, "white_level": 15520.0}
     right = {"cfa_pattern": "RGGB", "black_level": 600.0, "white_level": 16383.0}
-    sensor = Sensor(pixel_pitch_um=5.0).model_validate({"pixel_pitch_um": 5.0, **right, key: wrong[key]})
-    assert f"sensor.{key} = {wrong[key]} but the file has {right[key]}" in refusal(path, sensor, capfd)
+    sensor = Sensor(pixel_pitch_um=5.0).model_validate(
+        {"pixel_pitch_um": 5.0, **right, key: wrong[key]}
+    )
+    assert f"sensor.{key} = {wrong[key]} but the file has {right[key]}" in refusal(
+        path, sensor, capfd
+    )
     np.testing.assert_array_equal(
-        read_raw(path, Sensor.model_validate({"pixel_pitch_um": 5.0, **right})).counts, counts
+        read_raw(path, Sensor.model_validate({"pixel_pitch_um": 5.0, **right})).counts,
+        counts,
     )
 
 
@@ -199,7 +238,10 @@ def test_a_missing_file_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
 def test_a_picture_in_colours_is_refused(
-    tmp_path: Path, counts: NDArray[np.uint16], suffix: str, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    counts: NDArray[np.uint16],
+    suffix: str,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / f"a{suffix}"
     assert cv2.imwrite(str(path), np.dstack([counts] * 3))
@@ -213,33 +255,56 @@ def test_a_white_level_beyond_the_file_is_refused(
     assert "up to 255" in refusal(tmp_path / "a.tif", BAYER, capfd)
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the reference sessions are not beside this checkout")
+@pytest.mark.skipif(
+    not SHARED.is_dir(), reason="the reference sessions are not beside this checkout"
+)
 def test_an_independent_simulators_raw_is_read() -> None:
     mosaic = read_raw(SHARED / "golden" / "bench-open" / "target_2000_0.dng", SILENT)
     assert (mosaic.counts.shape, mosaic.cfa, mosaic.white) == ((240, 240), "RGGB", 16383)
     np.testing.assert_array_equal(mosaic.black, np.full((2, 2), 600))
 
 
-def test_a_headerless_file_is_read_as_the_plan_says_and_refused_where_it_cannot_be(tmp_path: Path) -> None:
+def test_a_headerless_file_is_read_as_the_plan_says_and_refused_where_it_cannot_be(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "numbers.raw"
     path.write_bytes(bytes([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]))
-    keys: dict[str, object] = {"pixel_pitch_um": 5.0, "cfa_pattern": "mono", "black_level": 0, "white_level": 4095}
+    keys: dict[str, object] = {
+        "pixel_pitch_um": 5.0,
+        "cfa_pattern": "mono",
+        "black_level": 0,
+        "white_level": 4095,
+    }
     mosaic = read_raw(path, Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
-    np.testing.assert_array_equal(mosaic.counts, [[0x0201, 0x0403, 0x0605], [0x0807, 0x0A09, 0x0C0B]])
-    with pytest.raises(RawError, match=r"3 × 3 numbers of 16 bit .* are 18 bytes: it has 12"):
+    np.testing.assert_array_equal(
+        mosaic.counts, [[0x0201, 0x0403, 0x0605], [0x0807, 0x0A09, 0x0C0B]]
+    )
+    with pytest.raises(
+        RawError, match=r"3 × 3 numbers of 16 bit .* are 18 bytes: it has 12"
+    ):
         read_raw(path, Sensor.from_tables({**keys, "headerless_px": [3, 3]}))
     with pytest.raises(RawError, match="no such file"):
-        read_raw(tmp_path / "none.raw", Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
-    with pytest.raises(RawError, match=r"does not state these; add to \[sensor\]: black_level"):
-        read_raw(path, Sensor.from_tables({**keys, "black_level": None, "headerless_px": [2, 3]}))
+        read_raw(
+            tmp_path / "none.raw", Sensor.from_tables({**keys, "headerless_px": [2, 3]})
+        )
+    with pytest.raises(
+        RawError, match=r"does not state these; add to \[sensor\]: black_level"
+    ):
+        read_raw(
+            path, Sensor.from_tables({**keys, "black_level": None, "headerless_px": [2, 3]})
+        )
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the reference photographs are not beside this checkout")
+@pytest.mark.skipif(
+    not SHARED.is_dir(), reason="the reference photographs are not beside this checkout"
+)
 def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
     path = SHARED / "real" / "DSC_1339_768x512_rggb.raw"
     crop = np.fromfile(path, dtype="<u2").reshape(512, 768)
     tifffile.imwrite(tmp_path / "crop.tif", crop)
-    sensor = Sensor(pixel_pitch_um=4.9, cfa_pattern="RGGB", black_level=600, white_level=15520)
+    sensor = Sensor(
+        pixel_pitch_um=4.9, cfa_pattern="RGGB", black_level=600, white_level=15520
+    )
     mosaic = read_raw(path, sensor.model_copy(update={"headerless_px": (512, 768)}))
     np.testing.assert_array_equal(mosaic.counts, crop)
     np.testing.assert_array_equal(read_raw(tmp_path / "crop.tif", sensor).counts, crop)
@@ -250,7 +315,10 @@ def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
     assert np.abs(g1 - g2).mean() < 0.5 * min(np.abs(g1 - r).mean(), np.abs(g1 - b).mean())
 
 
-@pytest.mark.skipif("LABKIT_SONY_RAW" not in os.environ, reason="18 MB: `make sony-raw` fetches it and runs this test")
+@pytest.mark.skipif(
+    "LABKIT_SONY_RAW" not in os.environ,
+    reason="18 MB: `make sony-raw` fetches it and runs this test",
+)
 def test_a_whole_raw_of_a_mirrorless_camera_is_read() -> None:
     mosaic = read_raw(Path(os.environ["LABKIT_SONY_RAW"]), SILENT)
     assert mosaic.camera == "SONY ILCE-7RM3"

@@ -59,7 +59,10 @@ def words_only(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_report_needs_no_other_file(report: Path) -> None:
     page = Page(report.read_text())
     links = [
-        v or "" for _, attrs in page.tags for name, v in attrs.items() if name in {"src", "href", "srcset", "data"}
+        v or ""
+        for _, attrs in page.tags
+        for name, v in attrs.items()
+        if name in {"src", "href", "srcset", "data"}
     ]
     assert links
     assert all(link.startswith(("data:", "#")) for link in links)
@@ -72,26 +75,51 @@ def test_the_page_runs_its_own_script_alone(report: Path) -> None:
     html = report.read_text()
     (script,) = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
     checksum = b64encode(sha256(script.encode()).digest()).decode()
-    assert f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{checksum}'" in html
+    assert (
+        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{checksum}'"
+        in html
+    )
     assert "http" not in script
 
 
 def test_raw_results_and_curves_are_files_in_the_page(report: Path) -> None:
-    links = {a["download"]: a["href"] or "" for tag, a in Page(report.read_text()).tags if a.get("download")}
-    assert set(links) == {"results.json", "zernike.csv", "mtf.csv", "through_focus.csv", "encircled_energy.csv"}
+    links = {
+        a["download"]: a["href"] or ""
+        for tag, a in Page(report.read_text()).tags
+        if a.get("download")
+    }
+    assert set(links) == {
+        "results.json",
+        "zernike.csv",
+        "mtf.csv",
+        "through_focus.csv",
+        "encircled_energy.csv",
+    }
     files = {name: b64decode(uri.partition(",")[2]).decode() for name, uri in links.items()}
-    assert json.loads(files["results.json"]) == json.loads((report.parent / "results.json").read_text())
+    assert json.loads(files["results.json"]) == json.loads(
+        (report.parent / "results.json").read_text()
+    )
     rows = list(csv.DictReader(files["zernike.csv"].splitlines()))
     assert len(rows) == 4 * 3
     assert rows[2]["mode"] == "horizontal coma"
     assert float(rows[2]["std_nm_rms"]) == pytest.approx(0.0013 * 450)
-    perfect = [row for row in csv.DictReader(files["mtf.csv"].splitlines()) if row["channel"] == "R"]
+    perfect = [
+        row
+        for row in csv.DictReader(files["mtf.csv"].splitlines())
+        if row["channel"] == "R"
+    ]
     assert float(perfect[0]["mtf"]) == float(perfect[0]["diffraction_limit"]) == 1.0
 
 
 def test_drawings_in_the_report_point_nowhere_else(report: Path) -> None:
-    sources = [attrs["src"] or "" for tag, attrs in Page(report.read_text()).tags if tag == "img"]
-    drawings = [b64decode(s.partition(",")[2]).decode() for s in sources if s.startswith("data:image/svg")]
+    sources = [
+        attrs["src"] or "" for tag, attrs in Page(report.read_text()).tags if tag == "img"
+    ]
+    drawings = [
+        b64decode(s.partition(",")[2]).decode()
+        for s in sources
+        if s.startswith("data:image/svg")
+    ]
     assert drawings
     for drawing in drawings:
         assert drawing.count("href=") == drawing.count('href="#')
@@ -100,7 +128,11 @@ def test_drawings_in_the_report_point_nowhere_else(report: Path) -> None:
 def test_links_in_the_page_lead_somewhere(report: Path) -> None:
     tags = Page(report.read_text()).tags
     anchors = {attrs["id"] for _, attrs in tags if "id" in attrs}
-    links = {attrs.get("href") or "" for tag, attrs in tags if tag == "a" and "download" not in attrs}
+    links = {
+        attrs.get("href") or ""
+        for tag, attrs in tags
+        if tag == "a" and "download" not in attrs
+    }
     assert {link[1:] for link in links} <= anchors
 
 
@@ -139,8 +171,12 @@ def test_a_number_is_never_parted_from_its_error(report: Path) -> None:
     assert not re.search(r"\d ±|± \d", text)
 
 
-def test_a_warnings_number_is_not_parted_from_its_error_either(tmp_path: Path, words_only: None) -> None:
-    html = write_report(written(tmp_path, findings=noted("a filter: rows 0.551 ± 0.005 px"))).read_text()
+def test_a_warnings_number_is_not_parted_from_its_error_either(
+    tmp_path: Path, words_only: None
+) -> None:
+    html = write_report(
+        written(tmp_path, findings=noted("a filter: rows 0.551 ± 0.005 px"))
+    ).read_text()
     assert "rows 0.551\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}0.005 px" in html
 
 
@@ -159,7 +195,15 @@ def test_tables_hold_every_mode_in_waves_and_nanometres(report: Path) -> None:
 
 @pytest.mark.parametrize(
     "shown",
-    ["0.4567", "1.23", "1.018", "embedding, p = 0.37, 3 starts", "1.10, −2.20", "ab" * 32, "target_3000.0_R.dng"],
+    [
+        "0.4567",
+        "1.23",
+        "1.018",
+        "embedding, p = 0.37, 3 starts",
+        "1.10, −2.20",
+        "ab" * 32,
+        "target_3000.0_R.dng",
+    ],
 )
 def test_tables_and_provenance_hold(report: Path, shown: str) -> None:
     assert shown in Page(report.read_text()).words()
@@ -172,38 +216,61 @@ def test_the_lens_and_its_errors_have_sections(report: Path) -> None:
     assert "22.530 ± 0.050" in words  # blur of 0.0751 waves, µm
 
 
-def test_what_was_found_of_the_camera_has_a_section(tmp_path: Path, report: Path, words_only: None) -> None:
+def test_what_was_found_of_the_camera_has_a_section(
+    tmp_path: Path, report: Path, words_only: None
+) -> None:
     tried = (PartTried("low_pass_filter", 812.3, True), PartTried("veil", 0.0, False))
-    found = {"low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"), "spectrum.G.width_nm": Uncertain(12.0, 3.0, "nm")}
-    words = Page(write_report(written(tmp_path, model_parts=found, parts_tried=tried)).read_text()).words()
+    found = {
+        "low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"),
+        "spectrum.G.width_nm": Uncertain(12.0, 3.0, "nm"),
+    }
+    words = Page(
+        write_report(written(tmp_path, model_parts=found, parts_tried=tried)).read_text()
+    ).words()
     assert "low-pass filter along rows px 0.5500 ± 0.0040" in words
     assert "spectrum standard deviation, G nm 12.0 ± 3.0" in words
     assert "low-pass filter 812.3 taken in veil of stray light 0.0" in words
     assert "The camera" not in Page(report.read_text()).words()
 
 
-def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(tmp_path: Path, words_only: None) -> None:
-    folder = written(tmp_path, widest_light_nm={"R": 20.0}, parts_tried=(PartTried("veil", 0.0, False),))
+def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(
+    tmp_path: Path, words_only: None
+) -> None:
+    folder = written(
+        tmp_path, widest_light_nm={"R": 20.0}, parts_tried=(PartTried("veil", 0.0, False),)
+    )
     words = Page(write_report(folder).read_text()).words()
     (shown,) = re.findall(r"R 20 \S+ ± \S+ (\S+) (\S+) Without an error: a a bound", words)
 
     def difference(wavefront: Wavefront, fitted: FittedWavefront) -> float:
         """Of three wavelengths whose mean and standard deviation are those, and the mean one."""
         aside = 2**0.5 * 20.0 / wavefront.wavelength_nm
-        lights = [replace(fitted, wavelength_um=fitted.wavelength_um * node) for node in (1 - aside, 1.0, 1 + aside)]
+        lights = [
+            replace(fitted, wavelength_um=fitted.wavelength_um * node)
+            for node in (1 - aside, 1.0, 1 + aside)
+        ]
         short, mean, long = (
-            psf_value(light, 0.5, 2 * round(64 * fitted.wavelength_um * fitted.f_number) + 1) for light in lights
+            psf_value(
+                light, 0.5, 2 * round(64 * fitted.wavelength_um * fitted.f_number) + 1
+            )
+            for light in lights
         )
         return 100 * float(np.abs((short + long) / 4 - mean / 2).sum())
 
     of_red = labkit.Results.load(folder).of_channel("R")
-    assert float(shown[0]) == pytest.approx(difference(of_red[0], of_red[0].at_focus()), rel=0.05)
-    assert float(shown[1]) == pytest.approx(max(difference(w, w.fitted) for w in of_red), rel=0.05)
+    assert float(shown[0]) == pytest.approx(
+        difference(of_red[0], of_red[0].at_focus()), rel=0.05
+    )
+    assert float(shown[1]) == pytest.approx(
+        max(difference(w, w.fitted) for w in of_red), rel=0.05
+    )
 
 
 def test_warnings_stand_before_the_figures(report: Path) -> None:
     html = report.read_text()
-    assert html.index("no dark frames: the black level") < html.index("<code>no-dark-frames</code>")
+    assert html.index("no dark frames: the black level") < html.index(
+        "<code>no-dark-frames</code>"
+    )
     assert html.index("<code>no-dark-frames</code>") < html.index("<figure>")
 
 
@@ -263,12 +330,24 @@ def test_results_that_know_no_lens_are_reported(tmp_path: Path, words_only: None
     assert "2986.84" in html
 
 
-def test_one_fit_without_range_residuals_or_noise_figures_is_reported(tmp_path: Path) -> None:
+def test_one_fit_without_range_residuals_or_noise_figures_is_reported(
+    tmp_path: Path,
+) -> None:
     unknown = float("nan")
     one = a_wavefront(
-        None, "M", gain=unknown, read_noise=unknown, test=None, covariance=np.full((3, 3), unknown), residuals=None
+        None,
+        "M",
+        gain=unknown,
+        read_noise=unknown,
+        test=None,
+        covariance=np.full((3, 3), unknown),
+        residuals=None,
     )
-    words = Page(write_report(written(tmp_path, wavefronts=(one,), focus=None, findings=())).read_text()).words()
+    words = Page(
+        write_report(
+            written(tmp_path, wavefronts=(one,), focus=None, findings=())
+        ).read_text()
+    ).words()
     assert "range not known" in words
     assert "1 optimum untested" in words
     assert not re.search(r"\bnan\b", words, re.IGNORECASE)
@@ -277,12 +356,20 @@ def test_one_fit_without_range_residuals_or_noise_figures_is_reported(tmp_path: 
 def test_a_rejected_optimum_stands_at_the_top(tmp_path: Path) -> None:
     rejected = a_wavefront(3200.0, test=replace(ACCEPTED, accepted=False))
     html = write_report(written(tmp_path, wavefronts=(a_wavefront(), rejected))).read_text()
-    assert html.index("1 of 2 fits shows signs of a wrong optimum: 3200 mm R") < html.index("<figure>")
+    assert html.index("1 of 2 fits shows signs of a wrong optimum: 3200 mm R") < html.index(
+        "<figure>"
+    )
 
 
-def test_pixels_that_the_model_does_not_explain_are_another_matter(tmp_path: Path, words_only: None) -> None:
+def test_pixels_that_the_model_does_not_explain_are_another_matter(
+    tmp_path: Path, words_only: None
+) -> None:
     unlike = a_wavefront(3200.0, test=replace(ACCEPTED, explains=False))
-    folder = written(tmp_path, wavefronts=(a_wavefront(), unlike), joint={"f_number": -0.31, "focal_length_mm": 0.1})
+    folder = written(
+        tmp_path,
+        wavefronts=(a_wavefront(), unlike),
+        joint={"f_number": -0.31, "focal_length_mm": 0.1},
+    )
     words = Page(write_report(folder).read_text()).words()
     assert "no sign of a wrong optimum in any of 2 fits" in words
     assert "does not explain the pixels of 1 of 2 fits to their noise: 3200 mm R" in words
@@ -292,17 +379,25 @@ def test_pixels_that_the_model_does_not_explain_are_another_matter(tmp_path: Pat
 def test_focus_is_drawn_where_the_rail_was_read_to_stand() -> None:
     wavefronts = [a_wavefront(r, measured_range_mm=r + 0.7) for r in (3000.0, 3200.0)]
     results = some_results(wavefronts=tuple(wavefronts))
-    figure = defocus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+    figure = defocus_chart(
+        results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0
+    )
     (points,) = (line for line in figure.axes[0].lines if "mm" in str(line.get_label()))
     np.testing.assert_allclose(np.asarray(points.get_xdata(), float), [3000.7, 3200.7])
 
 
-def test_the_report_says_which_lens_it_was_made_with(tmp_path: Path, words_only: None) -> None:
-    other = PLAN.model_copy(update={"lens": PLAN.lens.model_copy(update={"focal_length_mm": 71.5})})
+def test_the_report_says_which_lens_it_was_made_with(
+    tmp_path: Path, words_only: None
+) -> None:
+    other = PLAN.model_copy(
+        update={"lens": PLAN.lens.model_copy(update={"focal_length_mm": 71.5})}
+    )
     assert "71.5 mm f/2.8" in write_report(written(tmp_path, plan=other)).read_text()
 
 
-def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_that_fails_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = written(tmp_path)
     (folder / "report.html").write_text("old")
 
@@ -316,7 +411,9 @@ def test_a_report_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pyt
     assert not [p for p in folder.rglob("*") if p.name.startswith(".")]
 
 
-def test_a_report_may_lie_under_a_name_of_any_bytes(tmp_path: Path, words_only: None) -> None:
+def test_a_report_may_lie_under_a_name_of_any_bytes(
+    tmp_path: Path, words_only: None
+) -> None:
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
     folder.mkdir()
     assert "Results folder" in write_report(written(folder)).read_text()

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from labkit.optics.psf import diffraction_mtf
-from labkit.report.best_focus import BestFocus, at_best_focus, full_nyquist_per_mm, plane_nyquist_per_mm
+from labkit.report.best_focus import (
+    BestFocus,
+    at_best_focus,
+    full_nyquist_per_mm,
+    plane_nyquist_per_mm,
+)
 from labkit.report.curves import Curves, curves_of
 from labkit.report.focus_charts import energy_chart
 from labkit.report.focus_table import depth_table, focus_table
@@ -19,7 +24,12 @@ from tests.results_samples import PLAN, a_wavefront, some_results
 
 
 def with_modes(noll: tuple[int, ...], waves: list[float]) -> Wavefront:
-    return a_wavefront(noll=noll, waves=np.array(waves), covariance=1e-6 * np.eye(len(noll)), f_number_std=0.0)
+    return a_wavefront(
+        noll=noll,
+        waves=np.array(waves),
+        covariance=1e-6 * np.eye(len(noll)),
+        f_number_std=0.0,
+    )
 
 
 def at_focus(noll: tuple[int, ...], waves: list[float]) -> BestFocus:
@@ -46,31 +56,42 @@ def test_defocus_does_not_enter_what_is_given_at_best_focus() -> None:
     best = at_focus((4,), [0.8])
     assert best.strehl.value == pytest.approx(1.0)
     assert best.photographed.strehl.value < 0.3
-    assert best.mtf50["x"].value == pytest.approx(0.40397 / (650e-6 * 2.8), rel=1e-4)  # of Goodman's perfect MTF
+    assert best.mtf50["x"].value == pytest.approx(
+        0.40397 / (650e-6 * 2.8), rel=1e-4
+    )  # of Goodman's perfect MTF
 
 
 def test_each_channel_is_taken_where_it_is_nearest_to_focus() -> None:
-    wavefronts = tuple(a_wavefront(r, "R", d) for r, d in ((2800.0, -0.9), (3000.0, -0.1), (3200.0, 0.4)))
+    wavefronts = tuple(
+        a_wavefront(r, "R", d) for r, d in ((2800.0, -0.9), (3000.0, -0.1), (3200.0, 0.4))
+    )
     (best,) = at_best_focus(some_results(wavefronts=wavefronts))
     assert best.photographed.range_mm == 3000.0
 
 
 @pytest.mark.parametrize(
-    ("channel", "pattern", "plane"), [("R", None, 52.3), ("G", "RGGB", 52.3), ("R", "mono", 104.6)]
+    ("channel", "pattern", "plane"),
+    [("R", None, 52.3), ("G", "RGGB", 52.3), ("R", "mono", 104.6)],
 )
-def test_a_colour_of_a_filter_array_has_half_the_sampling(channel: str, pattern: str | None, plane: float) -> None:
+def test_a_colour_of_a_filter_array_has_half_the_sampling(
+    channel: str, pattern: str | None, plane: float
+) -> None:
     sensor = PLAN.sensor.model_copy(update={"cfa_pattern": pattern})
     assert full_nyquist_per_mm(sensor) == pytest.approx(104.6, abs=0.05)  # 500 / 4.78 µm
     assert plane_nyquist_per_mm(sensor, channel) == pytest.approx(plane, abs=0.05)
 
 
-def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_pixel() -> None:
+def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_pixel() -> (
+    None
+):
     best = at_focus((4,), [0.8])
     nyquist = 250 / 4.78
     perfect = float(diffraction_mtf(np.array(nyquist * 650e-6 * 2.8)))
     assert best.at_nyquist["y"].value == pytest.approx(perfect, rel=1e-9)
     # half of Nyquist's frequency of all pixels: sinc(1/4)
-    assert best.camera_at_nyquist["y"].value == pytest.approx(perfect * np.sin(np.pi / 4) / (np.pi / 4), rel=1e-9)
+    assert best.camera_at_nyquist["y"].value == pytest.approx(
+        perfect * np.sin(np.pi / 4) / (np.pi / 4), rel=1e-9
+    )
     cells = {row.cells[0]: row.cells[2] for row in focus_table([best], 450.0).rows}
     assert cells["Nyquist of its own pixels"] == "52.3"
     assert cells["Coma"] == "not fitted"
@@ -79,7 +100,9 @@ def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_p
 def test_maps_share_one_scale_that_is_even_about_zero() -> None:
     strong, weak = (at_focus((8,), [waves]).fitted for waves in (0.04, 0.01))
     limit = map_limit([strong, weak])
-    assert limit == pytest.approx(np.sqrt(8) * 0.04, rel=0.06)  # on the rim; few samples end a little within it
+    assert limit == pytest.approx(
+        np.sqrt(8) * 0.04, rel=0.06
+    )  # on the rim; few samples end a little within it
     figure = opd_picture({"R": strong, "B": weak}, limit, 450.0, "3000 mm")
     assert {axes.images[0].get_clim() for axes in figure.axes[:2]} == {(-limit, limit)}
 
@@ -96,7 +119,11 @@ def test_curves_have_bands_of_one_standard_error() -> None:
     band = np.asarray(axes.collections[0].get_paths()[0].vertices)
     edges = band[np.isclose(band[:, 0], best.mtf["x"].frequency_per_mm[widest]), 1]
     std = rise[widest] * step
-    np.testing.assert_allclose([edges.min(), edges.max()], best.mtf["x"].value[widest] + [-std, std], atol=0.01 * std)
+    np.testing.assert_allclose(
+        [edges.min(), edges.max()],
+        best.mtf["x"].value[widest] + [-std, std],
+        atol=0.01 * std,
+    )
     assert len(energy_chart([best], NAMED).axes[0].collections) == 1
 
 
@@ -111,11 +138,16 @@ def test_the_depth_of_focus_of_a_perfect_lens_is_four_wavelengths_n_squared() ->
     one = curves_of(results, at_best_focus(results))
     cells = {row.cells[0]: row.cells[2] for row in depth_table(one, results).rows}
     # 4.12 lambda N², where sinc² falls to 0.8; and 0.1 % of the f-number twice
-    value, _, error = cells["on the sensor"].partition("\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    value, _, error = cells["on the sensor"].partition(
+        "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+    )
     assert float(value) == pytest.approx(4.12 * 0.65 * 2.8**2, rel=1e-3)
     assert float(error) == pytest.approx(2e-3 * float(value), rel=0.05)
     # on the object's side: times (r / f)², near enough
-    near, far = (float(cells[key].split("\N{NO-BREAK SPACE}")[0]) for key in ("Depth of focus from", "to"))
+    near, far = (
+        float(cells[key].split("\N{NO-BREAK SPACE}")[0])
+        for key in ("Depth of focus from", "to")
+    )
     assert far - near == pytest.approx(float(value) * 1e-3 * (2981 / 69.31) ** 2, rel=0.06)
     assert near < 2986.84 < far
 
@@ -128,11 +160,17 @@ def test_a_place_through_focus_has_the_error_of_best_focus_beside_its_own() -> N
 
 
 def test_a_lens_focused_far_away_has_no_end_of_its_depth_of_focus() -> None:
-    far = Focus({"R": Uncertain(900_000.0, 900.0, "mm")}, Uncertain(1.0, 0.1), identifiable=True, residual_waves={})
+    far = Focus(
+        {"R": Uncertain(900_000.0, 900.0, "mm")},
+        Uncertain(1.0, 0.1),
+        identifiable=True,
+        residual_waves={},
+    )
     results = some_results(wavefronts=(a_wavefront(),), focus=far)
     # beyond f² over 2 lambda N², 450 m, infinity is within the depth of focus
     cells = {
-        row.cells[0]: row.cells[2] for row in depth_table(curves_of(results, at_best_focus(results)), results).rows
+        row.cells[0]: row.cells[2]
+        for row in depth_table(curves_of(results, at_best_focus(results)), results).rows
     }
     assert cells["to"] == "beyond any range"
 

@@ -18,7 +18,9 @@ from labkit.results import Residuals
 def test_quantiles_of_normal_residuals_keep_to_their_band() -> None:
     rng = np.random.default_rng(3)
     model, sigma = np.full((1, 1, 100, 100), 500.0), np.full((1, 1, 100, 100), 7.0)
-    normal, low, high, observed = residual_quantiles(Residuals(rng.normal(model, sigma), model, sigma))
+    normal, low, high, observed = residual_quantiles(
+        Residuals(rng.normal(model, sigma), model, sigma)
+    )
     assert np.all((low < normal) & (normal < high))
     # neighbouring order statistics go together, so a stray one takes some with it: allow 5 % for 1 %
     assert np.mean((observed < low) | (observed > high)) <= 0.05
@@ -35,7 +37,10 @@ def test_masked_pixels_leave_the_quantiles() -> None:
 def test_chip_and_model_share_a_scale_and_the_residual_has_its_own() -> None:
     model = np.linspace(100, 900, 400).reshape(1, 1, 20, 20)
     data = model.copy()
-    data[0, 0, 3, 4], data[0, 0, 5, 5] = np.nan, model[0, 0, 5, 5] + 20.0  # four standard deviations
+    data[0, 0, 3, 4], data[0, 0, 5, 5] = (
+        np.nan,
+        model[0, 0, 5, 5] + 20.0,
+    )  # four standard deviations
     content, low, high = chip_image(Residuals(data, model, np.full(model.shape, 5.0)))
     image = np.asarray(Image.open(BytesIO(content)).convert("RGB"), int)
     assert image.shape == (20, 3 * 20 + 2 * 3, 3)
@@ -67,7 +72,10 @@ def test_a_number_has_two_digits_of_its_error(value: float, std: float, text: st
     assert plus_minus(value, std) == text
 
 
-@pytest.mark.parametrize(("std", "text"), [(0.04, "75.23 ± 0.04"), (0.4, "75.2 ± 0.4"), (0.0004, "75.23000 ± 0.00040")])
+@pytest.mark.parametrize(
+    ("std", "text"),
+    [(0.04, "75.23 ± 0.04"), (0.4, "75.2 ± 0.4"), (0.0004, "75.23000 ± 0.00040")],
+)
 def test_an_error_is_never_printed_as_zero(std: float, text: str) -> None:
     places = 2 if std == 0.04 else 1
     assert plus_minus(75.23, std, places).replace("\N{NO-BREAK SPACE}", " ") == text
@@ -96,4 +104,8 @@ def test_nothing_is_minus_zero() -> None:
 
 def test_the_template_and_its_style_are_where_the_package_data_says() -> None:
     templates = Path(__file__).parents[2] / "labkit" / "report" / "templates"
-    assert {p.name for p in templates.iterdir()} == {"report.html.j2", "report.css", "report.js"}
+    assert {p.name for p in templates.iterdir()} == {
+        "report.html.j2",
+        "report.css",
+        "report.js",
+    }

@@ -19,7 +19,9 @@ def row(name: str) -> tuple[str, str]:
     table = lens_table(some_results())
     assert table is not None
     (one,) = (row.cells for row in table.rows if row.cells[0].startswith(name))
-    return one[2].replace("\N{NO-BREAK SPACE}", " "), one[3].replace("\N{NO-BREAK SPACE}", " ")
+    return one[2].replace("\N{NO-BREAK SPACE}", " "), one[3].replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
 
 
 @pytest.mark.parametrize(
@@ -33,7 +35,9 @@ def row(name: str) -> tuple[str, str]:
         ("f-number at the sensor", "2.8000 ± 0.0080", "—"),
     ],
 )
-def test_what_is_measured_stands_beside_what_the_plan_states(name: str, measured: str, stated: str) -> None:
+def test_what_is_measured_stands_beside_what_the_plan_states(
+    name: str, measured: str, stated: str
+) -> None:
     assert row(name) == (measured, stated)
 
 
@@ -46,7 +50,9 @@ def test_the_cone_is_that_of_the_wavefront_that_knows_it_best() -> None:
     def cone(f_number: float, std: float) -> Wavefront:
         return a_wavefront(f_number=f_number, f_number_std=std)
 
-    results = some_results(wavefronts=(cone(2.7, float("nan")), cone(2.9, 0.01), cone(2.8, 0.1)))
+    results = some_results(
+        wavefronts=(cone(2.7, float("nan")), cone(2.9, 0.01), cone(2.8, 0.1))
+    )
     assert working_f_number(results, "R") == Uncertain(2.9, 0.01)
 
 
@@ -64,12 +70,22 @@ def test_without_an_estimated_lens_curves_are_those_of_the_plan() -> None:
 
 def test_defocus_is_shown_as_blur_too() -> None:
     results = some_results()
-    figure = defocus_chart(results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+    figure = defocus_chart(
+        results, results.focus, lambda channel, ranges_mm: 0 * ranges_mm, 71.0
+    )
     figure.draw_without_rendering()
-    waves, blur = (axes.get_ylim() for axes in (figure.axes[0], figure.axes[0].child_axes[0]))
+    waves, blur = (
+        axes.get_ylim() for axes in (figure.axes[0], figure.axes[0].child_axes[0])
+    )
     np.testing.assert_allclose(blur, 300 * np.array(waves))
-    schema_1 = some_results(wavefronts=tuple(a_wavefront(r, blur=None) for r in (3000.0, 3200.0)), focus=None)
-    assert not defocus_chart(schema_1, None, lambda channel, ranges_mm: 0 * ranges_mm, 71.0).axes[0].child_axes
+    schema_1 = some_results(
+        wavefronts=tuple(a_wavefront(r, blur=None) for r in (3000.0, 3200.0)), focus=None
+    )
+    assert (
+        not defocus_chart(schema_1, None, lambda channel, ranges_mm: 0 * ranges_mm, 71.0)
+        .axes[0]
+        .child_axes
+    )
 
 
 def test_shares_are_of_the_variance_and_make_the_whole() -> None:
@@ -82,7 +98,15 @@ def test_shares_are_of_the_variance_and_make_the_whole() -> None:
 def test_the_whole_of_a_row_is_its_sources_added_in_squares() -> None:
     table = budget_table(some_results())
     assert table is not None
-    assert table.rows[0].cells == ("best focus, R", "mm", "0.300", "0.100", "0.200", "0.200", "0.424")  # sqrt(0.18)
+    assert table.rows[0].cells == (
+        "best focus, R",
+        "mm",
+        "0.300",
+        "0.100",
+        "0.200",
+        "0.200",
+        "0.424",
+    )  # sqrt(0.18)
 
 
 def test_bars_reach_a_hundred_per_cent_and_only_wide_pieces_are_labelled() -> None:

@@ -79,21 +79,45 @@ def bare_numbers(html: str) -> list[str]:
         reasons = set(re.findall(r"\[(\w)\] \S", notes))
         for row in rows[1:]:
             for k, cell in enumerate(row):
-                why = [*row[0].marks, *(heading[k].marks if len(heading) == len(row) else []), *cell.marks]
-                if NUMBER.search(cell.text) and not WITH_ERROR.search(cell.text) and not set(why) & reasons:
-                    found.append(f"{row[0].text.strip()} | {heading[min(k, len(heading) - 1)].text}: {cell.text}")
+                why = [
+                    *row[0].marks,
+                    *(heading[k].marks if len(heading) == len(row) else []),
+                    *cell.marks,
+                ]
+                if (
+                    NUMBER.search(cell.text)
+                    and not WITH_ERROR.search(cell.text)
+                    and not set(why) & reasons
+                ):
+                    found.append(
+                        f"{row[0].text.strip()} | {heading[min(k, len(heading) - 1)].text}: {cell.text}"
+                    )
     return found
 
 
 SPECTRUM = ResidualSpectrum(np.linspace(0.02, 0.5, 12), np.ones(12), 2 * np.ones(12))
-DOUBTFUL = OptimumTest("starts", False, 0.001, 4, ("astigmatism",), (OtherOptimum(np.zeros(3), 41.0),), explains=False)
+DOUBTFUL = OptimumTest(
+    "starts",
+    False,
+    0.001,
+    4,
+    ("astigmatism",),
+    (OtherOptimum(np.zeros(3), 41.0),),
+    explains=False,
+)
 
 
 def spread(**changed: Any) -> tuple[Any, ...]:
     """Fits whose modes differ from range to range."""
     return tuple(
         a_wavefront(
-            r, c, d, waves=np.array([d, 0.03 + 1e-6 * r, -0.04]), residual_spectrum=SPECTRUM, test=DOUBTFUL, **changed
+            r,
+            c,
+            d,
+            waves=np.array([d, 0.03 + 1e-6 * r, -0.04]),
+            residual_spectrum=SPECTRUM,
+            test=DOUBTFUL,
+            **changed,
         )
         for r, d in ((3000.0, 0.08), (3200.0, 1.14))
         for c in ("R", "B")
@@ -104,12 +128,26 @@ CASES: dict[str, dict[str, Any]] = {
     "a session with its lens": {},
     "without a lens": {"lens": None, "budget": {}},
     "without best focus": {"focus": None, "lens": None, "budget": {}},
-    "without ranges": {"wavefronts": (a_wavefront(None, "R"),), "focus": None, "lens": None, "budget": {}},
+    "without ranges": {
+        "wavefronts": (a_wavefront(None, "R"),),
+        "focus": None,
+        "lens": None,
+        "budget": {},
+    },
     "fits by themselves": {"wavefronts": spread(), "lens": None},
-    "errors unknown": {"wavefronts": spread(covariance=np.full((3, 3), np.nan), f_number_std=np.nan), "lens": None},
+    "errors unknown": {
+        "wavefronts": spread(covariance=np.full((3, 3), np.nan), f_number_std=np.nan),
+        "lens": None,
+    },
     "a camera's parts": {
-        "model_parts": {"low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"), "veil.share": Uncertain(0.01)},
-        "parts_tried": (PartTried("low_pass_filter", 812.3, True), PartTried("veil", 0.0, False)),
+        "model_parts": {
+            "low_pass_filter.rows_px": Uncertain(0.55, 0.004, "px"),
+            "veil.share": Uncertain(0.01),
+        },
+        "parts_tried": (
+            PartTried("low_pass_filter", 812.3, True),
+            PartTried("veil", 0.0, False),
+        ),
         "widest_light_nm": {"R": 20.0, "B": 17.0},
     },
 }
@@ -118,12 +156,16 @@ CASES: dict[str, dict[str, Any]] = {
 @pytest.fixture(autouse=True)
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tables are walked: their sections are there, and figures, which take most of the time, are not drawn."""
-    monkeypatch.setattr("labkit.report.html.draw_figures", lambda *_: {"fits": [], "place": []})
+    monkeypatch.setattr(
+        "labkit.report.html.draw_figures", lambda *_: {"fits": [], "place": []}
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_each_number_of_a_table_has_its_error_or_the_reason_why_it_has_none(tmp_path: Path, case: str) -> None:
+def test_each_number_of_a_table_has_its_error_or_the_reason_why_it_has_none(
+    tmp_path: Path, case: str
+) -> None:
     html = write_report(written(tmp_path, **CASES[case])).read_text()
     assert len(Tables(html).tables) >= 8
     assert bare_numbers(html) == []
@@ -141,4 +183,9 @@ def test_a_bare_number_would_be_found() -> None:
     assert bare_numbers(table) == ["coma | waves: 0.03"]
     marked = table.replace("waves", "waves<sup>a</sup>")
     assert bare_numbers(marked) == ["coma | waves: 0.03"]
-    assert bare_numbers(f"{marked}<p class=notes>Without an error: <sup>a</sup>\N{NO-BREAK SPACE}stated.</p>") == []
+    assert (
+        bare_numbers(
+            f"{marked}<p class=notes>Without an error: <sup>a</sup>\N{NO-BREAK SPACE}stated.</p>"
+        )
+        == []
+    )

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from labkit.estimation.likelihood import Detector, FrameData
-from labkit.estimation.residual_spectrum import BINS, residual_frequencies, residual_spectrum
+from labkit.estimation.residual_spectrum import (
+    BINS,
+    residual_frequencies,
+    residual_spectrum,
+)
 from labkit.types import Bools, Floats
 
 SHAPE = (96, 120)
@@ -38,7 +42,9 @@ def test_a_wave_stands_at_its_frequency() -> None:
     rows, columns = np.indices(SHAPE)
     power = spectrum(used, np.cos(2 * np.pi * (0.175 * columns + 0.125 * rows)))
     frequencies = residual_frequencies([frame(used, 0 * RELATIVE)])
-    assert frequencies[np.argmax(power)] == pytest.approx(np.hypot(0.175, 0.125), abs=0.5 / BINS / 2)
+    assert frequencies[np.argmax(power)] == pytest.approx(
+        np.hypot(0.175, 0.125), abs=0.5 / BINS / 2
+    )
     assert np.delete(power, np.argmax(power)).max() < 0.01 * power.max()
 
 
@@ -47,5 +53,7 @@ def test_a_bayer_plane_is_flat_up_to_its_own_nyquist_frequency() -> None:
     used[::2, 1::2] = True
     rng = np.random.default_rng(2)
     power = spectrum(used, *rng.normal(size=(8, *SHAPE)))
-    assert residual_frequencies([frame(used, 0 * RELATIVE)])[-1] == pytest.approx(0.25 * (1 - 0.5 / BINS))
+    assert residual_frequencies([frame(used, 0 * RELATIVE)])[-1] == pytest.approx(
+        0.25 * (1 - 0.5 / BINS)
+    )
     assert np.abs(power - 1).max() < 0.2

@@ -27,7 +27,12 @@ class NoModel:
 
 
 def verdict(
-    seed: int, used: NDArray[np.bool_], prior: NoisePrior, *, louder: float = 1.0, pattern: Floats | float = 0.0
+    seed: int,
+    used: NDArray[np.bool_],
+    prior: NoisePrior,
+    *,
+    louder: float = 1.0,
+    pattern: Floats | float = 0.0,
 ) -> Verdict:
     """On noise of 0.5 counts per electron about 400 u + 30 and read variance 4, `louder` times as strong, and a pattern."""
     rng = np.random.default_rng(seed)
@@ -40,23 +45,33 @@ def verdict(
 
 
 @pytest.mark.parametrize("prior", [CALIBRATED, UNKNOWN], ids=["calibrated", "unknown"])
-@pytest.mark.parametrize("used", [np.ones(SHAPE, bool), GREEN, RED], ids=["mono", "green", "red"])
-def test_noise_alone_is_accepted_on_every_kind_of_plane(used: NDArray[np.bool_], prior: NoisePrior) -> None:
+@pytest.mark.parametrize(
+    "used", [np.ones(SHAPE, bool), GREEN, RED], ids=["mono", "green", "red"]
+)
+def test_noise_alone_is_accepted_on_every_kind_of_plane(
+    used: NDArray[np.bool_], prior: NoisePrior
+) -> None:
     rejected = sum(not verdict(seed, used, prior).accepted for seed in range(300))
     # 0.3 are expected at a significance of 1e-3; more than 3 come by chance less than once in 3000 times
     assert rejected <= 3
     assert SETTINGS.contradiction_chance == 1e-3
 
 
-@pytest.mark.parametrize(("used", "lags"), [(np.ones(SHAPE, bool), 8), (GREEN, 6), (RED, 4)])
-def test_likeness_is_asked_only_at_distances_that_the_plane_has(used: NDArray[np.bool_], lags: int) -> None:
+@pytest.mark.parametrize(
+    ("used", "lags"), [(np.ones(SHAPE, bool), 8), (GREEN, 6), (RED, 4)]
+)
+def test_likeness_is_asked_only_at_distances_that_the_plane_has(
+    used: NDArray[np.bool_], lags: int
+) -> None:
     # of the eight, green lacks (0, 1) and (1, 0), red the diagonals as well; chi2 of k has mean k and variance 2 k
     correlation = [verdict(seed, used, CALIBRATED).correlation for seed in range(300)]
     assert np.mean(correlation) == pytest.approx(lags, abs=4 * np.sqrt(2 * lags / 300))
 
 
 def test_louder_noise_is_rejected_where_the_noise_was_calibrated() -> None:
-    assert not any(verdict(seed, GREEN, CALIBRATED, louder=1.5).accepted for seed in range(20))
+    assert not any(
+        verdict(seed, GREEN, CALIBRATED, louder=1.5).accepted for seed in range(20)
+    )
 
 
 def test_louder_noise_says_nothing_where_it_was_not() -> None:
@@ -73,11 +88,19 @@ def test_modes_that_the_data_do_not_tell_are_named_and_rejected() -> None:
     seen = accepted.given_covariance(told + 9 * np.outer(opposed, opposed), (4, 8, 11))
     assert not seen.accepted
     assert seen.undetermined == ("-0.5 defocus +1 spherical",)
-    assert accepted.given_covariance(np.diag([1e-4, 1.0, 1e-4]), (4, 8, 11)).undetermined == ("horizontal coma",)
+    assert accepted.given_covariance(
+        np.diag([1e-4, 1.0, 1e-4]), (4, 8, 11)
+    ).undetermined == ("horizontal coma",)
 
 
 @pytest.mark.parametrize("prior", [CALIBRATED, UNKNOWN], ids=["calibrated", "unknown"])
-@pytest.mark.parametrize("used", [np.ones(SHAPE, bool), GREEN, RED], ids=["mono", "green", "red"])
-def test_a_pattern_is_rejected_whether_or_not_the_noise_is_known(used: NDArray[np.bool_], prior: NoisePrior) -> None:
+@pytest.mark.parametrize(
+    "used", [np.ones(SHAPE, bool), GREEN, RED], ids=["mono", "green", "red"]
+)
+def test_a_pattern_is_rejected_whether_or_not_the_noise_is_known(
+    used: NDArray[np.bool_], prior: NoisePrior
+) -> None:
     ripple = 20 * np.sin(COLUMNS / 3) * np.sin(ROWS / 3)
-    assert not any(verdict(seed, used, prior, pattern=ripple).accepted for seed in range(20))
+    assert not any(
+        verdict(seed, used, prior, pattern=ripple).accepted for seed in range(20)
+    )

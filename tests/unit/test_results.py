@@ -20,7 +20,16 @@ from labkit.report.html import write_report
 from labkit.results import OptimumTest, ResidualSpectrum, Results
 from labkit.results.model import PartTried
 from labkit.results.storage import kept_keys
-from tests.results_samples import ACCEPTED, BROAD, BUDGET, FOCUS, LENS, a_wavefront, some_results, written
+from tests.results_samples import (
+    ACCEPTED,
+    BROAD,
+    BUDGET,
+    FOCUS,
+    LENS,
+    a_wavefront,
+    some_results,
+    written,
+)
 
 CONTRACT: dict[str, Any] = {
     "schema": 1,
@@ -95,24 +104,48 @@ def printed(folder: Path, contract: Mapping[str, Any]) -> Results:
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     folder = written(tmp_path)
     first, again = some_results(), Results.load(folder)
-    assert (again.plan, again.focus and again.focus.best_focus_mm) == (first.plan, FOCUS.best_focus_mm)
+    assert (again.plan, again.focus and again.focus.best_focus_mm) == (
+        first.plan,
+        FOCUS.best_focus_mm,
+    )
     assert (again.lens, again.budget) == (LENS, BUDGET)
     for w, back in zip(first, again, strict=True):
-        assert (back.key, back.noll, back.test, back.frames) == (w.key, w.noll, w.test, w.frames)
+        assert (back.key, back.noll, back.test, back.frames) == (
+            w.key,
+            w.noll,
+            w.test,
+            w.frames,
+        )
         assert (back.blur, back.working_f_number) == (w.blur, w.working_f_number)
         np.testing.assert_array_equal(back.covariance, w.covariance)
         np.testing.assert_array_equal(back.poses, w.poses)
         assert back.residuals
         assert w.residuals
-        np.testing.assert_allclose(back.residuals.data, w.residuals.data, rtol=1e-7)  # kept in single precision
+        np.testing.assert_allclose(
+            back.residuals.data, w.residuals.data, rtol=1e-7
+        )  # kept in single precision
 
 
 def test_what_a_poor_model_leaves_and_lacks_is_kept_and_told(tmp_path: Path) -> None:
-    left = ResidualSpectrum(np.array([0.1, 0.2]), np.array([2.5, 1.1]), np.array([7.0, 1.5]))
-    poor = a_wavefront(test=replace(ACCEPTED, explains=False), missing=("low_pass_filter",), residual_spectrum=left)
-    folder = written(tmp_path, wavefronts=(poor, a_wavefront(3200.0)), parts_tried=(PartTried("veil", 3.0, False),))
+    left = ResidualSpectrum(
+        np.array([0.1, 0.2]), np.array([2.5, 1.1]), np.array([7.0, 1.5])
+    )
+    poor = a_wavefront(
+        test=replace(ACCEPTED, explains=False),
+        missing=("low_pass_filter",),
+        residual_spectrum=left,
+    )
+    folder = written(
+        tmp_path,
+        wavefronts=(poor, a_wavefront(3200.0)),
+        parts_tried=(PartTried("veil", 3.0, False),),
+    )
     back, plain = Results.load(folder).wavefronts
-    assert (back.missing, plain.missing, plain.residual_spectrum) == (("low_pass_filter",), (), None)
+    assert (back.missing, plain.missing, plain.residual_spectrum) == (
+        ("low_pass_filter",),
+        (),
+        None,
+    )
     assert back.residual_spectrum is not None
     assert back.residual_spectrum.without_parts is not None
     for kept, made in zip(vars_of(back.residual_spectrum), vars_of(left), strict=True):
@@ -125,11 +158,17 @@ def test_what_a_poor_model_leaves_and_lacks_is_kept_and_told(tmp_path: Path) -> 
 
 
 def test_numbers_and_psfs_are_of_all_the_light_after_reading_too(tmp_path: Path) -> None:
-    folder = written(tmp_path, wavefronts=(a_wavefront(spectrum=BROAD), a_wavefront(3200.0)))
+    folder = written(
+        tmp_path, wavefronts=(a_wavefront(spectrum=BROAD), a_wavefront(3200.0))
+    )
     broad, alone = Results.load(folder).wavefronts
-    np.testing.assert_allclose(np.array(broad.spectrum.shares), np.array(BROAD.shares), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.array(broad.spectrum.shares), np.array(BROAD.shares), rtol=1e-12
+    )
     assert alone.spectrum.nodes == (1.0,)
-    assert broad.strehl.value == pytest.approx(a_wavefront(spectrum=BROAD).strehl.value, abs=1e-12)
+    assert broad.strehl.value == pytest.approx(
+        a_wavefront(spectrum=BROAD).strehl.value, abs=1e-12
+    )
     stored = np.load(folder / "psf.npz")
     kept, spacing_um = stored[f"psf_{broad.key}"], float(stored["spacing_um"])
     np.testing.assert_allclose(kept, broad.psf(spacing_um, len(kept)), atol=1e-8)
@@ -165,16 +204,30 @@ def test_what_schema_2_prints_is_read(tmp_path: Path) -> None:
         results.lens.pupil_magnification,
         results.lens.range_zero,
     )
-    assert [str(x) for x in numbers] == ["69.100 ± 0.090 mm", "2.8700 ± 0.0080", "0.960 ± 0.050", "-5.8 ± 4.0 mm"]
+    assert [str(x) for x in numbers] == [
+        "69.100 ± 0.090 mm",
+        "2.8700 ± 0.0080",
+        "0.960 ± 0.050",
+        "-5.8 ± 4.0 mm",
+    ]
     assert results.budget == CONTRACT_2["budget"]
     w = results[3000, "R"]
     assert str(w.working_f_number) == "2.9400 ± 0.0080"
     assert str(w.blur) == "-34.650 ± 0.011 um"
-    assert results.budget_rows()[1] == ["best_focus_mm.G", "0.020", "0.010", "0.030", "0.000", "0.037"]  # sqrt(0.0014)
+    assert results.budget_rows()[1] == [
+        "best_focus_mm.G",
+        "0.020",
+        "0.010",
+        "0.030",
+        "0.000",
+        "0.037",
+    ]  # sqrt(0.0014)
 
 
 @pytest.mark.parametrize("contract", [CONTRACT, CONTRACT_2])
-def test_warnings_of_earlier_schemas_are_notes(tmp_path: Path, contract: dict[str, Any]) -> None:
+def test_warnings_of_earlier_schemas_are_notes(
+    tmp_path: Path, contract: dict[str, Any]
+) -> None:
     results = printed(tmp_path, contract)
     assert results.findings == (Finding("note", None, {}, "..."),)
     assert results.warnings == ("...",)
@@ -190,10 +243,18 @@ def test_what_schema_3_prints_is_read(tmp_path: Path) -> None:
 
 def test_findings_and_tiles_are_read_back(tmp_path: Path) -> None:
     findings = (
-        found("chi2-unusual", Key(3000.0, "R", (0, 2)), chi2_per_pixel=float("nan"), low=0.9, high=1.5),
+        found(
+            "chi2-unusual",
+            Key(3000.0, "R", (0, 2)),
+            chi2_per_pixel=float("nan"),
+            low=0.9,
+            high=1.5,
+        ),
         replace(found("no-dark-frames"), warns=False),
     )
-    folder = written(tmp_path, findings=findings, wavefronts=(a_wavefront(tile=(0, 2)), a_wavefront()))
+    folder = written(
+        tmp_path, findings=findings, wavefronts=(a_wavefront(tile=(0, 2)), a_wavefront())
+    )
     again = Results.load(folder)
     assert again.findings == findings
     assert again.warnings == (findings[0].text,)
@@ -220,7 +281,9 @@ def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
 def test_optimum_and_model_are_two_questions(tmp_path: Path) -> None:
     assert ACCEPTED.explains
     folder = written(
-        tmp_path, wavefronts=(a_wavefront(test=replace(ACCEPTED, explains=False)),), joint={"f_number": 0.3}
+        tmp_path,
+        wavefronts=(a_wavefront(test=replace(ACCEPTED, explains=False)),),
+        joint={"f_number": 0.3},
     )
     entry = json.loads((folder / "results.json").read_text())
     assert entry["wavefronts"][0]["optimum"]["accepted"] is True
@@ -231,9 +294,18 @@ def test_optimum_and_model_are_two_questions(tmp_path: Path) -> None:
 
 
 def test_results_without_a_lens_say_so_in_their_file(tmp_path: Path) -> None:
-    folder = written(tmp_path, lens=None, budget={}, wavefronts=(a_wavefront(blur=None, f_number_std=float("nan")),))
+    folder = written(
+        tmp_path,
+        lens=None,
+        budget={},
+        wavefronts=(a_wavefront(blur=None, f_number_std=float("nan")),),
+    )
     entry = json.loads((folder / "results.json").read_text())
-    assert (entry["lens"], entry["budget"], entry["wavefronts"][0]["blur_um"]) == (None, {}, None)
+    assert (entry["lens"], entry["budget"], entry["wavefronts"][0]["blur_um"]) == (
+        None,
+        {},
+        None,
+    )
     assert entry["wavefronts"][0]["f_number_working"] == {"value": 2.8, "std": None}
     again = Results.load(folder)
     assert (again.lens, again.budget, again.wavefronts[0].blur) == (None, {}, None)
@@ -257,7 +329,9 @@ def test_psfs_are_kept_as_the_contract_says(tmp_path: Path) -> None:
 def test_a_wavefront_is_found_by_range_and_channel() -> None:
     results = some_results()
     assert results[3200, "B"] is results.wavefronts[3]
-    with pytest.raises(KeyError, match="no wavefront of R at 3100 mm: there are R at 3000 mm, B at 3000 mm"):
+    with pytest.raises(
+        KeyError, match="no wavefront of R at 3100 mm: there are R at 3000 mm, B at 3000 mm"
+    ):
         results[3100, "R"]
     with pytest.raises(KeyError, match="Noll mode 11"):
         results[3200, "B"][11]
@@ -269,7 +343,9 @@ def test_a_table_has_a_row_for_each_coefficient() -> None:
     assert isinstance(table, pandas.DataFrame)
     assert list(table.columns) == ["range_mm", "channel", "mode", "waves", "std"]
     assert len(table) == 12
-    coma = table[(table["range_mm"] == 3200) & (table["channel"] == "B") & (table["mode"] == 8)]
+    coma = table[
+        (table["range_mm"] == 3200) & (table["channel"] == "B") & (table["mode"] == 8)
+    ]
     assert coma[["waves", "std"]].to_numpy().tolist() == [[-0.04, 0.0013]]
 
 
@@ -285,20 +361,33 @@ def test_a_small_error_is_printed_with_its_digits_and_never_as_nothing() -> None
     sharp = a_wavefront(covariance=np.diag([1e-10, 4e-10, 4e-10]))
     _, row = some_results(wavefronts=(sharp,)).wavefront_rows()
     assert row[2] == "+0.075100 ± 0.000010"
-    assert row[3] == "0.090222 ± 0.000014"  # sqrt(0.0751² · 1e-10 + 0.05² · 4e-10) / 0.090222
+    assert (
+        row[3] == "0.090222 ± 0.000014"
+    )  # sqrt(0.0751² · 1e-10 + 0.05² · 4e-10) / 0.090222
 
 
 def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
     rejected = replace(a_wavefront(3000.0, "R", -0.3).test, accepted=False)  # type: ignore[type-var]
-    results = some_results(wavefronts=(a_wavefront(3000.0, "R", -0.3, test=rejected), a_wavefront(None)))
+    results = some_results(
+        wavefronts=(a_wavefront(3000.0, "R", -0.3, test=rejected), a_wavefront(None))
+    )
     _, first, second = results.wavefront_rows()
     # sqrt(0.3^2 + 0.03^2 + 0.04^2)
-    assert first == ["3000", "R", "-0.3000 ± 0.0011", "0.3041 ± 0.0011", "1.018", "REJECTED"]
+    assert first == [
+        "3000",
+        "R",
+        "-0.3000 ± 0.0011",
+        "0.3041 ± 0.0011",
+        "1.018",
+        "REJECTED",
+    ]
     assert second[:2] == ["", "R"]
 
 
 def test_a_row_has_as_many_digits_as_its_error() -> None:
-    small = a_wavefront(covariance=np.diag([1.21e-10, 1e-10, 1e-10]))  # standard errors of 1.1e-5 and 1e-5
+    small = a_wavefront(
+        covariance=np.diag([1.21e-10, 1e-10, 1e-10])
+    )  # standard errors of 1.1e-5 and 1e-5
     (_, row) = some_results(wavefronts=(small,)).wavefront_rows()
     assert row[2].endswith("± 0.000011")
     assert "± 0.0000 " not in " ".join([*row, ""])
@@ -317,11 +406,17 @@ def test_a_report_of_earlier_results_does_not_stay(tmp_path: Path) -> None:
     (folder / "figures").mkdir()
     (folder / "report.html").write_text("old")
     some_results().write(folder)
-    assert {path.name for path in folder.iterdir()} == {"results.json", "psf.npz", "residuals.npz"}
+    assert {path.name for path in folder.iterdir()} == {
+        "results.json",
+        "psf.npz",
+        "residuals.npz",
+    }
 
 
 def test_what_a_folder_keeps_is_known_without_reading_it_all(tmp_path: Path) -> None:
-    assert kept_keys(written(tmp_path)) == {Key(mm, channel) for mm in (3000, 3200) for channel in "RB"}
+    assert kept_keys(written(tmp_path)) == {
+        Key(mm, channel) for mm in (3000, 3200) for channel in "RB"
+    }
     assert kept_keys(tmp_path) == set()
 
 
@@ -335,7 +430,9 @@ def test_what_a_folder_keeps_is_known_without_reading_it_all(tmp_path: Path) -> 
         ("[" * 100_000, "cannot read"),
     ],
 )
-def test_results_that_cannot_be_read_give_one_line(tmp_path: Path, text: str | None, complaint: str) -> None:
+def test_results_that_cannot_be_read_give_one_line(
+    tmp_path: Path, text: str | None, complaint: str
+) -> None:
     folder = tmp_path / "results" / "latest"
     folder.mkdir(parents=True)
     if text is not None:
@@ -354,13 +451,26 @@ WHERE = {"range_mm": None, "channel": None, "tile": None}
         {"findings": None},
         {"findings": [{"code": "a-code"}]},
         {"findings": [{"code": "NO CODE", "where": WHERE, "numbers": {}, "text": "..."}]},
-        {"findings": [{"code": "a-code", "where": WHERE | {"channel": "R", "tile": 3}, "numbers": {}, "text": "..."}]},
+        {
+            "findings": [
+                {
+                    "code": "a-code",
+                    "where": WHERE | {"channel": "R", "tile": 3},
+                    "numbers": {},
+                    "text": "...",
+                }
+            ]
+        },
         {"findings": [{"code": "a-code", "where": WHERE, "numbers": [1], "text": "..."}]},
         {"wavefronts": [CONTRACT_3["wavefronts"][0] | {"key": {"channel": "R"}}]},
     ],
 )
-def test_damaged_findings_and_keys_give_one_line(tmp_path: Path, damage: dict[str, Any]) -> None:
-    with pytest.raises(DataError, match=r"is not as schema 3 has it: .+; fit the session again") as caught:
+def test_damaged_findings_and_keys_give_one_line(
+    tmp_path: Path, damage: dict[str, Any]
+) -> None:
+    with pytest.raises(
+        DataError, match=r"is not as schema 3 has it: .+; fit the session again"
+    ) as caught:
         printed(tmp_path, CONTRACT_3 | damage)
     assert "\n" not in str(caught.value)
 

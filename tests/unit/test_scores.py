@@ -24,8 +24,12 @@ SPECTRUM = SpectrumWidth.name
 
 def problem(*parts: Part) -> Problem:
     """Frames taken with parts of a camera, and a model without."""
-    with_them = ForwardModel.build(replace(OPTICS, given=parts), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
-    without = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    with_them = ForwardModel.build(
+        replace(OPTICS, given=parts), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
+    without = ForwardModel.build(
+        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
     return replace(photographed(with_them), model=without)
 
 
@@ -45,7 +49,9 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
-    assert test.gain == pytest.approx(gained, rel=0.3)  # 20.3 of 23.7: a cosine is no parabola
+    assert test.gain == pytest.approx(
+        gained, rel=0.3
+    )  # 20.3 of 23.7: a cosine is no parabola
     rows, columns = climbed.measured.values[3:5]
     std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
     assert climbed.solution.converged
@@ -56,7 +62,9 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
 def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing() -> None:
     frames = problem(LowPass(0.2, 0.15))
     # a target that is no panel's: the panel's numbers are as their prior has them
-    shown = replace(frames, model=frames.model.with_optics(replace(OPTICS, panel=Aperture())))
+    shown = replace(
+        frames, model=frames.model.with_optics(replace(OPTICS, panel=Aperture()))
+    )
     ours, plain = asked(shown), asked(frames)
     assert ours.keys() == plain.keys()
     for name, test in plain.items():
@@ -67,7 +75,9 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
 def test_a_veil_is_climbed_to_with_its_width() -> None:
     frames = problem(Veil(0.02, 7.0))
     model = frames.model.with_optics(OPTICS.with_part("veil"))
-    climbed = free_cone(replace(frames, model=model), Start(fitted(frames).solution.state), 0.03)
+    climbed = free_cone(
+        replace(frames, model=model), Start(fitted(frames).solution.state), 0.03
+    )
     share, log_scale = climbed.measured.values[3:5]
     std = np.sqrt(np.diag(climbed.measured.covariance)[3:5])
     assert climbed.solution.converged
@@ -77,7 +87,9 @@ def test_a_veil_is_climbed_to_with_its_width() -> None:
 
 def test_a_plain_camera_calls_for_nothing() -> None:
     # twice the gain of n numbers is chi-squared of n at most: beyond 7 once in a thousand for three of them
-    assert {name: test.gain for name, test in asked(problem()).items() if test.gain > 7} == {}
+    assert {
+        name: test.gain for name, test in asked(problem()).items() if test.gain > 7
+    } == {}
 
 
 def test_a_model_that_has_everything_calls_for_nothing() -> None:
@@ -85,8 +97,12 @@ def test_a_model_that_has_everything_calls_for_nothing() -> None:
 
 
 def test_what_a_plan_gives_is_not_asked_for() -> None:
-    assert replace(OPTICS, given=(LowPass(0.3, 0.3),)).lacking == [name for name in EVERY if name != "low_pass_filter"]
-    assert replace(OPTICS, spectrum=Spectrum()).lacking == [name for name in EVERY if name != SPECTRUM]
+    assert replace(OPTICS, given=(LowPass(0.3, 0.3),)).lacking == [
+        name for name in EVERY if name != "low_pass_filter"
+    ]
+    assert replace(OPTICS, spectrum=Spectrum()).lacking == [
+        name for name in EVERY if name != SPECTRUM
+    ]
     assert OPTICS.with_part("veil").lacking == [name for name in EVERY if name != "veil"]
 
 

@@ -36,20 +36,29 @@ RANGES = (1900.0, 1980.0, 2060.0, 2140.0, 2220.0)
 PLAN = stated(70.0, 2.8)
 
 
-def session(channels: str = "RGB", ranges: Sequence[float] = RANGES, focus_mm: float = 2050.0) -> list[Observed]:
+def session(
+    channels: str = "RGB", ranges: Sequence[float] = RANGES, focus_mm: float = 2050.0
+) -> list[Observed]:
     """70 mm f/2.8 with some astigmatism, coma and spherical aberration, each fit with errors as it says."""
     rng = np.random.default_rng(5)
     every = [
-        one for one in members(ranges, focus_mm, 70.0, 2.8, 0.985, modes=MODES) if one.reading.key.channel in channels
+        one
+        for one in members(ranges, focus_mm, 70.0, 2.8, 0.985, modes=MODES)
+        if one.reading.key.channel in channels
     ]
-    drawn = [rng.multivariate_normal(measured_of(one).values, measured_of(one).covariance) for one in every]
+    drawn = [
+        rng.multivariate_normal(measured_of(one).values, measured_of(one).covariance)
+        for one in every
+    ]
     return [with_values(one, values) for one, values in zip(every, drawn, strict=True)]
 
 
 def chosen(selection: Selection) -> Floats:
     """(n, values) of the chosen candidates, with their signs."""
     picked = [selection.candidate(k) for k in range(len(selection.observed))]
-    return np.array([(c.measured if sign > 0 else c.measured.twin()).values for c, sign in picked])
+    return np.array(
+        [(c.measured if sign > 0 else c.measured.twin()).values for c, sign in picked]
+    )
 
 
 def true(every: Sequence[Observed]) -> Floats:
@@ -69,7 +78,9 @@ def test_signs_undo_a_random_choice_of_twins(seed: int) -> None:
     ranges = np.sort(rng.uniform(1900, 2200, 5)).tolist()
     every = session("GR", ranges, float(rng.uniform(1950, 2150)))
     flips = rng.choice([True, False], len(every))
-    selection = select([turned(one) if flip else one for one, flip in zip(every, flips, strict=True)], PLAN)
+    selection = select(
+        [turned(one) if flip else one for one, flip in zip(every, flips, strict=True)], PLAN
+    )
     np.testing.assert_allclose(chosen(selection), true(every))
     assert selection.members.all()
     assert selection.open_channels == ()
@@ -85,7 +96,9 @@ def test_a_twin_has_its_even_modes_reversed() -> None:
 
 def test_among_the_options_a_twin_has_the_covariance_of_its_signs() -> None:
     every = session("G")
-    model = LensModel(tuple(one.reading for one in every), measured_of(every[0]).noll, (), PLAN)
+    model = LensModel(
+        tuple(one.reading for one in every), measured_of(every[0]).noll, (), PLAN
+    )
     options = Options.of(every, model)
     for k, one in enumerate(every):
         for place, of in enumerate((measured_of(one), measured_of(one).twin())):
@@ -129,24 +142,42 @@ def with_likelier(one: Observed, waves: float, gain: float = 6.0) -> Observed:
 def test_the_right_candidate_is_chosen_though_wrong_ones_are_likelier() -> None:
     every = session()
     wrong = {1: 0.09, 7: -0.06, 12: 0.3}
-    selection = select([with_likelier(one, wrong[k]) if k in wrong else one for k, one in enumerate(every)], PLAN)
+    selection = select(
+        [
+            with_likelier(one, wrong[k]) if k in wrong else one
+            for k, one in enumerate(every)
+        ],
+        PLAN,
+    )
     np.testing.assert_allclose(chosen(selection), true(every))
     assert selection.members.all()
-    assert [int(selection.choice[k]) // 2 for k in range(15)] == [int(k in wrong) for k in range(15)]
+    assert [int(selection.choice[k]) // 2 for k in range(15)] == [
+        int(k in wrong) for k in range(15)
+    ]
 
 
 def test_the_likelier_of_two_candidates_that_the_session_allows_is_chosen() -> None:
     every = session()
-    others = [replace(one, candidates=(*one.candidates, Candidate(measured_of(one), 1.0))) for one in every]
+    others = [
+        replace(one, candidates=(*one.candidates, Candidate(measured_of(one), 1.0)))
+        for one in every
+    ]
     assert set(select(others, PLAN).choice // 2) == {1}
 
 
-def test_the_penalised_likelihood_never_falls_from_round_to_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    every = [with_likelier(one, 0.1 + 0.02 * k) if k % 4 == 0 else one for k, one in enumerate(session("GR"))]
+def test_the_penalised_likelihood_never_falls_from_round_to_round(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    every = [
+        with_likelier(one, 0.1 + 0.02 * k) if k % 4 == 0 else one
+        for k, one in enumerate(session("GR"))
+    ]
     every[7] = moved(every[7], 0.5)
     proposals, heights = _Choices._proposals, list[float]()
 
-    def noted(self: _Choices, lens: LensFit, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
+    def noted(
+        self: _Choices, lens: LensFit, choice: Indices, members: Bools
+    ) -> tuple[Indices, Floats]:
         heights.append(self.fit(choice, members)[1])
         return proposals(self, lens, choice, members)
 
@@ -158,8 +189,12 @@ def test_the_penalised_likelihood_never_falls_from_round_to_round(monkeypatch: p
     assert heights[1] - heights[0] > 1000
 
 
-def test_a_change_that_would_lower_the_likelihood_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    def twins(self: _Choices, lens: LensFit, choice: Indices, members: Bools) -> tuple[Indices, Floats]:
+def test_a_change_that_would_lower_the_likelihood_is_not_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def twins(
+        self: _Choices, lens: LensFit, choice: Indices, members: Bools
+    ) -> tuple[Indices, Floats]:
         return choice ^ 1, np.ones(len(choice))
 
     every = session()
@@ -176,7 +211,9 @@ def test_a_change_that_would_lower_the_likelihood_is_not_made(monkeypatch: pytes
 def test_a_wrong_optimum_is_named_and_no_other() -> None:
     every = session()
     assert select(every, PLAN).outliers == []
-    selection = select([moved(one, 0.09) if k == 7 else one for k, one in enumerate(every)], PLAN)  # physics.md §15
+    selection = select(
+        [moved(one, 0.09) if k == 7 else one for k, one in enumerate(every)], PLAN
+    )  # physics.md §15
     assert selection.outliers == keys(every, 7)
     focus = best_focus(selection.lens, every[7].reading.key.channel)
     assert focus.value == pytest.approx(2050.0, abs=4 * focus.std)
@@ -184,7 +221,10 @@ def test_a_wrong_optimum_is_named_and_no_other() -> None:
 
 def test_a_few_wrong_optima_cost_no_law() -> None:
     for wrong in ([7], [7, 11]):
-        off = [moved(one, 0.02, modes=-0.05) if k in wrong else one for k, one in enumerate(session())]
+        off = [
+            moved(one, 0.02, modes=-0.05) if k in wrong else one
+            for k, one in enumerate(session())
+        ]
         selection = select(off, PLAN)
         assert selection.outliers == keys(off, *wrong)
         assert selection.lens.model.laws.shared
@@ -197,7 +237,10 @@ def test_of_two_camps_that_contradict_each_other_one_is_named_by_its_keys() -> N
     first, last = session("G", RANGES[:3]), session("G", RANGES[3:], 2090.0)
     selection = select([*first, *last], PLAN)
     outliers = set(selection.outliers)
-    assert outliers in ({one.reading.key for one in first}, {one.reading.key for one in last})
+    assert outliers in (
+        {one.reading.key for one in first},
+        {one.reading.key for one in last},
+    )
 
 
 def test_where_everyone_belongs_none_is_left_out_whatever_that_costs() -> None:
@@ -235,10 +278,18 @@ def test_a_session_without_a_candidate_is_refused() -> None:
 
 def test_a_cone_of_another_lens_is_not_believed() -> None:
     ranges = np.linspace(470.0, 494.0, 5).tolist()
-    exact: dict[str, Any] = {"focal_length": Uncertain(60.0, 1e-9, "mm"), "f_number": Uncertain(4.0, 0.002)}
-    every, plan = members(ranges, 482.0, 60.0, 4.0), stated(60.0, 4.0, **exact, range_zero_std_mm=0.1)
+    exact: dict[str, Any] = {
+        "focal_length": Uncertain(60.0, 1e-9, "mm"),
+        "f_number": Uncertain(4.0, 0.002),
+    }
+    every, plan = (
+        members(ranges, 482.0, 60.0, 4.0),
+        stated(60.0, 4.0, **exact, range_zero_std_mm=0.1),
+    )
     assert select(every, plan).lens.model.laws.paraxial
-    selection = select([moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every], plan)
+    selection = select(
+        [moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every], plan
+    )
     assert selection.outliers == []
     assert not selection.lens.model.laws.paraxial
     # without sizes the pupils take a part of it upon them: 0.020 is left
@@ -252,7 +303,9 @@ def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> 
     drifting = [moved(one, modes=1e-4 * (one.reading.range_mm - 2060.0)) for one in every]
     selection = select(drifting, PLAN)
     assert selection.outliers == []
-    assert selection.lens.model.laws.mode_scatter == 0.01  # half decades: the drift is 0.011 RMS
+    assert (
+        selection.lens.model.laws.mode_scatter == 0.01
+    )  # half decades: the drift is 0.011 RMS
     assert selection.lens.model.laws.paraxial
 
 
@@ -263,11 +316,16 @@ def tiles(side: int, rng: np.random.Generator) -> list[Observed]:
     """Three ranges and colours of tiles, each with a focus and with modes of its own."""
     every = []
     for tile in np.ndindex(side, side):
-        focus, modes = 2060.0 + rng.normal(0, 20.0), dict(zip(MODES, rng.normal(0, 0.05, 3).tolist(), strict=True))
+        focus, modes = (
+            2060.0 + rng.normal(0, 20.0),
+            dict(zip(MODES, rng.normal(0, 0.05, 3).tolist(), strict=True)),
+        )
         for c in COLOURS:
             for r in RANGES[::2]:
                 of = measured(np.array(laws(r, focus, 2060.0, 70.0, 2.8, 0.985)), modes)
-                drawn = replace(of, values=rng.multivariate_normal(of.values, of.covariance))
+                drawn = replace(
+                    of, values=rng.multivariate_normal(of.values, of.covariance)
+                )
                 every.append(Observed(reading(r, c, tile), (Candidate(drawn),)))
     return every
 
@@ -278,6 +336,9 @@ def test_among_tiles_every_wrong_optimum_is_named() -> None:
     every = tiles(14, rng)
     at = rng.choice(len(every) // 3, len(every) // 20, replace=False)
     wrong = {int(3 * group + rng.integers(3)): rng.normal(0, 0.3, 2) for group in at}
-    off = [moved(one, wrong[k][0], modes=0.05 + abs(wrong[k][1])) if k in wrong else one for k, one in enumerate(every)]
+    off = [
+        moved(one, wrong[k][0], modes=0.05 + abs(wrong[k][1])) if k in wrong else one
+        for k, one in enumerate(every)
+    ]
     selection = select([turned(one) if rng.random() < 0.5 else one for one in off], PLAN)
     assert sorted(selection.outliers) == sorted(keys(every, *wrong))

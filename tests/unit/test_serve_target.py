@@ -51,7 +51,9 @@ class Slow:
 def serve(display: Slow, context: DeviceContext, act: Callable[[], None]) -> None:
     target = open_target(TargetSpec(kind="sierpinski", order=1, size_mm=9.0))
     ended = threading.Event()
-    work = threading.Thread(target=serve_target, args=(target, [display], context, lambda: not ended.is_set()))
+    work = threading.Thread(
+        target=serve_target, args=(target, [display], context, lambda: not ended.is_set())
+    )
     work.start()
     try:
         act()
@@ -61,7 +63,9 @@ def serve(display: Slow, context: DeviceContext, act: Callable[[], None]) -> Non
     assert not work.is_alive()
 
 
-def test_a_later_pick_is_not_undone_by_one_that_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_pick_is_not_undone_by_one_that_failed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(serving, "RETRY_S", 0.0)
     warned: list[str] = []
     display, context = Slow(fails=1), DeviceContext(warn=warned.append)

@@ -46,7 +46,12 @@ def session_folder(tmp_path: Path, photo: Path) -> Path:
 
 def test_a_session_reads_back_what_was_added(session_folder: Path, photo: Path) -> None:
     dark, target = Session.open(session_folder).frames
-    assert (dark.kind, dark.range_mm, dark.exposure_s, dict(dark.meta)) == ("dark", None, 0.5, {"iso": 100})
+    assert (dark.kind, dark.range_mm, dark.exposure_s, dict(dark.meta)) == (
+        "dark",
+        None,
+        0.5,
+        {"iso": 100},
+    )
     assert (target.kind, target.range_mm, target.exposure_s) == ("target", 3000.0, None)
     assert target.path.read_bytes() == photo.read_bytes()
     assert verify(Session.open(session_folder)) == []
@@ -62,7 +67,9 @@ def test_a_wrong_plan_makes_no_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_session_is_not_made_over_something_else(session_folder: Path, tmp_path: Path) -> None:
+def test_a_session_is_not_made_over_something_else(
+    session_folder: Path, tmp_path: Path
+) -> None:
     with pytest.raises(SessionError, match="is there already"):
         Session.create(session_folder, PLAN, tmp_path)
 
@@ -73,18 +80,29 @@ def test_a_session_is_not_made_inside_a_file(photo: Path, tmp_path: Path) -> Non
 
 
 def test_a_frame_is_never_overwritten(session_folder: Path, photo: Path) -> None:
-    with Session.append(session_folder) as session, pytest.raises(SessionError, match="never overwritten"):
+    with (
+        Session.append(session_folder) as session,
+        pytest.raises(SessionError, match="never overwritten"),
+    ):
         session.add_frame(photo, "dark_0.dng", "dark", None)
 
 
-@pytest.mark.parametrize("name", ["../escape.dng", "a/b.dng", "", ".hidden", "x\n.dng", "x" * 300])
+@pytest.mark.parametrize(
+    "name", ["../escape.dng", "a/b.dng", "", ".hidden", "x\n.dng", "x" * 300]
+)
 def test_an_unsafe_name_is_refused(session_folder: Path, photo: Path, name: str) -> None:
-    with Session.append(session_folder) as session, pytest.raises(SessionError, match="allowed is letters"):
+    with (
+        Session.append(session_folder) as session,
+        pytest.raises(SessionError, match="allowed is letters"),
+    ):
         session.add_frame(photo, name, "dark", None)
 
 
 def test_a_session_cannot_be_opened_twice_for_writing(session_folder: Path) -> None:
-    with Session.append(session_folder), pytest.raises(SessionError, match="another process"):
+    with (
+        Session.append(session_folder),
+        pytest.raises(SessionError, match="another process"),
+    ):
         Session.append(session_folder)
     Session.append(session_folder).close()
 
@@ -100,7 +118,9 @@ def test_a_session_open_to_read_takes_no_frame(session_folder: Path, photo: Path
 
 
 @pytest.mark.parametrize("kept", [1, 40, -1])
-def test_a_torn_last_line_is_dropped_with_a_warning(session_folder: Path, kept: int) -> None:
+def test_a_torn_last_line_is_dropped_with_a_warning(
+    session_folder: Path, kept: int
+) -> None:
     journal = session_folder / "journal.jsonl"
     *whole, last = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(whole) + last[:kept])
@@ -116,9 +136,20 @@ def test_a_torn_last_line_is_dropped_with_a_warning(session_folder: Path, kept: 
     assert verify(mended) == []
 
 
-def test_every_journal_line_is_json_that_names_its_event_and_time(session_folder: Path) -> None:
-    lines = [json.loads(line) for line in (session_folder / "journal.jsonl").read_text().splitlines()]
-    assert [line["event"] for line in lines] == ["created", "adding", "frame", "adding", "frame"]
+def test_every_journal_line_is_json_that_names_its_event_and_time(
+    session_folder: Path,
+) -> None:
+    lines = [
+        json.loads(line)
+        for line in (session_folder / "journal.jsonl").read_text().splitlines()
+    ]
+    assert [line["event"] for line in lines] == [
+        "created",
+        "adding",
+        "frame",
+        "adding",
+        "frame",
+    ]
     assert all({"time", "check"} <= line.keys() for line in lines)
 
 
@@ -129,7 +160,12 @@ def test_verify_names_altered_missing_and_stray_files(session_folder: Path) -> N
     (frames / "stray.dng").write_bytes(b"?")
     (session_folder / "plan.toml").write_text(PLAN + "# later\n")
     problems = "\n".join(verify(Session.open(session_folder)))
-    for words in ("dark_0.dng: does not fit", "target_0.dng: missing", "stray.dng: not in", "plan.toml: does not fit"):
+    for words in (
+        "dark_0.dng: does not fit",
+        "target_0.dng: missing",
+        "stray.dng: not in",
+        "plan.toml: does not fit",
+    ):
         assert words in problems
 
 
@@ -138,7 +174,10 @@ def test_a_plan_that_was_altered_in_its_session_is_not_used(session_folder: Path
     for session in (Session.open(session_folder), Session.append(session_folder)):
         with (
             session,
-            pytest.raises(SessionError, match=r"plan\.toml: does not fit .* restore it, or .* --plan OTHER\.toml"),
+            pytest.raises(
+                SessionError,
+                match=r"plan\.toml: does not fit .* restore it, or .* --plan OTHER\.toml",
+            ),
         ):
             _ = session.plan
         assert len(session.frames) == 2
@@ -158,7 +197,10 @@ def test_folders_may_be_given_as_text(tmp_path: Path, photo: Path) -> None:
 
 
 def test_a_session_shows_what_is_in_it(session_folder: Path, photo: Path) -> None:
-    assert repr(Session.open(session_folder)) == f"<Session {session_folder}: 1 target, 1 dark; at 3000 mm>"
+    assert (
+        repr(Session.open(session_folder))
+        == f"<Session {session_folder}: 1 target, 1 dark; at 3000 mm>"
+    )
     with Session.append(session_folder) as session:
         for range_mm in range(2000, 2700, 100):
             session.add_frame(photo, f"flat_{range_mm}.dng", "flat", range_mm)
@@ -170,7 +212,9 @@ def test_a_session_shows_what_is_in_it(session_folder: Path, photo: Path) -> Non
     assert cells[-1] == ["3000 mm", "1", None, None]
 
 
-def test_what_a_killed_capture_left_is_remarked_upon_and_removed_by_the_next(session_folder: Path) -> None:
+def test_what_a_killed_capture_left_is_remarked_upon_and_removed_by_the_next(
+    session_folder: Path,
+) -> None:
     (session_folder / ".exposing").mkdir()
     for name in (".exposing/target_1.dng", ".incoming", ".plan.toml.123.part"):
         (session_folder / name).write_bytes(b"half")
@@ -182,7 +226,11 @@ def test_what_a_killed_capture_left_is_remarked_upon_and_removed_by_the_next(ses
         ".plan.toml.123.part",
     ]
     with Session.append(session_folder):
-        assert sorted(path.name for path in session_folder.iterdir()) == ["frames", "journal.jsonl", "plan.toml"]
+        assert sorted(path.name for path in session_folder.iterdir()) == [
+            "frames",
+            "journal.jsonl",
+            "plan.toml",
+        ]
 
 
 def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
@@ -190,14 +238,18 @@ def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
         Session.open(tmp_path)
 
 
-@pytest.mark.parametrize("where", ["pattern.pgm", "../patterns/my pattern.pgm", "{}/patterns/plan.toml"])
+@pytest.mark.parametrize(
+    "where", ["pattern.pgm", "../patterns/my pattern.pgm", "{}/patterns/plan.toml"]
+)
 def test_a_session_carries_its_target_picture_with_it(tmp_path: Path, where: str) -> None:
     where = where.format(tmp_path)
     (tmp_path / "plans").mkdir()
     (tmp_path / "patterns").mkdir()
     picture = (tmp_path / "plans" / where).resolve()
     picture.write_bytes(b"P5 1 1 255\n\x80")
-    text = PLAN.replace('"sierpinski"', f'"image"  # "a print"\nfile = "{where}"  # it\'s the lab\'s')
+    text = PLAN.replace(
+        '"sierpinski"', f'"image"  # "a print"\nfile = "{where}"  # it\'s the lab\'s'
+    )
     Session.create(tmp_path / "session", text, tmp_path / "plans").close()
     (tmp_path / "session").rename(tmp_path / "elsewhere")
     picture.unlink()
@@ -246,7 +298,9 @@ def test_a_power_cut_at_any_step_loses_no_committed_frame(
     )
 
 
-def test_capture_goes_on_with_the_same_plan_only(session_folder: Path, tmp_path: Path) -> None:
+def test_capture_goes_on_with_the_same_plan_only(
+    session_folder: Path, tmp_path: Path
+) -> None:
     plan_path = tmp_path / "plan.toml"
     plan_path.write_text(PLAN + "# a comment changes nothing\n")
     with begin(plan_path, session_folder, resume=True) as session:
@@ -287,14 +341,18 @@ def test_a_session_is_made_where_a_link_to_an_empty_folder_is(tmp_path: Path) ->
     with Session.create(tmp_path / "link", PLAN, tmp_path) as session:
         session.log("began")
     assert (tmp_path / "link").is_symlink()
-    assert [event["event"] for event in Session.open(tmp_path / "disk" / "night").events] == ["created", "began"]
+    assert [
+        event["event"] for event in Session.open(tmp_path / "disk" / "night").events
+    ] == ["created", "began"]
 
 
 def test_a_session_in_the_place_of_the_folder_one_is_in_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SessionError, match=r"^\. is the folder you are in, .*: give the name of a new one"):
+    with pytest.raises(
+        SessionError, match=r"^\. is the folder you are in, .*: give the name of a new one"
+    ):
         Session.create(".", PLAN, tmp_path)
 
 
@@ -317,7 +375,10 @@ def test_half_made_sessions_are_removed_unless_a_process_is_at_work_on_them(
 ) -> None:
     ended = subprocess.Popen(["true"])
     ended.wait()
-    gone, held, ours = (tmp_path / f".s.{pid}.import" for pid in (ended.pid, f"{ended.pid:09d}", os.getpid()))
+    gone, held, ours = (
+        tmp_path / f".s.{pid}.import"
+        for pid in (ended.pid, f"{ended.pid:09d}", os.getpid())
+    )
     for folder in (gone, held, ours):
         shutil.copytree(session_folder, folder)
     with Session.append(held):  # as by a process of another machine
@@ -328,7 +389,9 @@ def test_half_made_sessions_are_removed_unless_a_process_is_at_work_on_them(
 def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touched(
     session_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = session_folder.rename(tmp_path / f".s.{os.getpid()}.new")  # it may be about to take it
+    made = session_folder.rename(
+        tmp_path / f".s.{os.getpid()}.new"
+    )  # it may be about to take it
     asked = list[object]()
     monkeypatch.setattr("labkit.session.making.is_being_written", asked.append)
     Session.create(tmp_path / "other", PLAN, tmp_path).close()
@@ -336,6 +399,11 @@ def test_the_lock_of_a_session_that_a_process_of_this_machine_makes_is_not_touch
     assert not asked
 
 
-def test_a_folder_inside_a_session_is_answered_with_the_session(session_folder: Path) -> None:
-    with pytest.raises(SessionError, match=rf"frames is no session: it has no journal.jsonl; give {session_folder}$"):
+def test_a_folder_inside_a_session_is_answered_with_the_session(
+    session_folder: Path,
+) -> None:
+    with pytest.raises(
+        SessionError,
+        match=rf"frames is no session: it has no journal.jsonl; give {session_folder}$",
+    ):
         Session.open(session_folder / "frames")

@@ -24,12 +24,16 @@ def names(of: Task | LocalFit) -> list[str]:
     return [part.name for part in of.optics.parts]
 
 
-def session(height: Callable[[Task], float], *, plan: Plan = PLAN, plain: bool = False) -> tuple[Estimate, Play]:
+def session(
+    height: Callable[[Task], float], *, plan: Plan = PLAN, plain: bool = False
+) -> tuple[Estimate, Play]:
     """Fits at the two ends that call for a smear. height: log-likelihood of a task's optimum."""
 
     def ends(task: Task) -> Found:
         scores = {} if task.optics.parts else {"smear": SCORE_TEST}
-        made = optimum(task.optics, range_of(task), square=0.5, height=height(task), scores=scores)
+        made = optimum(
+            task.optics, range_of(task), square=0.5, height=height(task), scores=scores
+        )
         return Found((made,))
 
     play = Play(ends)
@@ -64,7 +68,9 @@ def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it()
     assert [names(fit) for fit in plain.fits] == [[], []]
     assert plain.tried == (PartTried("smear", 200.0, adopted=False),)
     assert plain.missing == ("smear",)
-    assert [fit and [part.name for part in fit.optics.parts] for fit in plain.with_missing] == [["smear"]] * 2
+    assert [
+        fit and [part.name for part in fit.optics.parts] for fit in plain.with_missing
+    ] == [["smear"]] * 2
 
 
 def test_a_session_whose_parts_gain_nothing_is_not_fitted_without_any() -> None:
@@ -76,10 +82,16 @@ def test_a_session_whose_parts_gain_nothing_is_not_fitted_without_any() -> None:
 
 def test_a_part_that_the_plan_wants_fitted_stays_where_it_does_nothing() -> None:
     tables = PLAN.model_dump(mode="json", exclude_none=True)
-    plan = Plan.from_tables(tables | {"sensor": tables["sensor"] | {"low_pass_filter": {"spread_px": "fit"}}})
+    plan = Plan.from_tables(
+        tables | {"sensor": tables["sensor"] | {"low_pass_filter": {"spread_px": "fit"}}}
+    )
     found, play = session(lambda task: 1.0, plan=plan)
-    assert all(names(task) == ["low_pass_filter"] for batch in play.batches for task in batch)
-    assert [fit.optimum.measured.parts[0] for fit in found.fits] == ["low_pass_filter.rows_px2"] * 2
+    assert all(
+        names(task) == ["low_pass_filter"] for batch in play.batches for task in batch
+    )
+    assert [fit.optimum.measured.parts[0] for fit in found.fits] == [
+        "low_pass_filter.rows_px2"
+    ] * 2
     assert found.stated_camera is None
 
 

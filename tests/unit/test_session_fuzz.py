@@ -21,7 +21,9 @@ MUTATIONS = 300
 def make_session(folder: Path) -> Path:
     """A session with a target's picture, photographs of every kind and other events; it ends with a photograph."""
     (folder / "print.pgm").write_bytes(b"P5 2 2 255\n\x00\xff\xff\x00")
-    text = plan_text(PORTRAIT, {"target": {"kind": "image", "order": None, "file": "print.pgm"}})
+    text = plan_text(
+        PORTRAIT, {"target": {"kind": "image", "order": None, "file": "print.pgm"}}
+    )
     with Session.create(folder / "whole", text, folder) as session:
         for number, kind in enumerate(("dark", "bias", "flat", "target", "target")):
             session.log("moved", range_mm=2000.0 + number, words="µm")
@@ -37,7 +39,9 @@ def damage_bytes(path: Path, rng: np.random.Generator) -> str:
     content, at = path.read_bytes(), int(rng.integers(path.stat().st_size))
     how = str(rng.choice(["altered", "inserted", "removed", "cut"]))
     new = {
-        "altered": content[:at] + bytes([content[at] ^ int(rng.integers(1, 256))]) + content[at + 1 :],
+        "altered": content[:at]
+        + bytes([content[at] ^ int(rng.integers(1, 256))])
+        + content[at + 1 :],
         "inserted": content[:at] + rng.bytes(int(rng.integers(1, 9))) + content[at:],
         "removed": content[:at] + content[at + int(rng.integers(1, 9)) :],
         "cut": content[:at],
@@ -65,7 +69,10 @@ def damage_lines(journal: Path, rng: np.random.Generator) -> str:
 
 def damage_files(folder: Path, rng: np.random.Generator) -> str:
     """Lose, rename, swap or add photographs."""
-    first, second = (Path(path) for path in rng.choice(sorted((folder / "frames").iterdir()), 2, replace=False))
+    first, second = (
+        Path(path)
+        for path in rng.choice(sorted((folder / "frames").iterdir()), 2, replace=False)
+    )
     how = str(rng.choice(["lost", "renamed", "swapped", "added", "made a folder"]))
     if how == "lost":
         first.unlink()
@@ -85,7 +92,9 @@ def damage_files(folder: Path, rng: np.random.Generator) -> str:
 
 def damage(folder: Path, rng: np.random.Generator) -> str:
     """One damage of a session; in words."""
-    match str(rng.choice(["journal", "lines", "photographs", "photograph", "plan", "picture"])):
+    match str(
+        rng.choice(["journal", "lines", "photographs", "photograph", "plan", "picture"])
+    ):
         case "journal":
             return "journal: " + damage_bytes(folder / "journal.jsonl", rng)
         case "lines":
@@ -93,9 +102,13 @@ def damage(folder: Path, rng: np.random.Generator) -> str:
         case "photographs":
             return damage_files(folder, rng)
         case "photograph":
-            return "photograph: " + damage_bytes(Path(rng.choice(sorted((folder / "frames").iterdir()))), rng)
+            return "photograph: " + damage_bytes(
+                Path(rng.choice(sorted((folder / "frames").iterdir()))), rng
+            )
         case name:
-            return f"{name}: " + damage_bytes(folder / {"plan": "plan.toml"}.get(name, "print.pgm"), rng)
+            return f"{name}: " + damage_bytes(
+                folder / {"plan": "plan.toml"}.get(name, "print.pgm"), rng
+            )
 
 
 def findings(folder: Path) -> Iterator[str]:
@@ -122,7 +135,10 @@ def damage_and_look(whole: Path, folder: Path, seed: int) -> tuple[str, list[str
 
 def _content(folder: Path) -> dict[Path, bytes | None]:
     paths = folder.rglob("*")
-    return {path.relative_to(folder): path.read_bytes() if path.is_file() else None for path in paths}
+    return {
+        path.relative_to(folder): path.read_bytes() if path.is_file() else None
+        for path in paths
+    }
 
 
 @pytest.fixture

@@ -57,9 +57,16 @@ def test_one_range_of_a_colour_predicts_its_others() -> None:
         [f"{c} at {r:g} mm" for c in "BR" for r in RANGES_MM[:-1]],
     ]
     leaders, rest = play.batches[1:]
-    assert [(len(task.guesses.modes), len(task.guesses.starts)) for task in leaders] == [(1, 0), (0, 1), (0, 1), (1, 0)]
+    assert [(len(task.guesses.modes), len(task.guesses.starts)) for task in leaders] == [
+        (1, 0),
+        (0, 1),
+        (0, 1),
+        (1, 0),
+    ]
     for task in rest:
-        assert task.guesses.starts[0][0] == pytest.approx(true_values(range_of(task))[0], abs=7e-4)
+        assert task.guesses.starts[0][0] == pytest.approx(
+            true_values(range_of(task))[0], abs=7e-4
+        )
 
 
 def test_a_climb_begins_at_the_cone_that_the_others_measured() -> None:
@@ -75,7 +82,10 @@ def test_a_climb_begins_at_the_cone_that_the_others_measured() -> None:
 def test_a_climb_from_a_prediction_begins_at_the_poses_that_another_channel_found() -> None:
     """In the same photographs, whose cuts begin at other pixels."""
     play = Play()
-    seen = [replace(one, origin_px=(10, 20)) if one.channel == "B" else one for one in observations("GB")]
+    seen = [
+        replace(one, origin_px=(10, 20)) if one.channel == "B" else one
+        for one in observations("GB")
+    ]
     estimate(seen, PLAN, dict.fromkeys("GB", TARGET), play, lambda done, of, what: None)
     leaders, rest = play.batches[1:]
     assert all(task.guesses.poses == () for task in leaders)
@@ -86,8 +96,13 @@ def test_a_climb_from_a_prediction_begins_at_the_poses_that_another_channel_foun
 
 def test_colours_of_an_unknown_range_are_fitted_like_the_first() -> None:
     play = Play(lambda task: Found((optimum(task.optics, 3200.0),)))
-    unknown = [replace(one, range_mm=None, measured_range_mm=None) for one in observations("GRB", (3200.0,))]
-    found = estimate(unknown, PLAN, dict.fromkeys("GRB", TARGET), play, lambda done, of, what: None)
+    unknown = [
+        replace(one, range_mm=None, measured_range_mm=None)
+        for one in observations("GRB", (3200.0,))
+    ]
+    found = estimate(
+        unknown, PLAN, dict.fromkeys("GRB", TARGET), play, lambda done, of, what: None
+    )
     assert play.labels == [["G"], ["B", "R"]]
     assert [len(task.guesses.modes) for task in play.batches[1]] == [1, 1]
     assert found.lens is None
@@ -100,13 +115,19 @@ def wrong_at_first(label: str) -> Play:
     def ends(task: Task) -> Found:
         wrong = task.label == label and not task.guesses.starts
         off = (0.1, -0.2) if wrong else (0.0, 0.0)
-        return Found((optimum(task.optics, range_of(task), off=off, height=-500.0 * wrong),))
+        return Found(
+            (optimum(task.optics, range_of(task), off=off, height=-500.0 * wrong),)
+        )
 
     return Play(ends)
 
 
-@pytest.mark.parametrize(("channels", "label"), [("G", "G at 2900 mm"), ("GB", "B at 3200 mm")])
-def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(channels: str, label: str) -> None:
+@pytest.mark.parametrize(
+    ("channels", "label"), [("G", "G at 2900 mm"), ("GB", "B at 3200 mm")]
+)
+def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(
+    channels: str, label: str
+) -> None:
     play = wrong_at_first(label)
     session = played(play, channels)
     (again,) = play.batches[-1]
@@ -134,24 +155,34 @@ def test_a_fit_that_began_from_the_prediction_and_ended_elsewhere_does_not_belon
     assert best_focus(session.lens, "G").value == pytest.approx(3000.0, abs=1e-3)
 
 
-def test_the_less_likely_optimum_of_a_search_is_chosen_where_the_others_predict_it() -> None:
+def test_the_less_likely_optimum_of_a_search_is_chosen_where_the_others_predict_it() -> (
+    None
+):
     def ends(task: Task) -> Found:
         wrong = optimum(task.optics, range_of(task), off=(0.1, -0.2), height=3.0)
-        return Found((wrong, *right(task).optima)) if range_of(task) == NEAR else right(task)
+        return (
+            Found((wrong, *right(task).optima)) if range_of(task) == NEAR else right(task)
+        )
 
     session = played(Play(ends))
     np.testing.assert_allclose(session.fits[1].optimum.waves, true_values(NEAR)[:2])
 
 
 def test_signs_are_turned_until_defocus_grows_with_range() -> None:
-    session = played(Play(lambda task: Found((optimum(task.optics, range_of(task)).canonical(),))))
+    session = played(
+        Play(lambda task: Found((optimum(task.optics, range_of(task)).canonical(),)))
+    )
     waves = [fit.optimum.waves[0] for fit in session.fits]
     np.testing.assert_allclose(waves, [true_values(r)[0] for r in RANGES_MM])
 
 
 def test_where_nothing_is_explained_and_one_range_seen_the_search_goes_deep() -> None:
     """Then no other range tells a wrong optimum."""
-    play = Play(lambda task: Found((optimum(task.optics, range_of(task), explained=False, unexplained=50.0),)))
+    play = Play(
+        lambda task: Found(
+            (optimum(task.optics, range_of(task), explained=False, unexplained=50.0),)
+        )
+    )
     played(play, ranges_mm=(3200.0,))
     assert [task.guesses.deep for batch in play.batches for task in batch] == [True]
 
@@ -162,25 +193,45 @@ def test_where_the_ends_contradict_each_other_both_are_searched_further() -> Non
     def ends(task: Task) -> Found:
         found = task.guesses.deep or task.guesses.starts
         off = (0.0, 0.0) if found else (0.0, 6.0 * (range_of(task) > 3000))
-        return Found((optimum(task.optics, range_of(task), off=off, height=100.0 * bool(found), explained=False),))
+        return Found(
+            (
+                optimum(
+                    task.optics,
+                    range_of(task),
+                    off=off,
+                    height=100.0 * bool(found),
+                    explained=False,
+                ),
+            )
+        )
 
     play = Play(ends)
     session = played(play)
     assert play.labels[:2] == [["G at 2900 mm", "G at 3200 mm"]] * 2
-    assert [[task.guesses.deep for task in batch] for batch in play.batches[:2]] == [[False] * 2, [True] * 2]
+    assert [[task.guesses.deep for task in batch] for batch in play.batches[:2]] == [
+        [False] * 2,
+        [True] * 2,
+    ]
     assert session.members == (0, 1, 2, 3)
 
 
 @pytest.mark.parametrize("returns", [0, 1])
-def test_ends_that_confirm_each_other_are_searched_no_further_though_the_model_is_poor(returns: int) -> None:
+def test_ends_that_confirm_each_other_are_searched_no_further_though_the_model_is_poor(
+    returns: int,
+) -> None:
     """Unless no second start came back to them: then the ends may be wrong, each in the other's way."""
 
     def unexplained(task: Task) -> Found:
-        return Found((optimum(task.optics, range_of(task), explained=False, unexplained=200.0),), returns=returns)
+        return Found(
+            (optimum(task.optics, range_of(task), explained=False, unexplained=200.0),),
+            returns=returns,
+        )
 
     play = Play(unexplained)
     session = played(play)
-    assert any(task.guesses.deep for batch in play.batches for task in batch) is (returns == 0)
+    assert any(task.guesses.deep for batch in play.batches for task in batch) is (
+        returns == 0
+    )
     assert session.members == (0, 1, 2, 3)
 
 
@@ -203,17 +254,26 @@ def judged(task: Task, *, explained: bool) -> Found:
 def test_a_camera_number_of_one_channel_is_not_taken_for_another_ones() -> None:
     """The width of red light is fitted, that of green is not: fits begin at the f-number all the same."""
     tables = PLAN.model_dump(mode="json", exclude_none=True)
-    lights = [light | ({"width_nm": "fit"} if light["name"] == "R" else {}) for light in tables["channel"]]
+    lights = [
+        light | ({"width_nm": "fit"} if light["name"] == "R" else {})
+        for light in tables["channel"]
+    ]
     play = Play()
     played(play, "GR", plan=Plan.from_tables(tables | {"channel": lights}))
     later = [task for batch in play.batches[1:] for task in batch]
     assert {len(task.optics.camera_labels) for task in later} == {0, 1}
     for task in later:
-        assert np.log(task.optics.f_number) == pytest.approx(true_values(range_of(task))[-2], abs=5e-3)
+        assert np.log(task.optics.f_number) == pytest.approx(
+            true_values(range_of(task))[-2], abs=5e-3
+        )
 
 
-@pytest.mark.parametrize(("turned", "agree"), [((2950.0, 3050.0, 3150.0), True), ((3050.0,), False)])
-def test_outliers_that_follow_a_lens_of_their_own_are_a_second_camp(turned: tuple[float, ...], agree: bool) -> None:
+@pytest.mark.parametrize(
+    ("turned", "agree"), [((2950.0, 3050.0, 3150.0), True), ((3050.0,), False)]
+)
+def test_outliers_that_follow_a_lens_of_their_own_are_a_second_camp(
+    turned: tuple[float, ...], agree: bool
+) -> None:
     """The lens was focused anew for some of the ranges: by 0.3 waves, with 0.05 of astigmatism."""
 
     def ends(task: Task) -> Found:
@@ -229,7 +289,9 @@ def test_outliers_that_follow_a_lens_of_their_own_are_a_second_camp(turned: tupl
 def test_a_search_whose_process_is_killed_costs_no_other_one() -> None:
     session = played(Play(lambda task: None if range_of(task) == NEAR else right(task)))
     assert [fit.observation.range_mm for fit in session.fits] == [2900.0, 3100.0, 3200.0]
-    assert session.lost == ("G at 3010 mm is left out: killed; close other programs and fit again",)
+    assert session.lost == (
+        "G at 3010 mm is left out: killed; close other programs and fit again",
+    )
     assert session.lens is not None
     assert session.lens.measured.used.tolist() == [True, False, True, True]
 
@@ -252,8 +314,13 @@ def shuffled(count: int) -> Sequence[int]:
 
 
 @pytest.mark.parametrize("order", [backwards, shuffled])
-def test_results_do_not_depend_on_which_search_ends_first(order: Callable[[int], Sequence[int]]) -> None:
-    plays = [wrong_at_first("B at 3200 mm"), replace(wrong_at_first("B at 3200 mm"), order=order)]
+def test_results_do_not_depend_on_which_search_ends_first(
+    order: Callable[[int], Sequence[int]],
+) -> None:
+    plays = [
+        wrong_at_first("B at 3200 mm"),
+        replace(wrong_at_first("B at 3200 mm"), order=order),
+    ]
     first, other = (played(play, "GRB") for play in plays)
     assert plays[0].labels == plays[1].labels
     assert first.lens is not None
@@ -265,7 +332,13 @@ def test_results_do_not_depend_on_which_search_ends_first(order: Callable[[int],
 def test_progress_counts_what_is_fitted_again_and_says_what_is_done() -> None:
     said = list[tuple[int, int, str]]()
     play = wrong_at_first("G at 2900 mm")
-    estimate(observations(), PLAN, {"G": TARGET}, play, lambda done, of, what: said.append((done, of, what)))
+    estimate(
+        observations(),
+        PLAN,
+        {"G": TARGET},
+        play,
+        lambda done, of, what: said.append((done, of, what)),
+    )
     assert said[0] == (0, 4, "searching from nothing: G at 2900 mm, G at 3200 mm")
     # nothing is under way where all is done, and what begins says so: one is fitted twice, so that all is more than four
     assert all(done < of for done, of, what in said if ":" in what)

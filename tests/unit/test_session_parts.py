@@ -28,7 +28,9 @@ ROWS, COLUMNS, WIDTH = 0.55**2, 0.40**2, 0.03**2
 PATIENCE_S = 60.0
 
 
-def with_parts(one: Observed, labels: tuple[str, ...], values: list[float], std: list[float]) -> Observed:
+def with_parts(
+    one: Observed, labels: tuple[str, ...], values: list[float], std: list[float]
+) -> Observed:
     """A fit that measured its camera along; what it errs by in the first number, it errs by in defocus too."""
     plain = measured_of(one)
     wider = np.insert(plain.values, 1, values)
@@ -39,13 +41,17 @@ def with_parts(one: Observed, labels: tuple[str, ...], values: list[float], std:
     covariance[of, of] = np.square(std)
     common[[0, 1]] = 1e-3, std[0]
     covariance += np.outer(common, common)
-    return with_measured(one, Measured((4,), wider, covariance, 0 * covariance, parts=labels))
+    return with_measured(
+        one, Measured((4,), wider, covariance, 0 * covariance, parts=labels)
+    )
 
 
 def session(labels: tuple[str, ...], values: list[float], std: list[float]) -> Estimate:
     every = members((980.0, 1010.0, 1040.0), 1010.0, 70.0, 2.8)
     green = [one for one in every if one.reading.key.channel == "G"]
-    selection = select([with_parts(one, labels, values, std) for one in green], stated(70.0, 2.8))
+    selection = select(
+        [with_parts(one, labels, values, std) for one in green], stated(70.0, 2.8)
+    )
     assert selection.members.all()
     return Estimate((), selection.lens)
 
@@ -53,20 +59,28 @@ def session(labels: tuple[str, ...], values: list[float], std: list[float]) -> E
 def test_a_filter_is_given_by_how_far_apart_its_spots_lie() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
     found = model_parts(fits, Plan.from_tables(PORTRAIT))
-    assert [*found] == [f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")]
+    assert [*found] == [
+        f"low_pass_filter.{what}_px" for what in ("spread", "rows", "columns")
+    ]
     spread, rows, columns = found.values()
     assert spread.value == pytest.approx(np.sqrt((ROWS + COLUMNS) / 2))
     assert (rows.value, columns.value) == pytest.approx((0.55, 0.40))
     # of three fits; the slope of a root is half its inverse
     assert columns.std == pytest.approx(0.006 / np.sqrt(3) / (2 * 0.40), rel=1e-6)
-    assert 0.003 / np.sqrt(3) / (2 * 0.55) < rows.std < 1.01 * np.sqrt(2) * 0.003 / np.sqrt(3) / (2 * 0.55)
+    assert (
+        0.003 / np.sqrt(3) / (2 * 0.55)
+        < rows.std
+        < 1.01 * np.sqrt(2) * 0.003 / np.sqrt(3) / (2 * 0.55)
+    )
 
 
 def test_what_was_found_is_said() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
     fits = replace(fits, tried=(PartTried("low_pass_filter", 120.0, adopted=True),))
     moves = Moves({"G": 0.02}, 0.01, 0.03)
-    (finding,) = part_findings(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), moves=moves)
+    (finding,) = part_findings(
+        fits, model_parts(fits, Plan.from_tables(PORTRAIT)), moves=moves
+    )
     assert finding.code == "camera-part-found"
     assert finding.text.startswith(
         "the photographs show an optical low-pass filter, which the plan does not state: rows 0.55"
@@ -87,7 +101,14 @@ def test_what_was_found_is_said() -> None:
 
 def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
-    assert list(part_findings(fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"])) == []
+    assert (
+        list(
+            part_findings(
+                fits, model_parts(fits, Plan.from_tables(PORTRAIT)), ["low_pass_filter"]
+            )
+        )
+        == []
+    )
 
 
 def test_a_session_reports_what_its_lens_leaves_open() -> None:
@@ -95,16 +116,23 @@ def test_a_session_reports_what_its_lens_leaves_open() -> None:
     findings = session_findings(replace(fits, open_channels=("G",)), PATIENCE_S)
     assert findings[0] == found("defocus-sign-open", Key(None, "G"))
     (without,) = session_findings(replace(fits, lens=None), PATIENCE_S)
-    assert (without.code, without.numbers) == ("no-best-focus", {"why": "defocus was not fitted"})
+    assert (without.code, without.numbers) == (
+        "no-best-focus",
+        {"why": "defocus was not fitted"},
+    )
 
 
 def test_a_spectrum_is_each_channels_own() -> None:
-    found = model_parts(session((WIDTH_LABEL,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT))
+    found = model_parts(
+        session((WIDTH_LABEL,), [WIDTH], [1e-4]), Plan.from_tables(PORTRAIT)
+    )
     assert set(found) == {"spectrum.G.width_nm"}
     assert found["spectrum.G.width_nm"].value == pytest.approx(0.03 * 550)
 
 
 def test_a_square_that_came_out_below_nothing_is_nothing_with_an_error() -> None:
-    found = model_parts(session(("diffusion.variance_px2",), [-1e-4], [4e-4]), Plan.from_tables(PORTRAIT))
+    found = model_parts(
+        session(("diffusion.variance_px2",), [-1e-4], [4e-4]), Plan.from_tables(PORTRAIT)
+    )
     assert found["diffusion.sigma_px"].value == 0.0
     assert 4e-4 / np.sqrt(3) < found["diffusion.sigma_px"].std ** 2 < 4e-4 * np.sqrt(2)

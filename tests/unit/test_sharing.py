@@ -39,7 +39,9 @@ def where_it_is_in_memory(task: Task) -> tuple[int, int]:
     return os.getpid(), id(task.array.value)
 
 
-def plain(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+def plain(
+    function: Callable[[Any], Any], tasks: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
     """A caller's own run, that shares nothing."""
     yield from ((index, function(task)) for index, task in enumerate(tasks))
 
@@ -50,7 +52,9 @@ def test_tasks_get_what_was_shared(workers: int) -> None:
         of = [run.share(LARGE), run.share(LARGE + 1)]
         tasks = [Task(scale, array) for scale in (1.0, 2.0) for array in of]
         results = dict(run(summed, tasks))
-    assert [results[k] for k in range(4)] == [scale * (LARGE + one).sum() for scale in (1.0, 2.0) for one in (0, 1)]
+    assert [results[k] for k in range(4)] == [
+        scale * (LARGE + one).sum() for scale in (1.0, 2.0) for one in (0, 1)
+    ]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -76,7 +80,9 @@ def test_a_task_that_shares_is_small() -> None:
         assert run.share(LARGE + 1) != task.array
 
 
-def test_shared_files_end_with_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_shared_files_end_with_the_run(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Workers(2) as run:
         run.share(LARGE)
@@ -84,7 +90,9 @@ def test_shared_files_end_with_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_folder_for_temporary_files_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_full_folder_for_temporary_files_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def full(path: Path, content: bytes) -> int:
         raise OSError(28, "No space left on device")
 
@@ -111,7 +119,10 @@ def test_kept_fits_share_as_the_run_that_makes_them(workers: int, tmp_path: Path
 
 def test_outside_of_a_task_nothing_is_looked_up() -> None:
     handle = Stored[Floats](digest_of(LARGE))
-    with pytest.raises(LookupError, match=f"shared value {handle.digest[:8]} was asked for outside of a task"):
+    with pytest.raises(
+        LookupError,
+        match=f"shared value {handle.digest[:8]} was asked for outside of a task",
+    ):
         _ = handle.value
     with looked_up_by({handle.digest: LARGE}.__getitem__):
         assert handle.value is LARGE

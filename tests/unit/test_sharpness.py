@@ -14,23 +14,33 @@ BAYER, MONO = ("RG", "GB"), ("M",)
 
 
 def square(
-    sigma_px: float, pattern: tuple[str, ...], side: int = 200, noise: float = 40, white: float = 8000
+    sigma_px: float,
+    pattern: tuple[str, ...],
+    side: int = 200,
+    noise: float = 40,
+    white: float = 8000,
 ) -> Mosaic:
     """A white square beside the middle of a large dark frame, its edges blurred by a Gaussian."""
     light = np.zeros((1200, 1800))
     light[300 : 300 + side, 1100 : 1100 + side] = white
     light = ndimage.gaussian_filter(light, sigma_px) if sigma_px else light
-    counts: NDArray[np.float64] = light + 512 + np.random.default_rng(3).normal(0, noise, light.shape)
+    counts: NDArray[np.float64] = (
+        light + 512 + np.random.default_rng(3).normal(0, noise, light.shape)
+    )
     return Mosaic(counts.clip(0).astype(np.uint16), np.full((2, 2), 512.0), 16000, pattern)
 
 
 @pytest.mark.parametrize("pattern", [BAYER, MONO])
 @pytest.mark.parametrize("sigma_px", [3.0, 6.0])
 @pytest.mark.parametrize("side", [100, 600])
-def test_a_blurred_edge_rises_over_its_closed_form(side: int, sigma_px: float, pattern: tuple[str, ...]) -> None:
+def test_a_blurred_edge_rises_over_its_closed_form(
+    side: int, sigma_px: float, pattern: tuple[str, ...]
+) -> None:
     # a Gaussian edge's contrast over its slope is sigma √(2 π); own filters (0.7 pixels, Sobel's 0.7, the colour's 0.7)
     # widen it by up to 8 % at 3 pixels, noise steepens the steepest of many slopes
-    assert sharpest_edge_px(square(sigma_px, pattern, side)) == pytest.approx(sigma_px * np.sqrt(2 * np.pi), rel=0.1)
+    assert sharpest_edge_px(square(sigma_px, pattern, side)) == pytest.approx(
+        sigma_px * np.sqrt(2 * np.pi), rel=0.1
+    )
 
 
 def test_what_the_docstring_says_of_the_best() -> None:
@@ -39,12 +49,16 @@ def test_what_the_docstring_says_of_the_best() -> None:
 
 
 def test_exposure_does_not_count() -> None:
-    bright, dim = (sharpest_edge_px(square(2, BAYER, white=white, noise=0)) for white in (8000, 2000))
+    bright, dim = (
+        sharpest_edge_px(square(2, BAYER, white=white, noise=0)) for white in (8000, 2000)
+    )
     assert dim == pytest.approx(bright, rel=0.01)
 
 
 def test_a_flat_has_no_edge() -> None:
-    flat = Mosaic(np.full((400, 600), 9000, np.uint16), np.full((2, 2), 512.0), 16000, BAYER)
+    flat = Mosaic(
+        np.full((400, 600), 9000, np.uint16), np.full((2, 2), 512.0), 16000, BAYER
+    )
     assert sharpest_edge_px(flat) is None
 
 

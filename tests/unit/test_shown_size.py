@@ -40,7 +40,9 @@ def test_a_target_that_no_display_showed_is_as_the_plan_says(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("size", [[46.8], "46.8", [46.8, 0], [46.8, None]])
-def test_a_journal_with_a_size_that_is_none_is_refused(tmp_path: Path, size: object) -> None:
+def test_a_journal_with_a_size_that_is_none_is_refused(
+    tmp_path: Path, size: object
+) -> None:
     with Session.create(tmp_path / "night", TEXT, tmp_path) as session:
         session.log("began", shown_size_mm=size)
     with pytest.raises(SessionError, match="line 2 cannot be used"):

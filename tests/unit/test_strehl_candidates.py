@@ -28,7 +28,9 @@ def test_the_strehl_ratio_is_the_peak_of_the_psf() -> None:
     ratio = pupil.psf(WAVES)[600, 600] / pupil.psf(0 * WAVES)[600, 600]
     assert strehl(WAVES)[0] == pytest.approx(ratio, abs=1.5e-9)
     # small wavefronts have 1 - (2 pi rms)^2
-    assert strehl(0.05 * WAVES)[0] == pytest.approx(1 - (2 * np.pi * 0.05) ** 2 * WAVES @ WAVES, abs=1e-5)
+    assert strehl(0.05 * WAVES)[0] == pytest.approx(
+        1 - (2 * np.pi * 0.05) ** 2 * WAVES @ WAVES, abs=1e-5
+    )
 
 
 def test_its_gradient_is_a_finite_difference() -> None:
@@ -39,7 +41,9 @@ def test_its_gradient_is_a_finite_difference() -> None:
 def test_rotation_turns_the_modes() -> None:
     rho, theta = np.array([0.3, 0.7, 0.9]), np.array([0.1, 2.0, -1.3])
     turned = sum(w * zernike(j, rho, theta - 0.4) for w, j in zip(WAVES, NOLL, strict=True))
-    same = sum(w * zernike(j, rho, theta) for w, j in zip(rotated(WAVES, 0.4), NOLL, strict=True))
+    same = sum(
+        w * zernike(j, rho, theta) for w, j in zip(rotated(WAVES, 0.4), NOLL, strict=True)
+    )
     np.testing.assert_allclose(turned, same, atol=1e-12)
 
 
@@ -52,7 +56,9 @@ def test_shipped_ones_are_maxima_of_their_shells_and_not_each_other() -> None:
         best = minimize(lowered, waves, constraints=[on_shell], method="SLSQP")
         assert -best.fun == pytest.approx(strehl(waves)[0], abs=1e-5)
     for k, one in enumerate(found):
-        same_shell = [o for s, o in zip(shells[:k], found[:k], strict=True) if s == shells[k]]
+        same_shell = [
+            o for s, o in zip(shells[:k], found[:k], strict=True) if s == shells[k]
+        ]
         assert not any(is_trivial(one, other, 0.1 * shells[k]) for other in same_shell)
 
 

@@ -31,7 +31,9 @@ def carpet_transform(order: int, nu_y: Floats, nu_x: Floats) -> Floats:
 
 def test_samples_have_the_carpets_own_fourier_series_in_the_pass_band() -> None:
     side, bandwidth, n = 6.0, 4.0, 240
-    at = (np.arange(n) - n // 2) * 24.0 / n  # a torus of four sides: the spectrum's samples 1/24 apart
+    at = (
+        (np.arange(n) - n // 2) * 24.0 / n
+    )  # a torus of four sides: the spectrum's samples 1/24 apart
     target = CellTarget(carpet_cells(3), (side, side))
     got = np.fft.fft2(np.fft.ifftshift(target.sample(at, at, bandwidth))) * (24.0 / n) ** 2
     nu = np.fft.fftfreq(n, 24.0 / n)
@@ -42,7 +44,9 @@ def test_samples_have_the_carpets_own_fourier_series_in_the_pass_band() -> None:
 
 
 def test_samples_hold_nothing_beyond_the_stop_band() -> None:
-    at = (np.arange(400) - 200) * 0.05  # a grid of Nyquist frequency 10, twice finer than the stop band's start
+    at = (
+        np.arange(400) - 200
+    ) * 0.05  # a grid of Nyquist frequency 10, twice finer than the stop band's start
     target = CellTarget(carpet_cells(4), (6.0, 6.0))
     spectrum = np.abs(np.fft.fft2(target.sample(at, at, 4.0)))
     beyond = np.abs(np.fft.fftfreq(400, 0.05)) > 1.3 * 4.0
@@ -55,10 +59,16 @@ def test_samples_agree_with_fine_box_sampling_and_a_long_scipy_filter() -> None:
     cells = rng.random((7, 5))
     target = CellTarget(cells, (7.0, 5.0), surround=0.3)
     fine, margin, bandwidth = 60, 25, 1.5
-    picture = np.pad(np.kron(cells, np.ones((fine, fine))), margin * fine, constant_values=0.3)
-    taps = signal.firwin(40 * fine + 1, 1.15 * bandwidth, window=("kaiser", 12.0), fs=fine)  # a far sharper filter
+    picture = np.pad(
+        np.kron(cells, np.ones((fine, fine))), margin * fine, constant_values=0.3
+    )
+    taps = signal.firwin(
+        40 * fine + 1, 1.15 * bandwidth, window=("kaiser", 12.0), fs=fine
+    )  # a far sharper filter
     for axis in (0, 1):
-        picture = signal.convolve(picture, np.expand_dims(taps, 1 - axis), mode="same", method="fft")
+        picture = signal.convolve(
+            picture, np.expand_dims(taps, 1 - axis), mode="same", method="fft"
+        )
     inside = slice(margin * fine, -margin * fine)
     at_y, at_x = ((np.arange(n * fine) + 0.5) / fine - n / 2 for n in cells.shape)
     want, got = picture[inside, inside], target.sample(at_y, at_x, bandwidth)
@@ -66,7 +76,8 @@ def test_samples_agree_with_fine_box_sampling_and_a_long_scipy_filter() -> None:
     smooth = signal.firwin(8 * fine + 1, 0.5, window=("kaiser", 9.0), fs=fine)
     for axis in (0, 1):
         want, got = (
-            signal.convolve(p, np.expand_dims(smooth, 1 - axis), mode="same", method="fft") for p in (want, got)
+            signal.convolve(p, np.expand_dims(smooth, 1 - axis), mode="same", method="fft")
+            for p in (want, got)
         )
     core = slice(4 * fine // 3, -4 * fine // 3)
     assert np.max(np.abs(want - got)[core, core]) < 2e-3
@@ -74,7 +85,9 @@ def test_samples_agree_with_fine_box_sampling_and_a_long_scipy_filter() -> None:
 
 @settings(max_examples=25)
 @given(st.floats(0.05, 50.0), st.floats(0.0, 1.0))
-def test_a_constant_target_in_its_own_colour_stays_constant(bandwidth: float, radiance: float) -> None:
+def test_a_constant_target_in_its_own_colour_stays_constant(
+    bandwidth: float, radiance: float
+) -> None:
     target = CellTarget(np.full((3, 4), radiance), (3.0, 4.0), surround=radiance)
     at = np.linspace(-6, 6, 31)
     assert target.sample(at, at, bandwidth) == pytest.approx(radiance, abs=1e-9)
@@ -89,14 +102,18 @@ def test_sampling_is_linear_in_the_cells_and_moves_with_them() -> None:
         return CellTarget(cells, (6.0, 6.0)).sample(at, at, 0.8)
 
     np.testing.assert_allclose(sampled(a + 2 * b), sampled(a) + 2 * sampled(b), atol=1e-12)
-    moved = CellTarget(np.pad(a, ((2, 0), (0, 4))), (8.0, 10.0)).sample(at + 1.0, at - 2.0, 0.8)
+    moved = CellTarget(np.pad(a, ((2, 0), (0, 4))), (8.0, 10.0)).sample(
+        at + 1.0, at - 2.0, 0.8
+    )
     np.testing.assert_allclose(moved, sampled(a), atol=1e-9)
 
 
 def test_all_of_the_light_arrives() -> None:
     target = CellTarget(carpet_cells(2), (2.0, 2.0))
     at = (np.arange(300) - 150) * 0.05
-    assert target.sample(at, at, 5.0).sum() * 0.05**2 == pytest.approx(4.0 * (1 - (8 / 9) ** 2), rel=1e-4)
+    assert target.sample(at, at, 5.0).sum() * 0.05**2 == pytest.approx(
+        4.0 * (1 - (8 / 9) ** 2), rel=1e-4
+    )
 
 
 def test_rows_run_down_and_columns_run_right() -> None:
@@ -110,7 +127,9 @@ def test_rows_run_down_and_columns_run_right() -> None:
 
 def test_point_values_are_the_surround_outside() -> None:
     target = CellTarget(np.zeros((2, 2)), (1.0, 1.0), surround=1.0)
-    np.testing.assert_array_equal(target.radiance([-0.51, -0.49, 0.49, 0.51], 0.0), [1.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        target.radiance([-0.51, -0.49, 0.49, 0.51], 0.0), [1.0, 0.0, 0.0, 1.0]
+    )
 
 
 def test_nine_million_samples_of_a_fifth_order_carpet_take_under_half_a_second() -> None:
@@ -135,7 +154,9 @@ def test_nine_million_samples_of_a_fifth_order_carpet_take_under_half_a_second()
         (np.zeros((2, 2)), (0.0, 1.0), "longer than 0 mm"),
     ],
 )
-def test_an_impossible_target_is_refused(cells: Floats, size_mm: tuple[float, float], says: str) -> None:
+def test_an_impossible_target_is_refused(
+    cells: Floats, size_mm: tuple[float, float], says: str
+) -> None:
     with pytest.raises(TargetError, match=says):
         CellTarget(cells, size_mm)
 

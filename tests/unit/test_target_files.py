@@ -33,9 +33,15 @@ def test_a_carpets_middle_square_is_white_and_its_corners_repeat_it() -> None:
 
 
 def test_the_plan_opens_its_carpet() -> None:
-    target = open_target(TargetSpec(kind="sierpinski", order=4, size_mm=20.0, surround="white"))
+    target = open_target(
+        TargetSpec(kind="sierpinski", order=4, size_mm=20.0, surround="white")
+    )
     assert isinstance(target, CellTarget)
-    assert (target.size_mm, target.surround, target.cells.shape) == ((20.0, 20.0), 1.0, (81, 81))
+    assert (target.size_mm, target.surround, target.cells.shape) == (
+        (20.0, 20.0),
+        1.0,
+        (81, 81),
+    )
 
 
 def test_an_unknown_kind_of_target_names_those_installed() -> None:
@@ -44,13 +50,18 @@ def test_an_unknown_kind_of_target_names_those_installed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "dtype"), [("png", np.uint8), ("png", np.uint16), ("pgm", np.uint8), ("tif", np.uint16)]
+    ("suffix", "dtype"),
+    [("png", np.uint8), ("png", np.uint16), ("pgm", np.uint8), ("tif", np.uint16)],
 )
-def test_a_picture_is_relative_radiance(tmp_path: Path, suffix: str, dtype: type[np.generic]) -> None:
+def test_a_picture_is_relative_radiance(
+    tmp_path: Path, suffix: str, dtype: type[np.generic]
+) -> None:
     full = np.iinfo(dtype).max  # type: ignore[type-var]
     picture = np.array([[0, full, full // 5], [full, 0, full // 3]], dtype=dtype)
     path = tmp_path / f"picture.{suffix}"
-    (tifffile.imwrite if suffix == "tif" else lambda name, a: cv2.imwrite(str(name), a))(path, picture)
+    (tifffile.imwrite if suffix == "tif" else lambda name, a: cv2.imwrite(str(name), a))(
+        path, picture
+    )
     target = open_target(TargetSpec(kind="image", file=path, size_mm=10.0))
     assert isinstance(target, CellTarget)
     assert target.size_mm == (10.0, 15.0)  # size_mm is the side of the first axis
@@ -64,7 +75,9 @@ def test_a_pgm_with_its_own_maximum_is_scaled_by_it(tmp_path: Path) -> None:
 
 
 def colour_picture(path: Path) -> None:
-    cv2.imwrite(str(path), np.eye(4, dtype=np.uint8)[..., None] * np.array([9, 200, 30], np.uint8))
+    cv2.imwrite(
+        str(path), np.eye(4, dtype=np.uint8)[..., None] * np.array([9, 200, 30], np.uint8)
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,7 +108,9 @@ def test_a_png_holds_every_cell_whole_and_states_its_true_size(tmp_path: Path) -
     assert not any("whole" in note for note in made.notes)
 
 
-def test_cells_that_are_no_whole_pixels_are_reported_with_the_resolution_to_ask_for(tmp_path: Path) -> None:
+def test_cells_that_are_no_whole_pixels_are_reported_with_the_resolution_to_ask_for(
+    tmp_path: Path,
+) -> None:
     target = open_target(read_spec("sierpinski:order=3,size_mm=25.4"))
     made = render_file(target, tmp_path / "carpet.png", dpi=100)
     assert made.pixels == (100, 100)
@@ -115,7 +130,14 @@ def test_a_plan_names_a_target_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["sierpinski:order", "sierpinski:order=5", "sierpinski:order=99,size_mm=3", "sierpinski:size=3", "a b"]
+    "text",
+    [
+        "sierpinski:order",
+        "sierpinski:order=5",
+        "sierpinski:order=99,size_mm=3",
+        "sierpinski:size=3",
+        "a b",
+    ],
 )
 def test_a_bad_description_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(TargetError, match=r"an example: sierpinski:order=5,size_mm=46\.8"):
@@ -123,13 +145,20 @@ def test_a_bad_description_is_refused_with_an_example(text: str) -> None:
 
 
 def test_a_misspelt_name_is_named_before_what_is_missing() -> None:
-    with pytest.raises(TargetError, match=r"'sierpinski:ordre=5': ordre is no known key; did you mean order\?"):
+    with pytest.raises(
+        TargetError,
+        match=r"'sierpinski:ordre=5': ordre is no known key; did you mean order\?",
+    ):
         read_spec("sierpinski:ordre=5")
 
 
-def test_a_picture_of_more_than_can_be_drawn_is_refused_by_its_declared_size(tmp_path: Path) -> None:
+def test_a_picture_of_more_than_can_be_drawn_is_refused_by_its_declared_size(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "picture.pgm").write_bytes(b"P5 8193 8193 255\n")
-    with pytest.raises(TargetError, match="declares 8193 × 8193 pixels: allowed are 67 million in all"):
+    with pytest.raises(
+        TargetError, match="declares 8193 × 8193 pixels: allowed are 67 million in all"
+    ):
         read_radiance(tmp_path / "picture.pgm")
 
 

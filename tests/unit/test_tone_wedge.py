@@ -28,34 +28,56 @@ Curve = Callable[[Floats], Floats]
 
 def picture_style(light: Floats) -> Floats:
     """A camera's rendering, by hand: more contrast than sRGB, a shoulder in the lights. light: 0 to 1."""
-    return np.asarray(np.log1p(40 * light**1.25) / np.log1p(40) * (1 - 0.12 * (1 - light) ** 3))
+    return np.asarray(
+        np.log1p(40 * light**1.25) / np.log1p(40) * (1 - 0.12 * (1 - light) ** 3)
+    )
 
 
 def gamma(light: Floats) -> Floats:
     return np.asarray(light ** (1 / 2.2))
 
 
-def light_of_wedge(blur_px: float = 6.0, white: float = 0.9, fall: float = 0.15, seed: int = 1) -> Floats:
+def light_of_wedge(
+    blur_px: float = 6.0, white: float = 0.9, fall: float = 0.15, seed: int = 1
+) -> Floats:
     """(600, 900) light of a panel that shows the wedge, seen a little from the side: its own gamma has no say."""
     panel = PanelInfo((600, 1200), 0.1, gamma=3.1)
     shown = panel_picture(open_target("wedge:size_mm=51.2"), panel).grey / 255.0
     assert set(np.unique(shown)) == {0.0, 1.0}
     glass = np.full(panel.pixels, 0.002)
-    top, left = ((whole - part) // 2 for whole, part in zip(panel.pixels, shown.shape, strict=True))
+    top, left = (
+        (whole - part) // 2 for whole, part in zip(panel.pixels, shown.shape, strict=True)
+    )
     glass[top : top + shown.shape[0], left : left + shown.shape[1]] += shown
     rows, cols = 600, 900
-    corners = np.array([[0, 0], [panel.pixels[1], 0], panel.pixels[::-1], [0, panel.pixels[0]]], np.float32)
+    corners = np.array(
+        [[0, 0], [panel.pixels[1], 0], panel.pixels[::-1], [0, panel.pixels[0]]], np.float32
+    )
     seen = np.array([[60, 90], [850, 70], [840, 520], [50, 500]], np.float32)
     at = cv2.getPerspectiveTransform(corners, 2 * seen)  # twice as fine, and then binned
     fine = cv2.warpPerspective(glass, at, (2 * cols, 2 * rows), flags=cv2.INTER_AREA)
-    light = cv2.GaussianBlur(fine, (0, 0), 2 * blur_px).reshape(rows, 2, cols, 2).mean(axis=(1, 3))
+    light = (
+        cv2.GaussianBlur(fine, (0, 0), 2 * blur_px)
+        .reshape(rows, 2, cols, 2)
+        .mean(axis=(1, 3))
+    )
     y, x = np.mgrid[:rows, :cols] / cols - 0.5
-    light = white * light * (1 - fall * (x**2 + y**2) * 4 - 0.05 * x) + 0.004  # falls off, and some stray light
-    return np.asarray(np.clip(light * (1 + np.random.default_rng(seed).normal(scale=0.01, size=light.shape)), 0, 1))
+    light = (
+        white * light * (1 - fall * (x**2 + y**2) * 4 - 0.05 * x) + 0.004
+    )  # falls off, and some stray light
+    return np.asarray(
+        np.clip(
+            light * (1 + np.random.default_rng(seed).normal(scale=0.01, size=light.shape)),
+            0,
+            1,
+        )
+    )
 
 
 def photograph(path: Path, light: Floats, curve: Curve, quality: int = 92) -> Path:
-    Image.fromarray(np.rint(255 * curve(light)).astype(np.uint8)).save(path, quality=quality)
+    Image.fromarray(np.rint(255 * curve(light)).astype(np.uint8)).save(
+        path, quality=quality
+    )
     return path
 
 
@@ -64,10 +86,15 @@ def undone(tone: tone_wedge.Tone, curve: Curve, folder: Path) -> float:
     measured = tomllib.loads(tone.to_toml())["sensor"]
     stored = np.arange(256, dtype=np.uint8)
     Image.fromarray(stored[None].repeat(2, 0)).save(folder / "ramp.png")
-    mosaic = read_raw(folder / "ramp.png", Sensor.from_tables({"pixel_pitch_um": 5.0, **measured}))
+    mosaic = read_raw(
+        folder / "ramp.png", Sensor.from_tables({"pixel_pitch_um": 5.0, **measured})
+    )
     fine = np.linspace(0, 1, 20_001)
     seen = (stored / 255 > tone.numbers.min()) & (stored / 255 < tone.numbers.max())
-    want, got = np.interp(stored / 255, curve(fine), fine)[seen], mosaic.counts[0, seen] / 65535
+    want, got = (
+        np.interp(stored / 255, curve(fine), fine)[seen],
+        mosaic.counts[0, seen] / 65535,
+    )
     factor, constant = np.polyfit(got, want, 1)  # both are every fit's own
     return float(np.max(np.abs(factor * got + constant - want)))
 
@@ -90,16 +117,22 @@ def test_the_wedge_has_known_greys_each_twice() -> None:
 
 
 @pytest.mark.parametrize(("curve", "limit"), [(gamma, 0.008), (picture_style, 0.006)])
-def test_the_curve_of_a_simulated_photograph_comes_back(tmp_path: Path, curve: Curve, limit: float) -> None:
+def test_the_curve_of_a_simulated_photograph_comes_back(
+    tmp_path: Path, curve: Curve, limit: float
+) -> None:
     tone = measure_tone(photograph(tmp_path / "wedge.jpg", light_of_wedge(), curve))
     error = undone(tone, curve, tmp_path)
     assert error < limit  # 0.0041 and 0.0033 were measured
     assert error < 4 * light_std(tone, curve) < 0.02
 
 
-def test_a_lens_that_darkens_the_corners_leaves_the_curve_as_it_is(tmp_path: Path, found: None) -> None:
+def test_a_lens_that_darkens_the_corners_leaves_the_curve_as_it_is(
+    tmp_path: Path, found: None
+) -> None:
     """By a quarter at the ends of the wedge: both places of some steps stand there."""
-    tone = measure_tone(photograph(tmp_path / "wedge.jpg", light_of_wedge(fall=0.25), gamma))
+    tone = measure_tone(
+        photograph(tmp_path / "wedge.jpg", light_of_wedge(fall=0.25), gamma)
+    )
     assert 0.2 < tone.uneven < 0.25
 
     def error(at: Floats) -> Floats:
@@ -132,8 +165,16 @@ def test_colours_have_a_curve_each(tmp_path: Path, found: None) -> None:
 @pytest.mark.parametrize(
     ("light", "curve", "words"),
     [
-        (light_of_wedge(white=1.4), gamma, r"of the 32 steps are clipped at full scale: expose less"),
-        (light_of_wedge(blur_px=2.0), gamma, r"the half-tone's dots are resolved, .* defocus the lens"),
+        (
+            light_of_wedge(white=1.4),
+            gamma,
+            r"of the 32 steps are clipped at full scale: expose less",
+        ),
+        (
+            light_of_wedge(blur_px=2.0),
+            gamma,
+            r"the half-tone's dots are resolved, .* defocus the lens",
+        ),
         (
             light_of_wedge(),
             lambda light: 0.9 * np.minimum(light, 1.2 - light),
@@ -148,10 +189,14 @@ def test_steps_that_cannot_be_used_are_refused(
         measure_tone(photograph(tmp_path / "wedge.png", light, curve))
 
 
-def test_a_picture_without_a_wedge_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture_without_a_wedge_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     noise = np.random.default_rng(1).uniform(size=(90, 160))
     path = photograph(tmp_path / "noise.png", noise, gamma)
-    with pytest.raises(TargetError, match=r"no wedge found: show labkit target serve wedge:size_mm=100"):
+    with pytest.raises(
+        TargetError, match=r"no wedge found: show labkit target serve wedge:size_mm=100"
+    ):
         measure_tone(path)
     assert run(["camera", "tone", str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -160,14 +205,23 @@ def test_a_picture_without_a_wedge_is_refused_in_one_line(tmp_path: Path, capsys
 
 
 def test_the_command_writes_what_a_plan_takes(tmp_path: Path, found: None) -> None:
-    path, out = photograph(tmp_path / "wedge.png", light_of_wedge(), gamma), tmp_path / "tone.toml"
+    path, out = (
+        photograph(tmp_path / "wedge.png", light_of_wedge(), gamma),
+        tmp_path / "tone.toml",
+    )
     assert run(["camera", "tone", str(path), "--out", str(out)]) == 0
-    sensor = Sensor.from_tables({"pixel_pitch_um": 5.0, **tomllib.loads(out.read_text())["sensor"]})
+    sensor = Sensor.from_tables(
+        {"pixel_pitch_um": 5.0, **tomllib.loads(out.read_text())["sensor"]}
+    )
     assert len(sensor.tone_curve.light) == 16  # type: ignore[union-attr]
-    assert run(["camera", "tone", str(path), "--out", str(out)]) == 2  # nothing is overwritten
+    assert (
+        run(["camera", "tone", str(path), "--out", str(out)]) == 2
+    )  # nothing is overwritten
 
 
-@pytest.mark.parametrize("wrong", ["gamma", {"light": [0, 1], "numbers": [[0.5, 0.5]]}, {"light": [0, 1]}])
+@pytest.mark.parametrize(
+    "wrong", ["gamma", {"light": [0, 1], "numbers": [[0.5, 0.5]]}, {"light": [0, 1]}]
+)
 def test_a_tone_curve_that_is_none_is_refused(wrong: object) -> None:
     with pytest.raises(PlanError, match="tone_curve"):
         Sensor.from_tables({"pixel_pitch_um": 5.0, "tone_curve": wrong})

@@ -17,7 +17,10 @@ from labkit.uncertain import Uncertain
     ("number", "text"),
     [
         (Uncertain(3024.0, 0.4, "mm"), "3024.00 ± 0.40 mm"),
-        (Uncertain(-0.12345, 0.000996), "-0.1235 ± 0.0010"),  # an error of 0.000996 is 0.0010, not 0.00100
+        (
+            Uncertain(-0.12345, 0.000996),
+            "-0.1235 ± 0.0010",
+        ),  # an error of 0.000996 is 0.0010, not 0.00100
         (Uncertain(2054.3, 123.4), "2054 ± 123"),
         (Uncertain(-1e-9, 0.1), "0.00 ± 0.10"),
         (Uncertain(3e9, 1.2e4, "Hz"), "(3.000000 ± 0.000012)e+09 Hz"),
@@ -33,9 +36,13 @@ def test_it_prints_two_digits_of_the_error(number: Uncertain, text: str) -> None
 
 
 @given(st.floats(-1e12, 1e12), st.floats(1e-12, 1e12), st.sampled_from(["", "mm"]))
-def test_what_is_printed_is_the_value_to_a_twentieth_of_its_error(value: float, std: float, unit: str) -> None:
+def test_what_is_printed_is_the_value_to_a_twentieth_of_its_error(
+    value: float, std: float, unit: str
+) -> None:
     text = str(Uncertain(value, std, unit))
-    shown, error, power = re.fullmatch(r"\(?(\S+) ± ([\d.]+)(?:\)e(\S+))?(?: mm)?", text).groups()  # type: ignore[union-attr]
+    shown, error, power = re.fullmatch(
+        r"\(?(\S+) ± ([\d.]+)(?:\)e(\S+))?(?: mm)?", text
+    ).groups()  # type: ignore[union-attr]
     factor = 10.0 ** int(power or 0)
     # fifteen places at most: an error in a billion billionth is shown as none
     slack = 1e-15 * max(abs(value), std)
@@ -50,17 +57,30 @@ def test_a_format_of_numbers_holds_for_both_and_of_texts_for_the_whole() -> None
 
 
 def test_a_notebook_shows_powers_and_escapes_units() -> None:
-    assert Uncertain(-3e-9, 1e-12, "<b>")._repr_html_() == "(−3.0000 ± 0.0010) × 10<sup>−9</sup> &lt;b&gt;"
+    assert (
+        Uncertain(-3e-9, 1e-12, "<b>")._repr_html_()
+        == "(−3.0000 ± 0.0010) × 10<sup>−9</sup> &lt;b&gt;"
+    )
 
 
 @given(st.floats(), st.floats(min_value=0) | st.just(math.nan))
-def test_json_gives_finite_numbers_back_and_null_for_the_rest(value: float, std: float) -> None:
-    back = Uncertain.from_json(json.loads(json.dumps(Uncertain(value, std).as_json(), allow_nan=False)))
+def test_json_gives_finite_numbers_back_and_null_for_the_rest(
+    value: float, std: float
+) -> None:
+    back = Uncertain.from_json(
+        json.loads(json.dumps(Uncertain(value, std).as_json(), allow_nan=False))
+    )
     for given_number, kept in ((value, back.value), (std, back.std)):
         assert kept == given_number if math.isfinite(given_number) else math.isnan(kept)
 
 
-@pytest.mark.parametrize("data", [3, None, [1, 2], {"value": "3"}, {"value": True, "std": 1}, {"value": 1, "std": -1}])
+@pytest.mark.parametrize(
+    "data",
+    [3, None, [1, 2], {"value": "3"}, {"value": True, "std": 1}, {"value": 1, "std": -1}],
+)
 def test_other_json_is_refused_in_a_line(data: object) -> None:
-    with pytest.raises(ValueError, match=r"a standard error is 0 or more|a value with its standard error is"):
+    with pytest.raises(
+        ValueError,
+        match=r"a standard error is 0 or more|a value with its standard error is",
+    ):
         Uncertain.from_json(data)  # type: ignore[arg-type]

@@ -30,7 +30,9 @@ def grbl_port(
     faults: Sequence[LineFault] = (),
 ) -> PtyPort:
     """A controller for LEADSCREW, but for the settings given, behind a port of its own."""
-    known = {number: value for number, value in LEADSCREW.items() if number in firmware.defaults}
+    known = {
+        number: value for number, value in LEADSCREW.items() if number in firmware.defaults
+    }
     return PtyPort(GrblController(firmware, known | dict(settings or {}), options), faults)
 
 
@@ -40,7 +42,10 @@ def simulated_port(address: str, plan: Plan, context: DeviceContext) -> PtyPort:
     stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     zero_at_home = min(stops_mm) >= 0
     reach_mm = max(abs(mm) for mm in stops_mm) + 10.0 + rail.run_up_mm
-    port = grbl_port(settings={130: reach_mm, 131: reach_mm, 132: reach_mm}, options="VZ" if zero_at_home else "V")
+    port = grbl_port(
+        settings={130: reach_mm, 131: reach_mm, 132: reach_mm},
+        options="VZ" if zero_at_home else "V",
+    )
     controller = port.controller
     assert isinstance(controller, GrblController)
     controller.moved = carrying(context)

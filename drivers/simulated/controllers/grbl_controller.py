@@ -45,9 +45,17 @@ class GrblController:
         blank: bool = False,
     ) -> None:
         self.firmware = firmware
-        self.settings = {number: float(text) for number, text in firmware.defaults.items()} | dict(settings or {})
-        origin = int(self.settings[HOMING]) & HAL_ORIGIN_AT_HOME if firmware.is_hal else "Z" in options
-        self.machine = Machine(self.settings, bool(origin), carriage_mm, switch_works, firmware.is_hal)
+        self.settings = {
+            number: float(text) for number, text in firmware.defaults.items()
+        } | dict(settings or {})
+        origin = (
+            int(self.settings[HOMING]) & HAL_ORIGIN_AT_HOME
+            if firmware.is_hal
+            else "Z" in options
+        )
+        self.machine = Machine(
+            self.settings, bool(origin), carriage_mm, switch_works, firmware.is_hal
+        )
         self.options = options
         self.limit_alarm = limit_alarm
         self._blank = blank
@@ -117,7 +125,12 @@ class GrblController:
     def due_s(self) -> float | None:
         """When something happens next by itself."""
         motion = self.machine.motion
-        times = [self._due_s, self._start_s, motion.end_s if motion else None, self._trip_s()]
+        times = [
+            self._due_s,
+            self._start_s,
+            motion.end_s if motion else None,
+            self._trip_s(),
+        ]
         return min((time for time in times if time is not None), default=None)
 
     def say(self, text: str) -> None:
@@ -162,7 +175,9 @@ class GrblController:
         """A soft reset, from the line or from a button."""
         homing = self.state == "Home"
         if moving is None:
-            moving = self.state in ("Run", "Jog") or isinstance(self.machine.motion, Braking)
+            moving = self.state in ("Run", "Jog") or isinstance(
+                self.machine.motion, Braking
+            )
         if homing and not self.wedged:
             self.machine.homing_cut_off(self.now_s - self._began_s)
         if homing or (moving and not self.firmware.is_hal):
@@ -171,7 +186,11 @@ class GrblController:
         self.moved(self.machine.carriage_mm(self.now_s))
         if self._refused or self._dwell_s is not None or (homing and not self.wedged):
             self.say("ok")  # of the line that was being executed
-        locked = homing or (moving and not self.firmware.is_hal) or self.state in ("Alarm", "Sleep")
+        locked = (
+            homing
+            or (moving and not self.firmware.is_hal)
+            or self.state in ("Alarm", "Sleep")
+        )
         self._forget("Alarm" if locked else "Idle")
         self._greet()
 
@@ -182,7 +201,11 @@ class GrblController:
     def begin_homing(self) -> None:
         """Search for the switch; the line's ok comes when it is found."""
         self.state, self._began_s = "Home", self.now_s
-        self._due_s = self.now_s + (self.machine.homing_s() if self.machine.switch_works else self.machine.search_s())
+        self._due_s = self.now_s + (
+            self.machine.homing_s()
+            if self.machine.switch_works
+            else self.machine.search_s()
+        )
 
     def begin_dwell(self, seconds: float) -> None:
         """Wait for all motion, and then as long again; the line's ok comes then."""
@@ -211,10 +234,18 @@ class GrblController:
         while True:
             if self.machine.planned and self.machine.motion is None:
                 self._set_out()
-            if self._dwell_s is not None and not (self.machine.planned or self._due_s or self.dead):
+            if self._dwell_s is not None and not (
+                self.machine.planned or self._due_s or self.dead
+            ):
                 self._due_s = self.now_s + self._dwell_s
             waits = self._dwell_s is not None or (self.state == "Home" and not self.wedged)
-            if not self._lines or self.dead or waits or self.state == "Sleep" or not self.has_room():
+            if (
+                not self._lines
+                or self.dead
+                or waits
+                or self.state == "Sleep"
+                or not self.has_room()
+            ):
                 return
             self._answer(self._lines.popleft())
 
@@ -249,7 +280,9 @@ class GrblController:
                 self.say("ok")
         elif self._start_s is not None and self._start_s <= self.now_s:
             self._start_s = None
-            self.state = "Run" if self.state == "Idle" and self.machine.planned else self.state
+            self.state = (
+                "Run" if self.state == "Idle" and self.machine.planned else self.state
+            )
         elif (trip_s := self._trip_s()) is not None and trip_s <= self.now_s:
             self.limit()
         elif self.machine.motion is not None and self.machine.motion.end_s <= self.now_s:
@@ -261,7 +294,9 @@ class GrblController:
                 self.state = "Idle"
 
     def _trip_s(self) -> float | None:
-        return self.machine.trips_s() if self.settings[HARD_LIMITS] and not self.dead else None
+        return (
+            self.machine.trips_s() if self.settings[HARD_LIMITS] and not self.dead else None
+        )
 
     def _end_homing(self) -> None:
         if not self.machine.switch_works:
@@ -298,16 +333,25 @@ class GrblController:
     def _report(self) -> None:
         self._asked = False
         machine, moving = self.machine, self.state in ("Run", "Jog", "Home", "Hold")
-        state = f"Hold:{int(machine.motion is not None)}" if self.state == "Hold" else self.state
+        state = (
+            f"Hold:{int(machine.motion is not None)}"
+            if self.state == "Hold"
+            else self.state
+        )
         place = machine.place(self.now_s)
         mask = int(self.settings[10])
         if mask & 1:
             fields = [state, f"MPos:{_axes(place)}"]
         else:
-            fields = [state, f"WPos:{_axes([mm - off for mm, off in zip(place, self.offset_mm, strict=True)])}"]
+            fields = [
+                state,
+                f"WPos:{_axes([mm - off for mm, off in zip(place, self.offset_mm, strict=True)])}",
+            ]
         if mask & 2:
             waiting = len(self._typed) + sum(len(line) + 1 for line in self._lines)
-            fields.append(f"Bf:{self.firmware.blocks - len(machine.planned)},{self.firmware.room - waiting}")
+            fields.append(
+                f"Bf:{self.firmware.blocks - len(machine.planned)},{self.firmware.room - waiting}"
+            )
         running = machine.planned and self.state in ("Run", "Jog", "Home")
         fields.append(f"FS:{machine.planned[0].speed * 60:.0f},0" if running else "FS:0,0")
         if machine.on_switch(self.now_s):

@@ -73,7 +73,9 @@ class Interpreter:
         if line in ("$", "I", "#") and controller.state not in ("Idle", "Alarm"):
             raise GcodeError(8)
         if line == "":
-            controller.say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+            controller.say(
+                "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
+            )
         elif line == "$":
             controller.tell_settings()
         elif line == "I":
@@ -145,7 +147,11 @@ class Interpreter:
         if block.values.get("L") not in (2, 20):
             raise GcodeError(20)
         for axis, value in block.axes.items():
-            here_mm = controller.machine.end()[axis] if block.values["L"] == 20 else 2 * value * self._mm()
+            here_mm = (
+                controller.machine.end()[axis]
+                if block.values["L"] == 20
+                else 2 * value * self._mm()
+            )
             controller.offset_mm[axis] = here_mm - value * self._mm()
         controller.offset_changed()
 

@@ -39,7 +39,12 @@ class Machine:
     """
 
     def __init__(
-        self, settings: Mapping[int, float], zero_at_home: bool, carriage_mm: float, switch_works: bool, is_hal: bool
+        self,
+        settings: Mapping[int, float],
+        zero_at_home: bool,
+        carriage_mm: float,
+        switch_works: bool,
+        is_hal: bool,
     ) -> None:
         self._settings = settings
         self.switch_works = switch_works
@@ -71,7 +76,13 @@ class Machine:
     def start(self, now_s: float) -> None:
         """Set out on the next planned move."""
         following = self.planned[0]
-        self.motion = Move(self.position, following.target, now_s, following.speed, self._settings[ACCELERATION])
+        self.motion = Move(
+            self.position,
+            following.target,
+            now_s,
+            following.speed,
+            self._settings[ACCELERATION],
+        )
 
     def arrive(self, now_s: float) -> None:
         """The present motion is over: a move is done with, a braked one still waits for the rest of its way."""
@@ -97,11 +108,18 @@ class Machine:
         """Power was off: counting begins anew at zero, wherever the carriage is."""
         true_mm = self.carriage_mm(now_s)
         self.planned.clear()
-        self.position, self.motion, self.slip_mm, self._is_homed = (0.0, 0.0, 0.0), None, true_mm, False
+        self.position, self.motion, self.slip_mm, self._is_homed = (
+            (0.0, 0.0, 0.0),
+            None,
+            true_mm,
+            False,
+        )
 
     def outside(self, target: Point) -> bool:
         """Whether soft limits, if they are on, forbid a target."""
-        if not self._settings[SOFT_LIMITS] or (self._only_when_homed and not self._is_homed):
+        if not self._settings[SOFT_LIMITS] or (
+            self._only_when_homed and not self._is_homed
+        ):
             return False
         for axis, mm in enumerate(target):
             travel_mm = self._settings[MAX_TRAVEL + axis]
@@ -125,18 +143,29 @@ class Machine:
         begin, end = move.origin[0] + self.slip_mm, move.target[0] + self.slip_mm
         if (begin <= self._switch_mm) == (end <= self._switch_mm):
             return None
-        wanted_mm = abs(self._switch_mm - begin) * move.length_mm / abs(end - begin) + STEP_MM
+        wanted_mm = (
+            abs(self._switch_mm - begin) * move.length_mm / abs(end - begin) + STEP_MM
+        )
         low_s, high_s = move.begin_s, move.end_s
         for _ in range(50):
             middle_s = (low_s + high_s) / 2
-            low_s, high_s = (middle_s, high_s) if move.along(middle_s)[0] < wanted_mm else (low_s, middle_s)
+            low_s, high_s = (
+                (middle_s, high_s)
+                if move.along(middle_s)[0] < wanted_mm
+                else (low_s, middle_s)
+            )
         return high_s
 
     def homing_s(self) -> float:
         """How long homing X will take: the search, the way back, the second approach and the way back again."""
-        search_mm = abs(self.slip_mm + self.position[0] - self._home_mm(0)) + self._settings[PULL_OFF]
+        search_mm = (
+            abs(self.slip_mm + self.position[0] - self._home_mm(0))
+            + self._settings[PULL_OFF]
+        )
         seek, locate = self._settings[SEEK_RATE] / 60, self._settings[LOCATE_RATE] / 60
-        return (search_mm + self._settings[PULL_OFF]) / seek + 2 * self._settings[PULL_OFF] / locate
+        return (search_mm + self._settings[PULL_OFF]) / seek + 2 * self._settings[
+            PULL_OFF
+        ] / locate
 
     def search_s(self) -> float:
         """How long homing searches before it gives up."""
@@ -145,11 +174,18 @@ class Machine:
     def homed(self, axes: int) -> None:
         """Homing is done: counted and true position agree."""
         homes = [self._home_mm(axis) for axis in range(axes)]
-        self.position, self.slip_mm, self._is_homed = (*homes, *self.position[axes:]), 0.0, True
+        self.position, self.slip_mm, self._is_homed = (
+            (*homes, *self.position[axes:]),
+            0.0,
+            True,
+        )
 
     def homing_cut_off(self, since_s: float) -> None:
         """Homing ended before its time: the carriage went some of the way, uncounted."""
-        way_mm = min(since_s * self._settings[SEEK_RATE] / 60, abs(self.carriage_mm(0.0) - self._home_mm(0)))
+        way_mm = min(
+            since_s * self._settings[SEEK_RATE] / 60,
+            abs(self.carriage_mm(0.0) - self._home_mm(0)),
+        )
         self.slip_mm += -way_mm if self._homes_low(0) else way_mm
 
     def speed(self, feed: float | None) -> float:
@@ -172,4 +208,8 @@ class Machine:
         if self._zero_at_home:
             return 0.0
         pull_off_mm = self._settings[PULL_OFF]
-        return pull_off_mm - self._settings[MAX_TRAVEL + axis] if self._homes_low(axis) else -pull_off_mm
+        return (
+            pull_off_mm - self._settings[MAX_TRAVEL + axis]
+            if self._homes_low(axis)
+            else -pull_off_mm
+        )

@@ -28,7 +28,11 @@ class Move:
     def end_s(self) -> float:
         """When it stands."""
         ramp_s, peak = self._ramp()
-        return self.begin_s + 2 * ramp_s + (self.length_mm - peak * ramp_s) / peak if peak else self.begin_s
+        return (
+            self.begin_s + 2 * ramp_s + (self.length_mm - peak * ramp_s) / peak
+            if peak
+            else self.begin_s
+        )
 
     def along(self, now_s: float) -> tuple[float, float]:
         """(way gone in mm, speed) at a time."""
@@ -39,13 +43,18 @@ class Move:
         if since_s < ramp_s:
             return self.acceleration * since_s**2 / 2, self.acceleration * since_s
         if left_s < ramp_s:
-            return self.length_mm - self.acceleration * left_s**2 / 2, self.acceleration * left_s
+            return (
+                self.length_mm - self.acceleration * left_s** 2 / 2,
+                self.acceleration * left_s,
+            )
         return peak * (since_s - ramp_s / 2), peak
 
     def at(self, way_mm: float) -> Point:
         """Where it is after a way."""
         share = way_mm / self.length_mm if self.length_mm else 1.0
-        return tuple(a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
+        return tuple(
+            a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True)
+        )
 
     def _ramp(self) -> tuple[float, float]:
         """(time of either ramp, top speed reached)."""

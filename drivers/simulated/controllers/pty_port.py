@@ -16,7 +16,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-Kind = Literal["late", "stale", "silence", "garbage", "partial", "torn", "unplug", "reboot", "reset", "alarm", "slip"]
+Kind = Literal[
+    "late",
+    "stale",
+    "silence",
+    "garbage",
+    "partial",
+    "torn",
+    "unplug",
+    "reboot",
+    "reset",
+    "alarm",
+    "slip",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +101,9 @@ class PtyPort:
         controller.noticed = self._notice
         controller.power_on()
         self._plug()
-        self._thread = threading.Thread(target=self._serve, name="simulated rail", daemon=True)
+        self._thread = threading.Thread(
+            target=self._serve, name="simulated rail", daemon=True
+        )
         self._thread.start()
 
     def strike(self, kind: Kind, lasts_s: float = 0.1) -> None:
@@ -155,12 +169,16 @@ class PtyPort:
             if now_s < self._silent_until_s:
                 continue
             at_s = now_s + (self._late_by_s if now_s < self._late_until_s else 0.0)
-            at_s = max(at_s, self._out[-1][0] if self._out else at_s)  # a line cannot overtake another
+            at_s = max(
+                at_s, self._out[-1][0] if self._out else at_s
+            )  # a line cannot overtake another
             half = len(line) // 2
             spoil = self._spoil.popleft() if self._spoil and line.strip() else None
             match spoil.kind if spoil else None:
                 case "garbage":
-                    self._out.append((at_s, b"\xff\x00" + line[:half] + b"\xfe" + line[half + 1 :]))
+                    self._out.append(
+                        (at_s, b"\xff\x00" + line[:half] + b"\xfe" + line[half + 1 :])
+                    )
                 case "torn":
                     self._out.append((at_s, line[:half]))
                 case "partial":

@@ -15,7 +15,9 @@ from labkit.drivers.simulated.controllers.serve import carrying, rail_of, serve
 from labkit.drivers.zaber.protocol import SPEED_UNIT, checksum
 from labkit.plan import Plan
 
-COMMAND = re.compile(r"/(?P<device>\d+)?(?: ?(?P<axis>\d))?(?: (?P<id>\d\d))?(?: ?(?P<command>[a-z].*))?")
+COMMAND = re.compile(
+    r"/(?P<device>\d+)?(?: ?(?P<axis>\d))?(?: (?P<id>\d\d))?(?: ?(?P<command>[a-z].*))?"
+)
 
 OF_DEVICE = {
     "deviceid": "50081",
@@ -35,7 +37,11 @@ class ZaberController:
     """
 
     def __init__(
-        self, reach: int = 305_381, speed: float = 40_000.0, carriage: int = 60_000, acceleration: float = 200_000.0
+        self,
+        reach: int = 305_381,
+        speed: float = 40_000.0,
+        carriage: int = 60_000,
+        acceleration: float = 200_000.0,
     ) -> None:
         self.noticed: Callable[[str], None] = lambda command: None
         self.moved: Callable[[float], None] = lambda carriage: None
@@ -124,7 +130,9 @@ class ZaberController:
         verdict, data = self._do(axis, command)
         number = f"{found['id']} " if found["id"] else ""
         state = "IDLE" if self._motion is None else "BUSY"
-        flag = "--" if self._homing else self.flag  # as recorded; a search that is broken off shows it again
+        flag = (
+            "--" if self._homing else self.flag
+        )  # as recorded; a search that is broken off shows it again
         reply = f"@01 {axis} {number}{verdict} {state} {flag} {data}"
         whole = f"{reply}:{checksum(reply)}\r\n" if colon else f"{reply}\r\n"
         self._said += whole.encode()
@@ -144,7 +152,9 @@ class ZaberController:
                 self._homing = True
                 if self._motion is None:
                     self._arrive()
-            case ["move", kind, value] if kind in ("abs", "rel") and re.fullmatch(r"-?\d+", value):
+            case ["move", kind, value] if kind in ("abs", "rel") and re.fullmatch(
+                r"-?\d+", value
+            ):
                 target = int(value) + (self._place() if kind == "rel" else 0)
                 if not 0 <= target <= self.reach:
                     return "RJ", "BADDATA"
@@ -165,7 +175,13 @@ class ZaberController:
     def _go(self, target: float) -> None:
         self.position, self._motion, self._homing = self._place(), None, False
         if target != self.position:
-            self._motion = Move((self.position,), (float(target),), self.now_s, self.speed, self.acceleration)
+            self._motion = Move(
+                (self.position,),
+                (float(target),),
+                self.now_s,
+                self.speed,
+                self.acceleration,
+            )
 
     def _get(self, axis: int, name: str) -> str | None:
         settings = (

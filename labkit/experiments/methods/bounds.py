@@ -39,7 +39,9 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     common = state.unevenness.size + NOISE
     size = modes + PER_FRAME * len(problem.frames) + common
     total = np.zeros((size, size))
-    blocks = [slice(k, min(k + modes_at_once, modes)) for k in range(0, modes, modes_at_once)]
+    blocks = [
+        slice(k, min(k + modes_at_once, modes)) for k in range(0, modes, modes_at_once)
+    ]
     for k in range(len(problem.frames)):
         first = modes + k * PER_FRAME
         of_frame = np.arange(first, first + PER_FRAME)
@@ -49,7 +51,14 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     return total
 
 
-def _add_frame(total: Floats, problem: Problem, state: State, k: int, at_frame: Integers, blocks: list[slice]) -> None:
+def _add_frame(
+    total: Floats,
+    problem: Problem,
+    state: State,
+    k: int,
+    at_frame: Integers,
+    blocks: list[slice],
+) -> None:
     """Add the information of frame `k`. at_frame: rows of its pose and light; blocks: the modes'."""
     model = problem.model
     frame = problem.frames[k]
@@ -107,14 +116,20 @@ def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
     """
     relative = real_array("relative", relative, (None,), "of the target's radiance")
     light = real_array("light", light, relative.shape, "relative")
-    c1, c2, c3, _, read = real_array("c", c, (len(DETECTOR),), "electrons; counts per electron; counts")
+    c1, c2, c3, _, read = real_array(
+        "c", c, (len(DETECTOR),), "electrons; counts per electron; counts"
+    )
     electrons = light * (c1 * relative + c2)
     zero = np.zeros_like(electrons)
     one = np.ones_like(electrons)
     means = np.stack([c3 * light * relative, c3 * light, electrons, one, zero])
-    variances = np.stack([c3**2 * light * relative, c3**2 * light, 2 * c3 * electrons, zero, 2 * read * one])
+    variances = np.stack(
+        [c3**2 * light * relative, c3**2 * light, 2 * c3 * electrons, zero, 2 * read * one]
+    )
     variance = c3**2 * electrons + read**2
-    return np.asarray((means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T)
+    return np.asarray(
+        (means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T
+    )
 
 
 def uniform_bound(
@@ -143,12 +158,22 @@ def uniform_bound(
     -----
     Thesis (3.47), (3.48).
     """
-    multipliers = real_array("multipliers", multipliers, (None,), "the parameter's unit squared")
+    multipliers = real_array(
+        "multipliers", multipliers, (None,), "the parameter's unit squared"
+    )
     if np.any(multipliers <= 0):
-        raise ValueError(f"multipliers, shape {multipliers.shape}: all must be above 0 (the parameter's unit squared)")
+        raise ValueError(
+            f"multipliers, shape {multipliers.shape}: all must be above 0 (the parameter's unit squared)"
+        )
     size = len(covariance)
-    covariance = symmetric("covariance", covariance, size, "of the parameters' units, squared")
-    norm = None if norm is None else symmetric("norm", norm, size, "of the parameters' units, inverse squared")
+    covariance = symmetric(
+        "covariance", covariance, size, "of the parameters' units, squared"
+    )
+    norm = (
+        None
+        if norm is None
+        else symmetric("norm", norm, size, "of the parameters' units, inverse squared")
+    )
     root = np.eye(size) if norm is None else np.asarray(scipy.linalg.sqrtm(norm).real)
     inverse = np.linalg.inv(root)
     beta, vectors = np.linalg.eigh(inverse @ covariance @ inverse)
@@ -174,6 +199,8 @@ def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None)
     ValueError
         for a covariance that is not symmetric and finite
     """
-    row = symmetric("covariance", covariance, len(covariance), "of the parameters' units, squared")[index]
+    row = symmetric(
+        "covariance", covariance, len(covariance), "of the parameters' units, squared"
+    )[index]
     weighted = row if norm is None else np.linalg.solve(norm, row)
     return float(-2 * np.sqrt(row @ weighted))

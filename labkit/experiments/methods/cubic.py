@@ -43,9 +43,13 @@ class Cubic:
 
     def __post_init__(self) -> None:
         if len(self.shape) != 2 or min(self.shape) < 1:
-            raise ValueError(f"shape: (rows, columns) of at least one sample each are needed, not {self.shape}")
+            raise ValueError(
+                f"shape: (rows, columns) of at least one sample each are needed, not {self.shape}"
+            )
         object.__setattr__(self, "row", real_array("row", self.row, (None,), "samples"))
-        object.__setattr__(self, "col", real_array("col", self.col, self.row.shape, "samples"))
+        object.__setattr__(
+            self, "col", real_array("col", self.col, self.row.shape, "samples")
+        )
 
     def apply(self, image: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
         """Interpolated values, or their derivatives.
@@ -60,14 +64,18 @@ class Cubic:
         (points,), per sample to the power of each order
         """
         image = real_array("image", image, self.shape, "radiance")
-        return np.asarray(sum(weight * image.flat[index] for index, weight in self._terms(by_row, by_col)))
+        return np.asarray(
+            sum(weight * image.flat[index] for index, weight in self._terms(by_row, by_col))
+        )
 
     def adjoint(self, values: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
         """The transpose of `apply`: values (points,) to an image (rows, columns)."""
         values = real_array("values", values, self.row.shape, "radiance")
         size = self.shape[0] * self.shape[1]
         terms = self._terms(by_row, by_col)
-        return np.asarray(sum(np.bincount(index, weight * values, size) for index, weight in terms)).reshape(self.shape)
+        return np.asarray(
+            sum(np.bincount(index, weight * values, size) for index, weight in terms)
+        ).reshape(self.shape)
 
     def _terms(self, by_row: int, by_col: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
         """Flat indices and weights, (points,) each, of the 16 neighbours in turn."""
@@ -85,4 +93,6 @@ def _taps(at: Floats, side: int, order: int) -> tuple[NDArray[np.intp], Floats]:
     before = np.floor(at)
     polynomial = np.polynomial.polynomial.polyder(KEYS, order, axis=1)
     weight = np.polynomial.polynomial.polyval(at - before, polynomial.T)
-    return (before.astype(np.intp) + TAPS[:, None]) % side, np.asarray(weight, dtype=np.float64)
+    return (before.astype(np.intp) + TAPS[:, None]) % side, np.asarray(
+        weight, dtype=np.float64
+    )

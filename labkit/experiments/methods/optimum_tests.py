@@ -54,7 +54,9 @@ def excess_likelihood(problem: Problem, state: State) -> float:
     """
     state = _calibrated(problem, state)
     misfit, photons, pixels = 0.0, 0.0, 0
-    for frame, detector, relative in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
+    for frame, detector, relative in zip(
+        problem.frames, state.detectors(), problem.relative(state), strict=True
+    ):
         mean, variance = predict(relative, frame, detector)
         misfit += float(np.sum((frame.counts[frame.used] - mean) ** 2 / variance))
         photons += float(np.sum(detector.gain * np.maximum(mean, 0) / variance))
@@ -111,8 +113,12 @@ def rao_score(gradient: Floats, information: Floats) -> float:
     -----
     Thesis (4.26).
     """
-    gradient = real_array("gradient", gradient, (None,), "log-likelihoods for a unit of each parameter")
-    information = real_array("information", information, (gradient.size,) * 2, "of those units, inverse squared")
+    gradient = real_array(
+        "gradient", gradient, (None,), "log-likelihoods for a unit of each parameter"
+    )
+    information = real_array(
+        "information", information, (gradient.size,) * 2, "of those units, inverse squared"
+    )
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = information * np.outer(scale, scale)
@@ -139,12 +145,16 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
     """
     positive("degrees", degrees, "degrees of freedom")
     if not statistic >= 0:
-        raise ValueError(f"statistic = {statistic:g}: a chi-squared one is not negative (unitless)")
+        raise ValueError(
+            f"statistic = {statistic:g}: a chi-squared one is not negative (unitless)"
+        )
     spread = 2 / (9 * degrees)
     return float(((statistic / degrees) ** (1 / 3) - (1 - spread)) / np.sqrt(spread))
 
 
-def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) -> tuple[Floats, Floats]:
+def _embedded_score(
+    problem: Problem, state: State, kernels: list[Complexes]
+) -> tuple[Floats, Floats]:
     """Gradient and information over the coefficients of a basis and all fitted parameters, in this order."""
     used = [frame.used for frame in problem.frames]
     drawing = problem.draw(state)
@@ -154,7 +164,9 @@ def _embedded_score(problem: Problem, state: State, kernels: list[Complexes]) ->
     for evaluation, spectrum, u in zip(evaluations, drawing.spectra, used, strict=True):
         departures = [torus.sample(spectrum, kernel)[u] for kernel in kernels]
         # to `assembled` the coefficients are further modes
-        embedded.append(replace(evaluation, by_waves=np.concatenate([departures, evaluation.by_waves])))
+        embedded.append(
+            replace(evaluation, by_waves=np.concatenate([departures, evaluation.by_waves]))
+        )
     return problem.assembled(state, embedded)[:2]
 
 
@@ -190,16 +202,22 @@ def bootstrap(
     images = problem.relative(truth)
     values = []
     for _ in range(draws):
-        drawn = replace(_drawn(problem, truth, images, rng), noise=recalibrated(problem.noise, rng))
+        drawn = replace(
+            _drawn(problem, truth, images, rng), noise=recalibrated(problem.noise, rng)
+        )
         start = replace(truth, log_noise=drawn.noise.centre)
         values.append(statistics(drawn, maximize(drawn, start).state))
     return np.array(values)
 
 
-def _drawn(problem: Problem, truth: State, images: Sequence[Floats], rng: np.random.Generator) -> Problem:
+def _drawn(
+    problem: Problem, truth: State, images: Sequence[Floats], rng: np.random.Generator
+) -> Problem:
     """The problem with counts drawn at the truth. images: relative radiance of each frame's used pixels."""
     frames = []
-    for frame, detector, relative in zip(problem.frames, truth.detectors(), images, strict=True):
+    for frame, detector, relative in zip(
+        problem.frames, truth.detectors(), images, strict=True
+    ):
         mean, variance = predict(relative, frame, detector)
         counts = np.zeros(frame.counts.shape)
         counts[frame.used] = rng.normal(mean, np.sqrt(variance))

@@ -41,7 +41,9 @@ class PsfBasis:
         side = np.shape(self.directions)[-1] if np.ndim(self.directions) else 0
         real_array("directions", self.directions, (None, side, side), "PSF")
         if not side % 2:
-            raise ValueError(f"directions has shape {self.directions.shape}; an odd side is needed (PSF)")
+            raise ValueError(
+                f"directions has shape {self.directions.shape}; an odd side is needed (PSF)"
+            )
 
     @property
     def degrees(self) -> int:
@@ -106,7 +108,9 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
     places = np.arange(-half_width, half_width + 1) * step_um
     down = [np.exp(-2j * np.pi * torus.row_frequency * y) for y in places]
     right = [np.exp(-2j * np.pi * torus.column_frequency * x) for x in places]
-    return np.array([torus.sample(spectrum, a * b)[frame.used] for a in down for b in right])
+    return np.array(
+        [torus.sample(spectrum, a * b)[frame.used] for a in down for b in right]
+    )
 
 
 @cache
@@ -118,17 +122,23 @@ def shipped_psf_basis(degrees: int) -> PsfBasis:
     ValueError
         for `degrees` below 1, or above the number of shipped directions, 16
     """
-    with resources.as_file(resources.files("labkit.experiments.methods") / "psf_basis.npz") as path:
+    with resources.as_file(
+        resources.files("labkit.experiments.methods") / "psf_basis.npz"
+    ) as path:
         directions = np.load(path)["directions"]
     if not 1 <= degrees <= len(directions):
-        raise ValueError(f"degrees = {degrees}: 1 to {len(directions)} directions are shipped")
+        raise ValueError(
+            f"degrees = {degrees}: 1 to {len(directions)} directions are shipped"
+        )
     return PsfBasis(directions[:degrees].astype(float))
 
 
 def noise_free(problem: Problem, state: State) -> Problem:
     """The same problem with the mean counts at a state in place of the frames' counts."""
     frames: list[FrameData] = []
-    for frame, detector, relative in zip(problem.frames, state.detectors(), problem.relative(state), strict=True):
+    for frame, detector, relative in zip(
+        problem.frames, state.detectors(), problem.relative(state), strict=True
+    ):
         counts = np.zeros(frame.counts.shape)
         counts[frame.used] = predict(relative, frame, detector)[0]
         frames.append(replace(frame, counts=counts))

@@ -39,11 +39,15 @@ def psf_hessian(pupil: Pupil, waves: Floats) -> Iterator[tuple[int, int, Floats]
 
     def to_image(function: Complexes) -> Complexes:
         # the pupil begins at [0, 0]: a phase common to all fields, which the products with a conjugate cancel
-        return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(function, (pupil.size, pupil.size))))
+        return np.asarray(
+            scipy.fft.fftshift(scipy.fft.fft2(function, (pupil.size, pupil.size)))
+        )
 
     field = to_image(function)
     by_mode = [to_image(function * mode) for mode in pupil.modes]
-    light = np.pi * pupil.radius**2 * pupil.size**2  # sum of |field|^2, as `Pupil.psf` counts it
+    light = (
+        np.pi * pupil.radius**2 * pupil.size**2
+    )  # sum of |field|^2, as `Pupil.psf` counts it
     factor = 2 * radians**2 / light
     for i, j in combinations_with_replacement(range(len(by_mode)), 2):
         twice = to_image(function * pupil.modes[i] * pupil.modes[j])

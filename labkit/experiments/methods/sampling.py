@@ -32,14 +32,20 @@ class Sampling:
 
     source: tuple[int, ...]
     result: tuple[int, ...]
-    _folds: tuple[scipy.sparse.csr_array, ...] = field(init=False, repr=False, compare=False)
+    _folds: tuple[scipy.sparse.csr_array, ...] = field(
+        init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         for name, sizes in (("source", self.source), ("result", self.result)):
             if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
-                raise ValueError(f"{name}: positive whole numbers of samples are needed, not {sizes}")
+                raise ValueError(
+                    f"{name}: positive whole numbers of samples are needed, not {sizes}"
+                )
         if len(self.source) != len(self.result):
-            raise ValueError(f"source {self.source} and result {self.result} (samples) differ in their number of axes")
+            raise ValueError(
+                f"source {self.source} and result {self.result} (samples) differ in their number of axes"
+            )
         folds = tuple(_fold(n, m) for n, m in zip(self.source, self.result, strict=True))
         object.__setattr__(self, "_folds", folds)
 
@@ -58,7 +64,9 @@ class Sampling:
         return values
 
 
-def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: float) -> tuple[int, int]:
+def grid_sizes(
+    ratio: float, source_least: int, result_least: int, tolerance: float
+) -> tuple[int, int]:
     """The smallest grid sizes (source, result) whose quotient is a ratio within a tolerance.
 
     Of all pairs with |source / result - ratio| <= tolerance ratio, the pair with the smallest result is returned; of
@@ -80,11 +88,17 @@ def grid_sizes(ratio: float, source_least: int, result_least: int, tolerance: fl
     Thesis (5.28)-(5.32) and Figure 5.3, which may break (5.32) for ratios below 1.
     """
     if not (math.isfinite(ratio) and ratio > 0):
-        raise ValueError(f"ratio = {ratio}: a finite number of samples to a sample, above 0, is needed")
+        raise ValueError(
+            f"ratio = {ratio}: a finite number of samples to a sample, above 0, is needed"
+        )
     if not 0 < tolerance < 1:
-        raise ValueError(f"tolerance = {tolerance}: a relative error between 0 and 1 is needed")
+        raise ValueError(
+            f"tolerance = {tolerance}: a relative error between 0 and 1 is needed"
+        )
     if source_least < 1 or result_least < 1:
-        raise ValueError(f"source_least = {source_least}, result_least = {result_least}: at least one sample is needed")
+        raise ValueError(
+            f"source_least = {source_least}, result_least = {result_least}: at least one sample is needed"
+        )
     # in whole numbers: rounding would decide which pairs at the very tolerance fit
     wanted = Fraction(ratio)
     allowed = Fraction(tolerance) * wanted
@@ -102,7 +116,9 @@ def _fold(source: int, result: int) -> scipy.sparse.csr_array:
     share = np.ones(line.size, complex)
     if source % 2 == 0:
         share[[0, -1]] = (1 - 1j) / 2, (1 + 1j) / 2
-    return scipy.sparse.csr_array((share, (line % result, line % source)), shape=(result, source))
+    return scipy.sparse.csr_array(
+        (share, (line % result, line % source)), shape=(result, source)
+    )
 
 
 def _through(signal: Floats, axis: int, fold: scipy.sparse.csr_array) -> Floats:

@@ -53,5 +53,7 @@ def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:
     def under_arc(t: Floats) -> Floats:
         return 0.5 * (t * half_chord(t) + radius**2 * np.arcsin(t / radius))
 
-    flat = np.minimum(x, half_chord(y))  # up to here the top of the rectangle is inside the disc
+    flat = np.minimum(
+        x, half_chord(y)
+    )  # up to here the top of the rectangle is inside the disc
     return sign * (y * flat + under_arc(x) - under_arc(flat))

@@ -103,7 +103,9 @@ def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
         M=on_unknown(1 / np.sqrt(np.maximum(weights, lowest))),
     )
     if failed:
-        raise FitError(f"the smoothest filling of {count} samples did not converge in {failed} steps")
+        raise FitError(
+            f"the smoothest filling of {count} samples did not converge in {failed} steps"
+        )
     return np.asarray(step)
 
 
@@ -129,9 +131,16 @@ def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
     Thesis Figure 2.8.
     """
     image = real_array("image", image, np.shape(image), "radiance")
-    if len(shape) != image.ndim or any(large < small for large, small in zip(shape, image.shape, strict=True)):
-        raise ValueError(f"shape {shape} (samples) cannot hold an image of shape {image.shape}")
-    inside = tuple(slice(start := (n - m) // 2, start + m) for n, m in zip(shape, image.shape, strict=True))
+    if len(shape) != image.ndim or any(
+        large < small for large, small in zip(shape, image.shape, strict=True)
+    ):
+        raise ValueError(
+            f"shape {shape} (samples) cannot hold an image of shape {image.shape}"
+        )
+    inside = tuple(
+        slice(start := (n - m) // 2, start + m)
+        for n, m in zip(shape, image.shape, strict=True)
+    )
     torus = np.zeros(shape)
     known = np.zeros(shape, bool)
     torus[inside] = image
@@ -141,8 +150,15 @@ def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
 
 def _weights(shape: tuple[int, ...]) -> Floats:
     """W^2, squared frequencies (radians per sample)^2, on the half spectrum of a real signal."""
-    frequencies = [scipy.fft.fftfreq(n) for n in shape[:-1]] + [scipy.fft.rfftfreq(shape[-1])]
-    return np.asarray(sum((2 * np.pi * f) ** 2 for f in np.meshgrid(*frequencies, indexing="ij", sparse=True)))
+    frequencies = [scipy.fft.fftfreq(n) for n in shape[:-1]] + [
+        scipy.fft.rfftfreq(shape[-1])
+    ]
+    return np.asarray(
+        sum(
+            (2 * np.pi * f) ** 2
+            for f in np.meshgrid(*frequencies, indexing="ij", sparse=True)
+        )
+    )
 
 
 def _filtered(signal: Floats, weights: Floats) -> Floats:

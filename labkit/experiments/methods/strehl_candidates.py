@@ -15,7 +15,10 @@ from labkit.optics.zernike import noll_to_nm, twin_signs, zernike
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
-RADII, ANGLES = 16, 48  # of the quadrature over the disc: exact for polynomials far above the degree of these modes
+RADII, ANGLES = (
+    16,
+    48,
+)  # of the quadrature over the disc: exact for polynomials far above the degree of these modes
 ROTATIONS = 8  # of each perturbation, evenly spaced
 ALIKE_ROTATIONS = 180  # that a comparison of two wavefronts tries: 2 degrees apart
 
@@ -84,10 +87,14 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
         place = direction * (rms / length)
         value, slope = strehl(place)
         tangent = slope - (slope @ place) / rms**2 * place
-        return -value / rms**4, -tangent * (rms / length) / rms**4  # on a shell Strehl ratios differ by about rms^4
+        return -value / rms**4, -tangent * (
+            rms / length
+        ) / rms**4  # on a shell Strehl ratios differ by about rms^4
 
     first = start / np.linalg.norm(start)
-    end = minimize(lowered, first, jac=True, method="L-BFGS-B", options={"gtol": 1e-7, "ftol": 1e-14})
+    end = minimize(
+        lowered, first, jac=True, method="L-BFGS-B", options={"gtol": 1e-7, "ftol": 1e-14}
+    )
     return np.asarray(end.x * (rms / np.linalg.norm(end.x)))
 
 
@@ -113,7 +120,9 @@ def is_trivial(waves: Floats, other: Floats, tolerance: float) -> bool:
     waves = _over_noll("waves", waves)
     other = _over_noll("other", other)
     angles = 2 * np.pi * np.arange(ALIKE_ROTATIONS) / ALIKE_ROTATIONS
-    alike = [rotated(associate, angle) for associate in _associates(other) for angle in angles]
+    alike = [
+        rotated(associate, angle) for associate in _associates(other) for angle in angles
+    ]
     return bool(np.min(np.linalg.norm(waves - np.array(alike), axis=1)) < tolerance)
 
 
@@ -147,5 +156,9 @@ def strehl_candidates(waves: Floats, rms: float = 0.2) -> Floats:
     shells, perturbations = shipped_perturbations()
     nearest = perturbations[shells == shells[np.argmin(np.abs(shells - rms))]]
     angles = 2 * np.pi * np.arange(ROTATIONS) / ROTATIONS
-    turned = [rotated(p, angle) for p in _associates(nearest).reshape(-1, len(NOLL)) for angle in angles]
+    turned = [
+        rotated(p, angle)
+        for p in _associates(nearest).reshape(-1, len(NOLL))
+        for angle in angles
+    ]
     return np.asarray(waves + np.unique(np.round(turned, 9), axis=0))

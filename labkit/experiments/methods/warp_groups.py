@@ -80,7 +80,9 @@ class WarpGroup:
         """First (dof, 3, 3) and second (dof, dof, 3, 3) derivatives of `matrix` by x."""
         return self._matrices(x)[1:]
 
-    def to_object(self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    def to_object(
+        self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)
+    ) -> Floats:
         """Object coordinates of image points, by the inverse of the matrix.
 
         Parameters
@@ -112,7 +114,9 @@ class WarpGroup:
         inverse = self._inverse(x, centre)
         points = _homogeneous(where)
         about = _about(centre)
-        first, second = (np.linalg.inv(about) @ d @ about for d in self.matrix_derivatives(x))
+        first, second = (
+            np.linalg.inv(about) @ d @ about for d in self.matrix_derivatives(x)
+        )
         once = first @ inverse  # dV/dx_i V^-1, in the centred frame
         twice = np.einsum("iab,jbc->ijac", once, once)
         by_x = -inverse @ once
@@ -133,7 +137,9 @@ class WarpGroup:
         matrix = self.matrix(x)
         about = _about(centre)
         if not abs(np.linalg.det(matrix)) > SINGULAR * np.abs(matrix).max() ** 3:
-            raise ValueError(f"x = {np.asarray(x)} makes a singular matrix: the plane would lie edge on")
+            raise ValueError(
+                f"x = {np.asarray(x)} makes a singular matrix: the plane would lie edge on"
+            )
         return np.asarray(np.linalg.inv(about) @ np.linalg.inv(matrix) @ about)
 
     def _matrices(self, x: Floats) -> tuple[Floats, Floats, Floats]:
@@ -151,7 +157,9 @@ class WarpGroup:
     def _rotating(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Rotation times magnifications: derivatives by shifts, magnifications and angle, then by x."""
         places = ROTATING[self.dof]
-        choose = np.array([[float(place == i) for i in range(self.dof)] for place in places])  # d (five) / d x
+        choose = np.array(
+            [[float(place == i) for i in range(self.dof)] for place in places]
+        )  # d (five) / d x
         five = choose @ x + np.where(choose.any(axis=1), 0.0, AT_REST)
         c, s = np.cos(five[4]), np.sin(five[4])
         turn = np.array([[c, -s], [s, c]])
@@ -202,7 +210,9 @@ def warp(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> Floats:
     return _cubic(image, at).apply(image).reshape(at.shape[1:])
 
 
-def warp_derivatives(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> tuple[Floats, Floats]:
+def warp_derivatives(
+    image: Floats, group: WarpGroup, x: Floats, where: Floats
+) -> tuple[Floats, Floats]:
     """First (dof, ...) and second (dof, dof, ...) derivatives of `warp` by x. Thesis (D.9), (D.16).
 
     The cubic's second derivative jumps where a point passes a sample.
@@ -212,7 +222,9 @@ def warp_derivatives(image: Floats, group: WarpGroup, x: Floats, where: Floats) 
     by_x, by_xx = group.to_object_derivatives(x, where, _middle(image))
     cubic = _cubic(image, at)
     orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-    r, c, rr, rc, cc = (cubic.apply(image, *order).reshape(at.shape[1:]) for order in orders)
+    r, c, rr, rc, cc = (
+        cubic.apply(image, *order).reshape(at.shape[1:]) for order in orders
+    )
     slope = np.stack([r, c])
     bend = np.stack([np.stack([rr, rc]), np.stack([rc, cc])])
     gradient = np.einsum("a...,ia...->i...", slope, by_x)

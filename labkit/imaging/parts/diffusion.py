@@ -40,7 +40,11 @@ class Diffusion(Part):
         return np.asarray(np.exp(-2 * np.pi**2 * self.variance * (rows**2 + columns**2)))
 
     def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
-        return (np.asarray(-2 * np.pi**2 * (rows**2 + columns**2) * self.transfer(rows, columns)),)
+        return (
+            np.asarray(
+                -2 * np.pi**2 * (rows**2 + columns**2) * self.transfer(rows, columns)
+            ),
+        )
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
         sigma_px = plan.sensor.diffusion_px
@@ -50,10 +54,14 @@ class Diffusion(Part):
             return type(self)(), True
         return type(self)(sigma_px**2), False
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         (variance,) = numbers
         return {"diffusion.sigma_px": root(variance, "px")}
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         sigma_px = finite(found, "diffusion.sigma_px")
         return None if sigma_px is None else self.at([sigma**2 for sigma in sigma_px])

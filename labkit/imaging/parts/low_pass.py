@@ -46,7 +46,11 @@ class LowPass(Part):
 
     @property
     def words(self) -> str:
-        return "an optical low-pass filter turned by 45 degrees" if self.turned else "an optical low-pass filter"
+        return (
+            "an optical low-pass filter turned by 45 degrees"
+            if self.turned
+            else "an optical low-pass filter"
+        )
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -79,7 +83,9 @@ class LowPass(Part):
             return None
         return self.at(table.squares), table.spread_px == "fit"
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         rows, columns = numbers
         return {
             f"{self.name}.spread_px": root(mean(numbers), "px"),
@@ -87,12 +93,16 @@ class LowPass(Part):
             f"{self.name}.columns_px": root(columns, "px"),
         }
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         sides = finite(found, f"{self.name}.rows_px", f"{self.name}.columns_px")
         return None if sides is None else self.at([side**2 for side in sides])
 
     def finding(self, found: Mapping[str, Uncertain]) -> str:
-        return Part.finding(self, {key: found[key] for key in found if not key.endswith(".spread_px")})
+        return Part.finding(
+            self, {key: found[key] for key in found if not key.endswith(".spread_px")}
+        )
 
 
 def _split(square: float, frequency: AnyFloats) -> AnyFloats:

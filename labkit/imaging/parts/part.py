@@ -77,12 +77,16 @@ class Part(Estimated):
         """Return the part as a plan states it for a channel, and whether fits estimate it; None where it does not."""
 
     @abstractmethod
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         """Return the part that has some `quantities`; None where they are not there or not finite."""
 
     def finding(self, found: Mapping[str, Uncertain]) -> str:
         """Say that the photographs call for the part, and with what quantities."""
-        numbers = ", ".join(f"{UNIT.sub('', key)} {value}" for key, value in self.own(found).items())
+        numbers = ", ".join(
+            f"{UNIT.sub('', key)} {value}" for key, value in self.own(found).items()
+        )
         return f"the photographs call for {self.words}, which the plan does not state: {numbers}"
 
 

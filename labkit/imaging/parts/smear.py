@@ -46,7 +46,11 @@ class Smear(Part):
         return type(self)(float(rows), float(columns), float(across))
 
     def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
-        moment = self.rows * rows**2 + self.columns * columns**2 + 2 * self.across * rows * columns
+        moment = (
+            self.rows * rows**2
+            + self.columns * columns**2
+            + 2 * self.across * rows * columns
+        )
         return np.asarray(np.exp(-2 * np.pi**2 * moment))
 
     def slopes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, ...]:
@@ -62,7 +66,9 @@ class Smear(Part):
         rows, columns = sigma_px if isinstance(sigma_px, tuple) else (sigma_px, sigma_px)
         return type(self)(rows**2, columns**2), False
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         rows, columns, across = numbers
         return {
             "smear.rows_px": root(rows, "px"),
@@ -70,7 +76,9 @@ class Smear(Part):
             "smear.slant_px2": Uncertain(across.value, across.std, "px²"),
         }
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         sides = finite(found, "smear.rows_px", "smear.columns_px")
         if sides is None:
             return None

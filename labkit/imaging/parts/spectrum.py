@@ -14,7 +14,10 @@ from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
 MOST = WIDEST**2
-STEP, LEAST_STEP = 0.1, 1e-6  # of the variance in its differences: a share of itself, and at least
+STEP, LEAST_STEP = (
+    0.1,
+    1e-6,
+)  # of the variance in its differences: a share of itself, and at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +71,25 @@ class SpectrumWidth(Part):
             return type(self)(), True
         return type(self)((channel.width_nm / channel.wavelength_nm) ** 2), False
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         assert channel is not None
         (variance,) = numbers
         nm, width = channel.wavelength_nm, root(variance)
-        return {f"spectrum.{channel.name}.width_nm": Uncertain(nm * width.value, nm * width.std, "nm")}
+        return {
+            f"spectrum.{channel.name}.width_nm": Uncertain(
+                nm * width.value, nm * width.std, "nm"
+            )
+        }
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         assert channel is not None
         width_nm = finite(found, f"spectrum.{channel.name}.width_nm")
-        return None if width_nm is None else self.at([(nm / channel.wavelength_nm) ** 2 for nm in width_nm])
+        return (
+            None
+            if width_nm is None
+            else self.at([(nm / channel.wavelength_nm) ** 2 for nm in width_nm])
+        )

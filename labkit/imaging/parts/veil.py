@@ -74,12 +74,19 @@ class Veil(Part):
             return type(self)(scale_px=scale_px), True
         return type(self)(share, scale_px), False
 
-    def quantities(self, numbers: Sequence[Uncertain], channel: Channel | None = None) -> dict[str, Uncertain]:
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
         share, log_scale = numbers
         scale_px = SCALE_PX * float(np.exp(log_scale.value))
-        return {"veil.share": share, "veil.scale_px": Uncertain(scale_px, scale_px * log_scale.std, "px")}
+        return {
+            "veil.share": share,
+            "veil.scale_px": Uncertain(scale_px, scale_px * log_scale.std, "px"),
+        }
 
-    def from_quantities(self, found: Mapping[str, Uncertain], channel: Channel | None = None) -> Self | None:
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
         share = finite(found, "veil.share")
         if share is None:
             return None
