@@ -45,6 +45,7 @@ FOCUS = Focus(
     identifiable=False,
     residual_waves={"R": (0.0011, -0.0022), "B": (0.0013, -0.0024)},
     covariance=np.eye(3),
+    residual_std_waves={"R": (0.0005, 0.0006), "B": (0.0007, 0.0008)},
 )
 LENS = Lens(
     Uncertain(69.31, 0.12, "mm"),

@@ -38,6 +38,7 @@ def _keys(where: str, value: Any) -> Iterator[str]:
 NAMED = {
     "focus.best_focus_mm.",
     "focus.residual_waves.",
+    "focus.residual_std_waves.",
     "budget.",
     "joint.",
     "model_parts.",

@@ -91,6 +91,8 @@ MEANINGS = {
     "focus.pupil_magnification.identifiable": "Whether these ranges determine it: a standard error of at most 0.1.",
     "focus.residual_waves": "By channel:",
     "focus.residual_waves.NAME": "Measured less fitted defocus of each range, waves RMS.",
+    "focus.residual_std_waves": "By channel:",
+    "focus.residual_std_waves.NAME": "Standard error of each of these, waves RMS.",
     "focus.covariance": "Covariance of the channels' best focus in order, then of the pupil magnification.",
     "focus.chi2_per_freedom": "χ² per degree of freedom; null where there are as many unknowns as measurements.",
     "lens": "The lens that all ranges and channels have in common, or null:",

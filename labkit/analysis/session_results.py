@@ -39,6 +39,7 @@ from labkit.results import (
     ResidualSpectrum,
     Wavefront,
 )
+from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 
@@ -143,18 +144,24 @@ def as_focus(lens: LensFit) -> Focus | None:
     }
     least, most = SETTINGS.magnification_bounds
     inside = 1.001 * least < pupils.value < most / 1.001
-    rest = (lens.measured.values - lens.solved.predicted)[:, model.defocus]
-    members = np.flatnonzero(lens.measured.used)
+    rest = lens.measured.values - lens.solved.predicted
     return Focus(
         best,
         pupils,
         pupils.std <= TELLING_STD and inside,
-        {
-            c: tuple(float(rest[k]) for k in members if model.readings[k].key.channel == c)
-            for c in channels
-        },
+        {c: _defocus_of(lens, c, rest) for c in channels},
         covariance,
         lens.chi2 / lens.degrees_of_freedom if lens.degrees_of_freedom >= 1 else None,
+        {c: _defocus_of(lens, c, lens.residual_std) for c in channels},
+    )
+
+
+def _defocus_of(lens: LensFit, channel: str, values: Floats) -> tuple[float, ...]:
+    """Select defocus of a channel's members from values (n, values) of all observations."""
+    return tuple(
+        float(values[k, lens.model.defocus])
+        for k in np.flatnonzero(lens.measured.used)
+        if lens.model.readings[k].key.channel == channel
     )
 
 

@@ -130,6 +130,13 @@ class LensFit:
         return float(np.sqrt(self.errors[k, k]))
 
     @cached_property
+    def residual_std(self) -> Floats:
+        """(n, values) standard errors of members' values less their fitted values, Birge ratio included."""
+        noise = self.measured.covariance + np.diag(self.model.scatter())
+        left = np.diagonal(noise - self._spread(self.solved.slopes), axis1=1, axis2=2)
+        return np.asarray(self.birge_ratio * np.sqrt(np.maximum(left, 0.0)))
+
+    @cached_property
     def _eliminated_slopes(self) -> Floats:
         """(n, values, columns) derivatives by the common columns, each group's own columns eliminated."""
         followed = self.solved.normal.eliminated[self.model.groups]

@@ -178,9 +178,9 @@ class EdgesOutcome:
         heading = [
             *("box", "angle", "range", "or", "channel", "defocus, waves"),
             *(
-                "MTF50 of the fit, /mm",
+                "MTF50 of the fit, cycles/mm",
                 "by ISO 12233",
-                "MTF10, /mm",
+                "MTF10, cycles/mm",
                 "by ISO 12233",
                 "chi2/pixel",
             ),

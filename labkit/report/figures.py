@@ -97,7 +97,8 @@ def _energy(results: Results, curves: Sequence[Curves]) -> Plate:
     within = "; ".join(f"{c.channel} {estimated(c.best.energy_radius_um)}" for c in curves)
     alt = f"Encircled energy at best focus. Radius of 80 % of the energy, µm: {within}."
     caption = (
-        "Share of all light within circles about the image's centroid, its halo included, at best focus; optics alone. "
+        "Encircled energy at best focus: the share of all light within circles about the image's centroid, its halo "
+        "included; optics alone. "
         "Dotted: the diffraction limit. Shaded: one standard error, where it is wider than the line."
     )
     return Plate(
@@ -138,19 +139,16 @@ def _focus(results: Results) -> Iterator[Plate]:
     )
     caption = (
         "Defocus (points), the law of the lens as it was estimated (curves), and best focus (dashed, with one standard "
-        "error shaded). Positive: the target lies beyond best focus. "
+        "error shaded). Positive: the target lies beyond best focus. A defocus residual is what a fit alone measured less "
+        "the curve, with one standard error; points of one range are drawn next to each other."
     )
-    caption += (
-        "And what the fit leaves, with each defocus's standard error; points stand side by side to be seen."
-        if results.lens is None
-        else "The points are as the whole session has them. And what each fit alone measured, less that; alone, it "
-        "knows its defocus only as well as the f-number of its cone. Points stand side by side to be seen."
-    )
+    if results.lens is not None:
+        caption += " The points are the whole session's estimates."
     alt = f"Defocus against range, with fitted curves. Best focus: {best}."
     rest = drawing(
         "focus_residuals",
         residual_chart(results, focus, shortest_mm),
-        "What the focus fit leaves, by range.",
+        "Defocus residuals of the focus fit, by range.",
     )
     yield Plate((drawing("focus", figure, alt), rest), caption)
 
@@ -174,8 +172,8 @@ def _through(results: Results, curves: Sequence[Curves]) -> Plate:
         ),
     )
     caption = (
-        "Strehl ratio through focus, with bars for the depth of focus, in which it is at least 0.8 of its highest, and the "
-        "place of the highest; and MTF of the optics at half of Nyquist's frequency of all pixels, solid along x, dashed "
+        "Strehl ratio through focus, with bars for the depth of focus, in which it is at least 0.8 of its highest, and a mark "
+        "at the highest; and MTF of the optics at half of Nyquist's frequency of all pixels, solid along x, dashed "
         "along y. Shaded: one standard error, where it is wider than the line. All modes but defocus are as at best focus."
     )
     return Plate(panels, caption)

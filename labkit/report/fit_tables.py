@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
-from labkit.report.table import EXACT, Column, Row, Table
+from labkit.report.table import Column, Row, Table
 from labkit.results import Focus, OptimumTest, Results, Wavefront
+from labkit.uncertain import Uncertain
 
 TEST = "what a test of the fit found: it has a distribution, not an error"
 NUISANCE = "fitted along with the wavefront; its error is not kept"
-CLOCK = "counted"
 
 
 def fit_table(results: Results) -> Table:
     """Defocus and blur of each fit, and whether model and optimum stand."""
     columns = [
-        Column("range", "mm", why=EXACT),
+        Column("range", "mm", exact=True),
         Column("channel", text=True),
         Column("defocus", "waves RMS"),
         *([Column("blur", "µm")] if results.lens else []),
@@ -46,13 +48,13 @@ def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
 def method_table(results: Results) -> Table:
     """Gain, read noise, time and test of each fit, and its photographs."""
     columns = (
-        Column("range", "mm", why=EXACT),
+        Column("range", "mm", exact=True),
         Column("channel", text=True),
         Column("gain", "counts/e⁻", why=NUISANCE),
         Column("read noise", "counts", why=NUISANCE),
-        Column("time", "s", why=CLOCK),
+        Column("time", "s", exact=True),
         Column("test of the optimum", text=True, why=TEST),
-        Column("photographs", text=True, why="names of files"),
+        Column("photographs", text=True, exact=True),
     )
     rows = [Row(_method_cells(w), first=first) for first, w in _in_order(results)]
     return Table(columns, tuple(rows), channels=1)
@@ -77,10 +79,9 @@ def residual_table(results: Results, focus: Focus) -> Table:
         Column("channel", text=True),
         Column("best focus", "mm"),
         Column(
-            "residual of each defocus, by range",
+            "defocus residual, by range",
             "milliwaves",
             text=True,
-            why="what the fit leaves, beside its noise",
         ),
     )
     rows = [
@@ -88,7 +89,7 @@ def residual_table(results: Results, focus: Focus) -> Table:
             (
                 channel,
                 plus_minus(best.value, best.std),
-                _residuals(focus.residual_waves.get(channel, ())),
+                _residuals(focus.residuals(channel)),
             )
         )
         for channel, best in focus.best_focus_mm.items()
@@ -96,8 +97,8 @@ def residual_table(results: Results, focus: Focus) -> Table:
     return Table(columns, tuple(rows), channels=0)
 
 
-def _residuals(waves: tuple[float, ...]) -> str:
-    return ", ".join(fixed(1e3 * r, 2) for r in waves) or UNKNOWN
+def _residuals(waves: Sequence[Uncertain]) -> str:
+    return ", ".join(estimated(each, 1e3, least=1) for each in waves) or UNKNOWN
 
 
 def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:

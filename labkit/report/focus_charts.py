@@ -13,6 +13,7 @@ from labkit.report.style import (
     DOTTED,
     HALF_IN,
     INK,
+    POINT,
     SOFT,
     Ink,
     banded,
@@ -24,7 +25,8 @@ from labkit.results import Focus, Results, Wavefront
 from labkit.types import Floats
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
-HEIGHT_IN = 3.5
+HEIGHT_IN, LEGEND_IN = 3.5, 0.18
+"""Of a chart without its legend, and of a line of the legend above it."""
 
 
 def defocus_chart(
@@ -35,7 +37,7 @@ def defocus_chart(
     curve: the fitted defocus of a channel at ranges; shortest_mm: where it may be drawn from.
     """
     inks = channel_inks(results.channels)
-    figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, right=0.55, top=0.12)
+    figure, axes = _focus_axes(results, right=0.55)
     bounds = _range_bounds(results, focus, shortest_mm)
     axes.axhline(0, color=SOFT, lw=0.7)
     for channel in results.channels:
@@ -53,46 +55,51 @@ def defocus_chart(
         )
     axes.set(xlim=bounds, xlabel="range of the target, mm")
     axes.set_ylabel(f"defocus, waves RMS at {results.reference_wavelength_nm:g} nm")
-    axes.legend(loc="lower right", borderaxespad=0.2, handletextpad=0.2)
+    _legend_above(axes)
     _blur_axis(axes, results)
     return figure
 
 
 def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure:
-    """What the focus fit leaves of each defocus, in thousandths of a wave."""
+    """Return the defocus residuals of the focus fit against range, in thousandths of a wave."""
     inks = channel_inks(results.channels)
-    figure, axes = chart(HALF_IN, HEIGHT_IN, left=0.72, top=0.12)
+    figure, axes = _focus_axes(results)
     bounds = _range_bounds(results, focus, shortest_mm)
     for k, channel in enumerate(results.channels):
-        fits, rest = (
-            _with_range(results, channel),
-            np.array(focus.residual_waves.get(channel, ())),
-        )
-        if rest.size != len(fits):
+        fits, rest = _with_range(results, channel), focus.residuals(channel)
+        if len(rest) != len(fits):
             continue
         dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
         x = np.array([w.measured_range_mm for w in fits], float) + dodge
-        error = np.array([w.defocus.std for w in fits if w.defocus])
-        # errors of a session's estimate are those of the points, not of what one fit measured alone
-        _points(
-            axes,
-            x,
-            1e3 * rest,
-            0 * error if results.lens else 1e3 * error,
-            inks[channel],
-            channel,
-        )
+        waves = np.array([each.value for each in rest])
+        std = np.array([each.std for each in rest])
+        _points(axes, x, 1e3 * waves, 1e3 * std, inks[channel], channel)
     axes.axhline(0, color=SOFT, lw=0.7)
     axes.margins(y=0.25)
     axes.set(
         xlim=bounds,
         xlabel="range of the target, mm",
-        ylabel="left of each defocus, milliwaves",
+        ylabel="defocus residual, milliwaves",
     )
-    axes.legend(
-        loc="upper right", ncols=len(results.channels), borderaxespad=0.2, handletextpad=0.2
-    )
+    _legend_above(axes)
     return figure
+
+
+def _focus_axes(results: Results, right: float = 0.12) -> tuple[Figure, Axes]:
+    """Return axes with room above for a line of legend for each channel."""
+    above = LEGEND_IN * len(results.channels) + 0.1
+    return chart(HALF_IN, HEIGHT_IN + above, left=0.72, right=right, top=above)
+
+
+def _legend_above(axes: Axes) -> None:
+    """Put the legend above the axes, where no line crosses it."""
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        borderaxespad=0,
+        labelspacing=0.25,
+        handletextpad=0.2,
+    )
 
 
 def _with_range(results: Results, channel: str) -> list[Wavefront]:
@@ -135,7 +142,7 @@ def _points(
     axes.errorbar(
         x, y, np.nan_to_num(error), fmt="none", ecolor=ink.colour, elinewidth=1.2, capsize=2
     )
-    axes.plot(x, y, ink.marker, color=ink.colour, ms=5.5, mec="white", mew=0.6, label=label)
+    axes.plot(x, y, ink.marker, color=ink.colour, label=label, **POINT)
 
 
 def _mark_focus(axes: Axes, value_mm: float, std_mm: float, ink: Ink) -> None:
@@ -162,10 +169,8 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
             [SHARE],
             ink.marker,
             color=ink.colour,
-            ms=5.5,
-            mec="white",
-            mew=0.6,
             label=label,
+            **POINT,
         )
     axes.plot([], [], color=INK, lw=0.8, ls=DOTTED, label="diffraction limit")
     axes.axhline(SHARE, color=SOFT, lw=0.5, ls=(0, (1, 3)))
@@ -174,7 +179,7 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
         xlim=(0, last),
         ylim=(0, 1.0),
         xlabel="radius on the sensor, µm",
-        ylabel="share of the light",
+        ylabel="encircled energy",
     )
     axes.legend(loc="lower right")
     return figure

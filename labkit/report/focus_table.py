@@ -12,7 +12,7 @@ from labkit.optics.through_focus import DEPTH, sensor_shift_um
 from labkit.report.best_focus import SHARE, BestFocus, mtf_at
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated, fixed, millimetres
-from labkit.report.table import EXACT, Column, Row, Table, channel_columns
+from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results
 from labkit.uncertain import Uncertain
 
@@ -34,7 +34,7 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
             "From the photographs at",
             "",
             lambda b: millimetres(b.photographed.range_mm),
-            why=EXACT,
+            exact=True,
             beside=True,
         ),
         row("Strehl ratio", "", lambda b: estimated(b.strehl, least=3), first=True),

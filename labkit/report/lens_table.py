@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isfinite, sqrt
 
 from labkit.report.quantities import UNKNOWN, estimated, fixed
-from labkit.report.table import ERRORS, Column, Row, Table
+from labkit.report.table import Column, Row, Table
 from labkit.results import Results
 from labkit.uncertain import Uncertain, decimals
 
@@ -70,7 +70,7 @@ def budget_table(results: Results) -> Table | None:
         digits = decimals(whole) + 1
         cells = [_share(shares.get(source, 0.0), digits) for source in SOURCES]
         rows.append(Row((name, unit, *cells, fixed(whole, digits))))
-    errors = [Column(source, why=ERRORS) for source in (*SOURCES, "all")]
+    errors = [Column(source, exact=True) for source in (*SOURCES, "all")]
     columns = (Column("standard error of", text=True), Column("", text=True), *errors)
     return Table(columns, tuple(rows), strong=len(columns) - 1)
 

@@ -11,7 +11,7 @@ from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
 from labkit.report.best_focus import BestFocus
 from labkit.report.quantities import estimated
-from labkit.report.table import EXACT, Column, Row, Table, channel_columns
+from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results, Wavefront
 from labkit.uncertain import Uncertain
 
@@ -23,7 +23,7 @@ ALIKE = 1e-6
 def path_table(results: Results, without: tuple[int, ...] = ()) -> Table:
     """RMS and P-V of each range and channel, in waves and nanometres. without: Noll modes to leave out."""
     columns = (
-        Column("range", "mm", why=EXACT),
+        Column("range", "mm", exact=True),
         Column("channel", text=True),
         Column("RMS", "waves"),
         Column("", "nm"),
@@ -52,10 +52,10 @@ def _path_cells(w: Wavefront, without: tuple[int, ...]) -> tuple[str, ...]:
 def mode_table(focused: Sequence[BestFocus], unit: str, factor: float = 1.0) -> Table:
     """Each mode at best focus, of each channel, with its OSA and Fringe index. factor: of the unit to waves."""
     columns = [
-        Column("Noll", why=EXACT),
-        Column("OSA", why=EXACT),
-        Column("Fringe", why=EXACT),
-        Column("mode", text=True, why=EXACT),
+        Column("Noll", exact=True),
+        Column("OSA", exact=True),
+        Column("Fringe", exact=True),
+        Column("mode", text=True, exact=True),
     ]
     columns += channel_columns([best.channel for best in focused], unit)
     modes = sorted({j for best in focused for j in best.fitted.noll})
@@ -85,10 +85,10 @@ def difference_table(results: Results, focused: Sequence[BestFocus]) -> Table | 
         return None
     columns = (
         Column("channel", text=True),
-        Column("range", "mm", why=EXACT),
-        Column("mode", text=True, why=EXACT),
+        Column("range", "mm", exact=True),
+        Column("mode", text=True, exact=True),
         Column("difference", "waves RMS"),
-        Column("in standard errors", why="a ratio to the standard error"),
+        Column("in standard errors", exact=True),
     )
     return Table(columns, tuple(rows), channels=0)
 

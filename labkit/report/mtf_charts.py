@@ -30,7 +30,11 @@ def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
     axes.axhline(0.5, color=SOFT, lw=0.5, ls=(0, (1, 3)))
     keys = [
         Line2D(
-            [], [], color=ink.colour, ls=LINE_OF[d], label=f"{d}: MTF50 {estimated(half)}"
+            [],
+            [],
+            color=ink.colour,
+            ls=LINE_OF[d],
+            label=f"{d}: MTF50 {estimated(half)} cycles/mm",
         )
         for d, half in curves.best.mtf50.items()
     ]

@@ -15,7 +15,7 @@ from labkit.errors import LabkitError
 from labkit.raw.decode import read_raw
 from labkit.raw.exif import Exif, read_exif
 from labkit.report.quantities import fixed, when
-from labkit.report.table import EXACT, Column, Row, Table
+from labkit.report.table import Column, Row, Table
 from labkit.results import Results, Wavefront
 from labkit.session.describe import in_words
 from labkit.session.frame import Frame
@@ -198,7 +198,7 @@ def place_table(results: Results, photographs: Photographs) -> Table:
     """Of each range where the target's middle stood and how large it was, by the first channel's first photograph."""
     pitch_mm = results.plan.sensor.pixel_pitch_um * 1e-3
     columns = (
-        Column("range", "mm", why=EXACT),
+        Column("range", "mm", exact=True),
         Column("centre, row", "px", why=CORNERS),
         Column("column", "px", why=CORNERS),
         Column("side", "px", why=CORNERS),

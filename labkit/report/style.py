@@ -70,6 +70,8 @@ class Ink:
         )
 
 
+POINT: dict[str, Any] = {"ms": 5.5, "mec": "white", "mew": 0.6}  # of a channel's marker
+
 # Okabe and Ito's colours, which colour-blind readers can tell apart
 NAMED = {"R": Ink("#d55e00", "o"), "G": Ink("#009e73", "s"), "B": Ink("#0072b2", "^")}
 OTHERS = (
@@ -129,10 +131,16 @@ def scaling(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 
 def banded(
-    axes: Axes, x: Floats, value: Floats, std: Floats, colour: str, line: Any = SOLID
+    axes: Axes,
+    x: Floats,
+    value: Floats,
+    std: Floats,
+    colour: str,
+    line: Any = SOLID,
+    **marks: Any,
 ) -> None:
-    """A curve with a band of one standard error."""
-    axes.plot(x, value, color=colour, ls=line)
+    """A curve with a band of one standard error. marks: settings of the curve's markers."""
+    axes.plot(x, value, color=colour, ls=line, **marks)
     axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
 
 

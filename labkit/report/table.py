@@ -9,27 +9,30 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from string import ascii_lowercase
 
-EXACT = "a definition, not a measurement"
-ERRORS = "standard errors themselves"
-
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column. text: set to the left; channel: marked by that channel's colour; why: its numbers have no error."""
+    """A column of a table.
+
+    text: set to the left; channel: marked by that channel's colour; why: the reason why its numbers have no error; exact: its
+    numbers cannot have one, being definitions, counts or errors themselves.
+    """
 
     label: str
     unit: str = ""
     text: bool = False
     channel: str = ""
     why: str = ""
+    exact: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Cells, one for each column. why: its numbers have no error; first: of a group; beside: what qualifies the row above."""
+    """Cells, one for each column. why, exact: as of a column; first: of a group; beside: what qualifies the row above."""
 
     cells: tuple[str, ...]
     why: str = ""
+    exact: bool = False
     first: bool = False
     beside: bool = False
 

@@ -285,8 +285,9 @@ class Focus:
     """Best focus of each channel and one pupil magnification for all.
 
     ``focus["G"]`` is a range in mm. covariance: of the channels' best focus in order, then of the pupil magnification.
-    residual_waves: measured less fitted defocus of each channel's ranges. chi2_per_freedom: None where there are as many
-    unknowns as measurements. identifiable: whether these ranges determine the pupil magnification.
+    residual_waves: measured less fitted defocus of each channel's ranges; residual_std_waves: its standard errors, where they
+    are known. chi2_per_freedom: None where there are as many unknowns as measurements. identifiable: whether these ranges
+    determine the pupil magnification.
     """
 
     best_focus_mm: dict[str, Uncertain]
@@ -295,6 +296,13 @@ class Focus:
     residual_waves: dict[str, tuple[float, ...]]
     covariance: Floats | None = None
     chi2_per_freedom: float | None = None
+    residual_std_waves: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def residuals(self, channel: str) -> list[Uncertain]:
+        """Defocus residuals of a channel's ranges, waves RMS; an error that is not known is nan."""
+        rest = self.residual_waves.get(channel, ())
+        std = self.residual_std_waves.get(channel, (nan,) * len(rest))
+        return [Uncertain(*pair, "waves") for pair in zip(rest, std, strict=True)]
 
     def __getitem__(self, channel: str) -> Uncertain:
         """Best focus of a channel, mm. Raises KeyError for a channel that was not fitted."""

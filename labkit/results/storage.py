@@ -258,6 +258,9 @@ def _focus_json(focus: Focus) -> Json:
         "residual_waves": {
             channel: list(rest) for channel, rest in focus.residual_waves.items()
         },
+        "residual_std_waves": {
+            channel: list(std) for channel, std in focus.residual_std_waves.items()
+        },
         "covariance": None if focus.covariance is None else _listed(focus.covariance),
         "chi2_per_freedom": focus.chi2_per_freedom,
     }
@@ -466,4 +469,8 @@ def _focus(entry: Json) -> Focus:
         },
         covariance=None if covariance is None else _numbers(covariance),
         chi2_per_freedom=None if chi2 is None else float(chi2),
+        residual_std_waves={
+            str(c): tuple(map(_optional, std))
+            for c, std in entry.get("residual_std_waves", {}).items()
+        },
     )

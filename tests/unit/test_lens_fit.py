@@ -161,6 +161,15 @@ def test_errors_are_as_large_as_the_estimate_says() -> None:
     assert np.all(np.abs(scores.std(axis=0) - 1) < 4 / np.sqrt(240))
 
 
+def test_defocus_residuals_scatter_as_their_errors_say() -> None:
+    rng, scores = np.random.default_rng(5), []
+    for _ in range(60):
+        green = focus_of(lens_of(drawn(rng, USUAL, 0.97)[0], USUAL)).residuals("G")
+        scores.append([each.value / each.std for each in green])
+    # the std of each residual in 60 sessions errs by 1/sqrt(120); allow four of them
+    assert np.all(np.abs(np.array(scores).std(axis=0) - 1) < 4 / np.sqrt(120))
+
+
 def test_the_misfit_of_a_session_is_as_large_as_chance_makes_it() -> None:
     rng = np.random.default_rng(4)
     fits = [lens_of(drawn(rng, USUAL, 0.97)[0], USUAL) for _ in range(40)]
@@ -422,9 +431,8 @@ def focus_of(fit: LensFit) -> Any:
 
 
 def test_one_range_gives_no_best_focus() -> None:
-    assert (
-        as_focus(lens_of(members((3000.0,), 3050.0, 70.0, 2.8), stated(70.0, 2.8))) is None
-    )
+    one = members((3000.0,), 3050.0, 70.0, 2.8)
+    assert as_focus(lens_of(one, stated(70.0, 2.8))) is None
 
 
 def test_far_ranges_tell_no_pupil_magnification() -> None:

@@ -180,6 +180,14 @@ def test_a_warnings_number_is_not_parted_from_its_error_either(
     assert "rows 0.551\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}0.005 px" in html
 
 
+def test_what_cannot_have_an_error_needs_no_note_of_it(report: Path) -> None:
+    words = Page(report.read_text()).words()
+    assert "From the photographs at 3000 mm 3000 mm" in words
+    assert "Without an error: a by the pixel pitch" in words
+    for pedantry in ("a definition", "counted", "standard errors themselves"):
+        assert pedantry not in words
+
+
 def test_optima_are_not_certified_but_show_no_sign_against_them(report: Path) -> None:
     words = Page(report.read_text()).words()
     assert "no sign of a wrong optimum in any of 4 fits" in words
@@ -200,7 +208,7 @@ def test_tables_hold_every_mode_in_waves_and_nanometres(report: Path) -> None:
         "1.23",
         "1.018",
         "embedding, p = 0.37, 3 starts",
-        "1.10, −2.20",
+        "1.10 ± 0.50, −2.20 ± 0.60",
         "ab" * 32,
         "target_3000.0_R.dng",
     ],

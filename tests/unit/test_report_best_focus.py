@@ -18,6 +18,7 @@ from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.mtf_charts import mtf_chart
 from labkit.report.pictures import map_limit, opd_picture
 from labkit.report.style import NAMED
+from labkit.report.through_charts import modulation_chart, strehl_chart
 from labkit.results import Focus, Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import PLAN, a_wavefront, some_results
@@ -125,6 +126,16 @@ def test_curves_have_bands_of_one_standard_error() -> None:
         atol=0.01 * std,
     )
     assert len(energy_chart([best], NAMED).axes[0].collections) == 1
+
+
+def test_channels_through_focus_differ_by_more_than_their_colour() -> None:
+    each, inks = curves(), {"R": NAMED["R"], "B": NAMED["B"]}
+    for figure in (strehl_chart(each, inks), modulation_chart(each, inks)):
+        lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 2]  # type: ignore[arg-type]
+        of_colour = {str(line.get_color()): line.get_marker() for line in lines}
+        assert of_colour == {ink.colour: ink.marker for ink in inks.values()}
+        first = {str(line.get_color()): line.get_markevery()[0] for line in lines}  # type: ignore[index]
+        assert len(set(first.values())) == 2  # nor do their markers cover one another
 
 
 def test_the_depth_of_focus_of_a_perfect_lens_is_four_wavelengths_n_squared() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from labkit.optics.lens import ThinLens
 from labkit.report.budget_chart import budget_chart, variance_shares
-from labkit.report.focus_charts import defocus_chart
+from labkit.report.focus_charts import defocus_chart, residual_chart
 from labkit.report.lens_table import budget_table, lens_table, working_f_number
 from labkit.results import Wavefront
 from labkit.uncertain import Uncertain
@@ -86,6 +86,27 @@ def test_defocus_is_shown_as_blur_too() -> None:
         .axes[0]
         .child_axes
     )
+
+
+def test_no_line_runs_through_the_legend_of_defocus_against_range() -> None:
+    results = some_results()
+    assert results.focus is not None
+    flat = defocus_chart(results, results.focus, lambda _, ranges_mm: 0 * ranges_mm, 71.0)
+    for figure in (flat, residual_chart(results, results.focus, 71.0)):
+        figure.draw_without_rendering()
+        (axes, legend) = figure.axes[0], figure.axes[0].get_legend()
+        assert legend is not None
+        box = legend.get_window_extent()
+        assert axes.bbox.y1 <= box.y0 < box.y1 <= figure.bbox.y1
+
+
+def test_defocus_residuals_have_their_errors() -> None:
+    results = some_results()
+    assert results.focus is not None
+    axes = residual_chart(results, results.focus, 71.0).axes[0]
+    (red, _) = axes.containers
+    lines = red.lines[2][0].get_segments()  # type: ignore[attr-defined]
+    np.testing.assert_allclose([line[1, 1] - line[0, 1] for line in lines], [1.0, 1.2])
 
 
 def test_shares_are_of_the_variance_and_make_the_whole() -> None:

@@ -26,6 +26,7 @@ WITH_ERROR = re.compile(r"\d ± \d|not determined|error unknown")
 class Cell:
     text: str = ""
     marks: list[str] = field(default_factory=list)
+    exact: bool = False
 
 
 class Tables(HTMLParser):
@@ -36,17 +37,19 @@ class Tables(HTMLParser):
         self.tables: list[list[list[Cell]]] = []
         self.notes: list[str] = []
         self._cell: Cell | None = None
-        self._mark = self._in_notes = False
+        self._mark = self._in_notes = self._exact_row = False
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        exact = "exact" in (dict(attrs).get("class") or "").split()
         if tag == "table":
             self.tables.append([])
             self.notes.append("")
         elif tag == "tr":
             self.tables[-1].append([])
+            self._exact_row = exact
         elif tag in ("td", "th"):
-            self._cell = Cell()
+            self._cell = Cell(exact=exact or self._exact_row)
             self.tables[-1][-1].append(self._cell)
         elif tag == "sup":
             self._mark = True
@@ -87,6 +90,8 @@ def bare_numbers(html: str) -> list[str]:
                 if (
                     NUMBER.search(cell.text)
                     and not WITH_ERROR.search(cell.text)
+                    and not cell.exact
+                    and not (len(heading) == len(row) and heading[k].exact)
                     and not set(why) & reasons
                 ):
                     found.append(
