@@ -65,13 +65,8 @@ picture: .venv/installed chromium
 	$$(command -v chromium || command -v chromium-browser || command -v google-chrome) --headless --no-sandbox --hide-scrollbars \
 		--window-size=1280,1440 --screenshot=docs/report.png build/demo/results/latest/report.html
 
-# mypy sees the packages where they will be installed, through links: drivers/ is labkit/drivers there.
 types: .venv/installed-dev
-	rm -rf build/typing && mkdir -p build/typing/labkit
-	ln -s $(CURDIR)/labkit/* $(CURDIR)/drivers $(CURDIR)/targets build/typing/labkit/
-	ln -s $(CURDIR)/tests $(CURDIR)/benchmarks $(CURDIR)/examples $(CURDIR)/docs build/typing/
-	cd build/typing && $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
-		--cache-dir $(CURDIR)/.mypy_cache labkit tests $(wildcard benchmarks/*.py examples/*.py docs/*.py docs/generators/*.py)
+	$(BIN)/mypy src/labkit tests $(wildcard benchmarks/*.py examples/*.py docs/*.py docs/generators/*.py)
 
 # The documentation as a site in build/docs; what Sphinx warns of is an error, and so is a dead link.
 docs: .venv/installed-dev
@@ -108,4 +103,4 @@ sony-raw: .venv/installed-test
 	touch $@ .venv/installed-test .venv/installed
 
 clean:
-	rm -rf .venv .venv-lowest build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage*
+	rm -rf .venv .venv-lowest build dist src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage*
