@@ -78,7 +78,11 @@ CAMERA: tuple[Row, ...] = (
 RAIL: tuple[Row, ...] = (
     ("address", '"manual:"', "or such as grbl:/dev/ttyUSB0"),
     ("ranges_mm", "", "from the target to the lens"),
-    ("range_at_zero_mm", "", "range where the rail stands at 0: labkit rail calibrate"),
+    (
+        "range_at_zero_mm",
+        "",
+        f"{FILL_IN}range where the rail stands at 0: labkit rail calibrate",
+    ),
     ("direction", "1", "1: a larger rail position is a longer range"),
 )
 DISPLAY: tuple[Row, ...] = (
@@ -137,14 +141,17 @@ class _Answers:
             self.tables[plain] = here
         self.blocks.append(block)
         for key, default, why in rows:
-            value = self._value(plain, here, key, default)
+            value = self._value(plain, here, key, default, known=FILL_IN not in why)
             here[key] = value
             why = why.removeprefix(FILL_IN)
             (line,) = write_tables({"t": {key: value}}).splitlines()[1:]
             block.append(line + (f"  # {why}" if why else ""))
 
-    def _value(self, table: str, here: dict[str, Any], key: str, default: str) -> Any:
-        given = tomllib.loads(f"x = {default}")["x"] if default else ""
+    def _value(
+        self, table: str, here: dict[str, Any], key: str, value: str, *, known: bool
+    ) -> Any:
+        """Ask for a value. A known one is the default; any other is an example, which no empty answer takes."""
+        given = tomllib.loads(f"x = {value}")["x"] if value else ""
         words = WORDS.get(f"{table}.{key}")
         if words is None:
             return given
@@ -158,11 +165,18 @@ class _Answers:
         )
 
         def read(text: str) -> Any:
-            value = _parsed(text, given)
+            if not text:
+                raise PlanError(
+                    f"{table}.{key} has no default: give it, such as {as_typed}"
+                )
+            value = _parsed(_without_unit(text, key), given)
             self._check(table, here, key, value)
             return value
 
-        return self._ask(f"{words} ({table}.{key})", read, as_typed)
+        question = f"{words} ({table}.{key})"
+        if known:
+            return self._ask(question, read, as_typed)
+        return self._ask(f"{question}, such as {as_typed}", read, "")
 
     def _check(self, table: str, here: dict[str, Any], key: str, value: Any) -> None:
         """Raise PlanError for an answer that the plan, as far as it is known, would not take."""
@@ -228,7 +242,8 @@ def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
             yield key, value, why
         if key == "kind":
             for needed in NEEDED.get(answers.tables["target"]["kind"], ()):
-                yield needed, *EXAMPLES[needed]
+                value, why = EXAMPLES[needed]
+                yield needed, value, f"{FILL_IN}{why}"
 
 
 def _with_ranges(answers: _Answers) -> Iterator[Row]:
@@ -270,6 +285,18 @@ def _yes_or_no(text: str) -> bool:
     if text.lower() not in ("yes", "y", "no", "n"):
         raise PlanError(f"{shown(text)}: allowed is yes or no")
     return text.lower().startswith("y")
+
+
+UNITS = {"_mm": "mm", "_um": "(?:[uµμ]m|microns?)", "_nm": "nm", "_s": "s"}
+"""How people write the unit that a key ends in, as a regular expression."""
+
+
+def _without_unit(text: str, key: str) -> str:
+    """Return an answer without the unit of its key: people write "50 mm"."""
+    for end, unit in UNITS.items():
+        if key.endswith(end):
+            return re.sub(rf"(?<=[\d.,])\s*{unit}(?![a-z])", "", text)
+    return text
 
 
 def _parsed(text: str, like: Any) -> Any:

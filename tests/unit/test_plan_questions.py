@@ -29,15 +29,64 @@ def asked(
 BEFORE_TARGET = ["yes", "70", "f/2,8", "4.78", "650", "550", "450"]
 
 
-def test_defaults_alone_make_a_plan_with_comments(
+TARGET = ["", "5", "46.8"]
+
+
+def test_what_is_known_only_of_a_lens_a_sensor_and_a_target_has_no_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert asked([""] * 13, tmp_path, monkeypatch) == 0
+    answers = ["", "70", "2.8", "4.78", "", "", "", "", "5", "46.8", "", "", ""]
+    assert asked(answers, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
-    assert (plan.lens.focal_length_mm, plan.target.order, plan.camera) == (50.0, 5, None)
+    assert (plan.lens.focal_length_mm, plan.target.order, plan.camera) == (70.0, 5, None)
     assert [channel.name for channel in plan.channel] == ["R", "G", "B"]
     lines = (tmp_path / "plan.toml").read_text().splitlines()
     assert "order = 5  # of the carpet" in lines
+
+
+@pytest.mark.parametrize(
+    ("place", "key"),
+    [
+        (1, "lens.focal_length_mm"),
+        (2, "lens.f_number"),
+        (3, "sensor.pixel_pitch_um"),
+        (8, "target.order"),
+        (9, "target.size_mm"),
+    ],
+)
+def test_nothing_is_invented_for_an_empty_answer(
+    place: int,
+    key: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    answers = ["", "70", "2.8", "4.78", "", "", "", "", "5", "46.8"]
+    answers[place] = ""
+    assert asked(answers, tmp_path, monkeypatch) == 2
+    question, said = capsys.readouterr().err.splitlines()[-2:]
+    assert f"({key}), such as " in question
+    assert said.startswith(f"labkit: {key} has no default: give it, such as ")
+
+
+@pytest.mark.parametrize(
+    ("focal", "stop", "pitch"),
+    [
+        ("50 mm", "f/2.8", "6um"),
+        ("50mm", "2.8", "6 µm"),
+        ("50,0 mm", "F2.8", "6 μm"),
+        ("50", "f/2,8", "6.0"),
+    ],
+)
+def test_units_may_be_typed(
+    focal: str, stop: str, pitch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = ["", focal, stop, pitch, "605 nm", "", "", *TARGET, "", "", ""]
+    assert asked(answers, tmp_path, monkeypatch) == 0
+    plan = Plan.load(tmp_path / "plan.toml")
+    stated = plan.lens.focal_length_mm, plan.lens.f_number, plan.sensor.pixel_pitch_um
+    assert stated == (50.0, 2.8, 6.0)
+    assert plan.channel[0].wavelength_nm == 605.0
 
 
 def test_answers_are_read_as_people_write_them(
@@ -100,15 +149,15 @@ def test_what_a_target_needs_is_asked_for(
         ([*BEFORE_TARGET, "image", "no.pgm"], "no.pgm"),
         ([*BEFORE_TARGET, "", "9"], "target.order = 9: allowed is a whole number, 1 to 8"),
         (
-            [*BEFORE_TARGET, "", "", "", "", "", "yes", "usb:1"],
+            [*BEFORE_TARGET, *TARGET, "", "", "yes", "usb:1"],
             "camera.address = 'usb:1': allowed is one of gphoto2:",
         ),
         (
-            [*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 7, "40"],
+            [*BEFORE_TARGET, *TARGET, "", "", "yes", *[""] * 7, "40"],
             "rail.ranges_mm has 40 mm: allowed is more than the focal",
         ),
         (
-            [*BEFORE_TARGET, *[""] * 5, "yes", *[""] * 11, "iphone"],
+            [*BEFORE_TARGET, *TARGET, "", "", "yes", *[""] * 8, "2950", "", "", "iphone"],
             'display.panel = "iphone": known are',
         ),
         (["yes", "70"], "the input ended at the question: f-number"),
@@ -142,7 +191,8 @@ def test_a_photograph_gives_the_defaults(
 ) -> None:
     stated: dict[str, Any] = {"FocalLength": 105.0, "FNumber": 4.0}
     image = photograph(tmp_path / "a.jpg", **stated)
-    assert asked([""] * 30, tmp_path, monkeypatch, str(image)) == 0
+    answers = ["", "", "6", "550", *TARGET, "", "", ""]
+    assert asked(answers, tmp_path, monkeypatch, str(image)) == 0
     plan = Plan.load(tmp_path / "plan.toml")
     assert (plan.lens.focal_length_mm, plan.lens.f_number) == (105.0, 4.0)
     assert "# by EXIF" in (tmp_path / "plan.toml").read_text()
@@ -177,9 +227,10 @@ def test_at_a_terminal_a_wrong_answer_is_asked_for_again_and_ctrl_c_writes_nothi
             seen = b""
             for question, typed in (
                 (b"yes or no [yes]: ", b"y\n"),
-                (b"[50]: ", b"0\n"),
-                (b"[50]: ", b"85\n"),
-                (b"[2.8]: ", b""),
+                (b"such as 50: ", b"\n"),
+                (b"such as 50: ", b"0\n"),
+                (b"such as 50: ", b"85 mm\n"),
+                (b"such as 2.8: ", b""),
             ):
                 while question not in seen:
                     more = os.read(running.stderr.fileno(), 4096)
