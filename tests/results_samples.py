@@ -39,6 +39,7 @@ PLAN = Plan.parse(
 )
 STD = np.array([0.0011, 0.0012, 0.0013])
 ACCEPTED = OptimumTest("embedding", accepted=True, p_value=0.37, starts=3)
+REJECTED = OptimumTest("residuals", accepted=False, p_value=0.0, starts=3, explains=False)
 FOCUS = Focus(
     {"R": Uncertain(2986.84, 0.42, "mm"), "B": Uncertain(2987.31, 0.37, "mm")},
     Uncertain(0.981, 0.038),

@@ -21,7 +21,15 @@ ALIASES = {"Floats": Floats, "ArrayLike": ArrayLike}
 UNDERLINE = re.compile("-{3,}")
 
 RELATED = {
-    "labkit.results": ("Focus", "Lens", "OptimumTest", "Residuals", "Placement"),
+    "labkit.results": (
+        "BestFocus",
+        "ColourShift",
+        "Focus",
+        "Lens",
+        "OptimumTest",
+        "Residuals",
+        "Placement",
+    ),
     "labkit.advice.advise": ("Advice", "RangeAdvice"),
     "labkit.advice.outlook": ("Outlook", "Remedy"),
     "labkit.finding": ("Finding",),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from labkit.imaging.optics import ESTIMATED
 from labkit.optics.metrics import psf_difference
 from labkit.optics.strehl import strehl
-from labkit.report.best_focus import BestFocus
+from labkit.report.best_focus import ChannelFocus
 from labkit.report.quantities import estimated, fixed
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results
@@ -34,7 +34,7 @@ def part_table(results: Results) -> Table | None:
     return Table(columns, tuple(rows), strong=3) if rows else None
 
 
-def light_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
+def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
     """How broad the light of each channel may be, and what that would do to its PSFs; None where the plan states all light."""
     rows = []
     for best in focused:

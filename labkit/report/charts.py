@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from scipy import special
 
 from labkit.optics.zernike import mode_name
-from labkit.report.best_focus import BestFocus
+from labkit.report.best_focus import ChannelFocus
 from labkit.report.quantities import millimetres
 from labkit.report.style import (
     FAINT,
@@ -25,7 +25,7 @@ from labkit.types import Floats
 
 
 def zernike_chart(
-    focused: Sequence[BestFocus], reference_nm: float, inks: dict[str, Ink]
+    focused: Sequence[ChannelFocus], reference_nm: float, inks: dict[str, Ink]
 ) -> Figure | None:
     """Bars of each mode at best focus, a bar for each channel, with standard errors; waves below, nanometres above."""
     modes = sorted({j for best in focused for j in best.fitted.noll})

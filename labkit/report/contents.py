@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from labkit.plan import Plan
-from labkit.report.best_focus import BestFocus
+from labkit.report.best_focus import ChannelFocus
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
 from labkit.report.curves import Curves
 from labkit.report.fit_tables import fit_table, method_table, residual_table
@@ -48,7 +48,12 @@ def contents(
     results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
 ) -> dict[str, Any]:
     """What the template needs; drawn: the sections that have figures."""
-    m, plan, focus, focused = results, results.plan, results.focus, [c.best for c in curves]
+    m, plan, focus, focused = (
+        results,
+        results.plan,
+        results.focus,
+        [c.focus for c in curves],
+    )
     reference_nm = m.reference_wavelength_nm
     tables = _tables(m, curves, photographs)
     shown = set(SECTIONS) - OPTIONAL | (drawn & OPTIONAL)
@@ -66,9 +71,9 @@ def contents(
         "lede": _lede(m, plan, photographs),
         "reference": f"{reference_nm:g} nm",
         "best_focus": _best_focus(m),
-        "strehl": [_card(b, b.strehl, least=3) for b in focused],
+        "strehl": [_card(b, b.best.strehl, least=3) for b in focused],
         "rms": [
-            _card(b, b.rms, least=4) | {"nm": estimated(b.rms, reference_nm)}
+            _card(b, b.best.rms, least=4) | {"nm": estimated(b.best.rms, reference_nm)}
             for b in focused
         ],
         "magnification": estimated(focus.pupil_magnification) if focus else "",
@@ -83,7 +88,7 @@ def _tables(
     m: Results, curves: Sequence[Curves], photographs: Photographs
 ) -> dict[str, Table | None]:
     """Every table, by its name in the template."""
-    focused, reference_nm = [c.best for c in curves], m.reference_wavelength_nm
+    focused, reference_nm = [c.focus for c in curves], m.reference_wavelength_nm
     return {
         "focus_table": focus_table(focused, reference_nm),
         "depth_table": depth_table(curves, m),
@@ -128,7 +133,7 @@ def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:
     return " · ".join(filter(None, (lens, photographs.camera, where, taken)))
 
 
-def _card(best: BestFocus, number: Uncertain, *, least: int) -> dict[str, str]:
+def _card(best: ChannelFocus, number: Uncertain, *, least: int) -> dict[str, str]:
     return {
         "channel": best.channel,
         "range": millimetres(best.photographed.range_mm),

@@ -19,7 +19,7 @@ from labkit.optics.through_focus import (
     sensor_shift_um,
     strehl_through_focus,
 )
-from labkit.report.best_focus import DIRECTIONS, BestFocus, full_nyquist_per_mm
+from labkit.report.best_focus import DIRECTIONS, ChannelFocus, full_nyquist_per_mm
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -42,7 +42,7 @@ class Curves:
     strehl, modulation: against defocus, the latter at through_per_mm; depth: None where the curve does not show it.
     """
 
-    best: BestFocus
+    focus: ChannelFocus
     mtf: dict[Direction, Curve]
     pixel: Floats
     perfect: Floats
@@ -58,7 +58,7 @@ class Curves:
     @property
     def channel(self) -> str:
         """The channel's name."""
-        return self.best.channel
+        return self.focus.channel
 
     @property
     def places(self) -> Floats:
@@ -67,7 +67,7 @@ class Curves:
 
     def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
         """A defocus as a place: its error, that of the cone, and that of best focus, where ranges are counted from."""
-        step, w = 1e-3, self.best.fitted
+        step, w = 1e-3, self.focus.fitted
         slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (
             2 * step
         )
@@ -83,35 +83,38 @@ def last_frequency_per_mm(results: Results) -> float:
     )
 
 
-def curves_of(results: Results, focused: list[BestFocus]) -> list[Curves]:
+def curves_of(results: Results, focused: list[ChannelFocus]) -> list[Curves]:
     """Of each channel; axes of one kind end alike for all."""
     last_per_mm = last_frequency_per_mm(results)
     last_um = max(
-        max(1.9 * b.energy_radius_um.value, 3 * b.fitted.wavelength_um * b.fitted.f_number)
+        max(
+            1.9 * b.best.energy_radius().value,
+            3 * b.fitted.wavelength_um * b.fitted.f_number,
+        )
         for b in focused
     )
     return [_of_channel(results, best, last_per_mm, last_um) for best in focused]
 
 
 def _of_channel(
-    results: Results, best: BestFocus, last_per_mm: float, last_um: float
+    results: Results, focus: ChannelFocus, last_per_mm: float, last_um: float
 ) -> Curves:
-    fitted = best.fitted
+    fitted = focus.fitted
     frequency, radius = np.linspace(0, last_per_mm, POINTS), np.linspace(0, last_um, POINTS)
     through = full_nyquist_per_mm(results.plan.sensor) / 2
     reach = REACH_WAVES * fitted.wavelength_um / fitted.reference_um
-    place = _range_of(results, best.channel)
+    place = _range_of(results, focus.channel)
     grid = np.linspace(-reach, reach, STEPS)
     if place is not None:
         grid = np.array([d for d in grid if np.isfinite(place(float(d)))])
     curve = strehl_through_focus(fitted, grid)
     return Curves(
-        best,
+        focus,
         {d: mtf(fitted, frequency, d) for d in DIRECTIONS},
-        pixel_mtf(frequency, best.active_um, "x"),
-        mtf(best.perfect, frequency, "x").value,
+        pixel_mtf(frequency, focus.active_um, "x"),
+        mtf(focus.best.ideal.fitted, frequency, "x").value,
         encircled_energy(fitted, radius),
-        encircled_energy(best.perfect, radius).value,
+        encircled_energy(focus.best.ideal.fitted, radius).value,
         curve,
         {d: mtf_through_focus(fitted, through, d, grid) for d in DIRECTIONS},
         through,

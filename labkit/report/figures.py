@@ -6,7 +6,7 @@ import numpy as np
 
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
-from labkit.report.best_focus import BestFocus, full_nyquist_per_mm
+from labkit.report.best_focus import DIRECTIONS, ChannelFocus, full_nyquist_per_mm
 from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.camera_charts import spectrum_chart
 from labkit.report.curves import NEAREST, Curves
@@ -26,7 +26,7 @@ def draw_figures(
     results: Results, curves: Sequence[Curves], photographs: Photographs
 ) -> dict[str, list[Plate]]:
     """All plates, by the section of the report they belong to; a section without any is left out."""
-    focused = [c.best for c in curves]
+    focused = [c.focus for c in curves]
     with styled():
         sections = {
             "best-focus": [
@@ -51,16 +51,14 @@ def draw_figures(
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
     inks, panels = channel_inks(results.channels), []
     for c in curves:
-        halves = ", ".join(
-            f"{estimated(half)} along {d}" for d, half in c.best.mtf50.items()
-        )
+        halves = ", ".join(f"{estimated(c.focus.mtf50(d))} along {d}" for d in DIRECTIONS)
         alt = f"MTF of channel {c.channel} at best focus. MTF50, cycles/mm: {halves}."
         panels.append(
             drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt)
         )
     full, plane = (
         full_nyquist_per_mm(results.plan.sensor),
-        min(c.best.nyquist_per_mm for c in curves),
+        min(c.focus.nyquist_per_mm for c in curves),
     )
     caption = (
         "MTF at best focus. Solid: along x, right on the sensor; dashed: along y, down; shaded: one standard error, where "
@@ -75,17 +73,17 @@ def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
     return Plate(tuple(panels), caption, 3)
 
 
-def _psfs(focused: Sequence[BestFocus]) -> Plate:
-    inks = channel_inks(best.channel for best in focused)
+def _psfs(focused: Sequence[ChannelFocus]) -> Plate:
+    inks = channel_inks(focus.channel for focus in focused)
     width = pictures.FOCUSED_HALF_WIDTH_AIRY * max(
         b.fitted.wavelength_um * b.fitted.f_number for b in focused
     )
     panels = []
-    for best in focused:
-        alt = f"Point-spread function of channel {best.channel} at best focus; Strehl ratio {estimated(best.strehl)}."
-        title = f"{best.channel}   Strehl {estimated(best.strehl, least=3)}"
-        figure = pictures.psf_picture({best.channel: best.fitted}, width, inks, title)
-        panels.append(picture(f"psf_{best.channel}", figure, alt))
+    for focus in focused:
+        alt = f"Point-spread function of channel {focus.channel} at best focus; Strehl ratio {estimated(focus.best.strehl)}."
+        title = f"{focus.channel}   Strehl {estimated(focus.best.strehl, least=3)}"
+        figure = pictures.psf_picture({focus.channel: focus.fitted}, width, inks, title)
+        panels.append(picture(f"psf_{focus.channel}", figure, alt))
     caption = (
         f"Point-spread functions at best focus: optics alone, {2 * width:.2g} µm wide, rows down and columns right as on the "
         "sensor, from zero (white) to each one's peak on a square-root stretch. Dashed: the Airy radius, 1.22 λN."
@@ -94,7 +92,9 @@ def _psfs(focused: Sequence[BestFocus]) -> Plate:
 
 
 def _energy(results: Results, curves: Sequence[Curves]) -> Plate:
-    within = "; ".join(f"{c.channel} {estimated(c.best.energy_radius_um)}" for c in curves)
+    within = "; ".join(
+        f"{c.channel} {estimated(c.focus.best.energy_radius())}" for c in curves
+    )
     alt = f"Encircled energy at best focus. Radius of 80 % of the energy, µm: {within}."
     caption = (
         "Encircled energy at best focus: the share of all light within circles about the image's centroid, its halo "
@@ -179,18 +179,19 @@ def _through(results: Results, curves: Sequence[Curves]) -> Plate:
     return Plate(panels, caption)
 
 
-def _maps(results: Results, focused: Sequence[BestFocus]) -> Plate:
-    limit = pictures.map_limit([best.fitted for best in focused])
+def _maps(results: Results, focused: Sequence[ChannelFocus]) -> Plate:
+    limit = pictures.map_limit([focus.fitted for focus in focused])
     panels = []
-    for best in focused:
+    for focus in focused:
         rms, span = (
-            estimated(number, least=3) for number in (best.rms, best.peak_to_valley)
+            estimated(number, least=3)
+            for number in (focus.best.rms, focus.best.peak_to_valley)
         )
-        alt = f"Path difference of channel {best.channel} without defocus: RMS {rms}, P–V {span} waves."
+        alt = f"Path difference of channel {focus.channel} without defocus: RMS {rms}, P–V {span} waves."
         figure = pictures.opd_picture(
-            {best.channel: best.fitted}, limit, results.reference_wavelength_nm
+            {focus.channel: focus.fitted}, limit, results.reference_wavelength_nm
         )
-        panels.append(picture(f"opd_{best.channel}", figure, alt))
+        panels.append(picture(f"opd_{focus.channel}", figure, alt))
     caption = (
         f"Path difference over the exit pupil without defocus, in waves at {results.reference_wavelength_nm:g} nm and in nm, "
         "one scale for all; x to the right along the sensor's rows, y down."
@@ -219,12 +220,12 @@ def _maps_photographed(results: Results) -> Plate:
     )
 
 
-def _modes(results: Results, focused: Sequence[BestFocus]) -> Iterator[Plate]:
+def _modes(results: Results, focused: Sequence[ChannelFocus]) -> Iterator[Plate]:
     figure = charts.zernike_chart(
         focused, results.reference_wavelength_nm, channel_inks(results.channels)
     )
     if figure is not None:
-        rms = "; ".join(f"{best.channel} {estimated(best.rms)}" for best in focused)
+        rms = "; ".join(f"{f.channel} {estimated(f.best.rms)}" for f in focused)
         alt = f"Zernike coefficients without defocus. RMS, waves: {rms}."
         caption = (
             "Zernike modes at best focus, by Noll's numbers. Black: one standard error."

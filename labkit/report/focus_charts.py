@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labkit.report.best_focus import SHARE
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated, plus_minus
 from labkit.report.style import (
@@ -22,6 +21,7 @@ from labkit.report.style import (
     scaling,
 )
 from labkit.results import Focus, Results, Wavefront
+from labkit.results.best_focus import SHARE
 from labkit.types import Floats
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
@@ -158,7 +158,7 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """Encircled energy of each channel at best focus with error bands, beside a perfect lens's."""
     figure, axes = chart(HALF_IN, 3.2, top=0.12)
     for each in curves:
-        ink, at, energy = inks[each.channel], each.best.energy_radius_um, each.energy
+        ink, at, energy = inks[each.channel], each.focus.best.energy_radius(), each.energy
         banded(axes, energy.radius_um, energy.value, energy.std, ink.colour)
         axes.plot(
             energy.radius_um, each.perfect_energy, color=ink.colour, lw=0.8, ls=DOTTED

@@ -5,27 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import isfinite
 
-from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import Directed
-from labkit.optics.mtf import mtf50
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
-from labkit.report.best_focus import SHARE, BestFocus, mtf_at
+from labkit.report.best_focus import ChannelFocus
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated, fixed, millimetres
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results
+from labkit.results.best_focus import SHARE
 from labkit.uncertain import Uncertain
 
 NOT_FITTED = "not fitted"
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
 PITCH = "by the pixel pitch, which the plan states without an error"
 
+Cell = Callable[[ChannelFocus], str]
 
-def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
+
+def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
     """Strehl ratio, wavefront, MTF and energy of each channel without its defocus."""
     within = f"EE{100 * SHARE:.0f}, encircled energy"
 
-    def row(name: str, unit: str, cell: Callable[[BestFocus], str], **kind: object) -> Row:
+    def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
         cells = tuple(cell(best) for best in focused)
         return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
@@ -37,36 +38,55 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
             exact=True,
             beside=True,
         ),
-        row("Strehl ratio", "", lambda b: estimated(b.strehl, least=3), first=True),
-        row("RMS", "waves", lambda b: estimated(b.rms, least=4), first=True),
-        row("", "nm", lambda b: estimated(b.rms, reference_nm), beside=True),
-        row("P–V", "waves", lambda b: estimated(b.peak_to_valley, least=3)),
-        row("", "nm", lambda b: estimated(b.peak_to_valley, reference_nm), beside=True),
-        row("Astigmatism", "waves RMS", lambda b: _magnitude(b.astigmatism), first=True),
-        row("at", "degrees", lambda b: _angle(b.astigmatism), beside=True),
-        row("Coma", "waves RMS", lambda b: _magnitude(b.coma)),
-        row("at", "degrees", lambda b: _angle(b.coma), beside=True),
-        row("Trefoil", "waves RMS", lambda b: _magnitude(b.trefoil)),
-        row("at", "degrees", lambda b: _angle(b.trefoil), beside=True),
+        row("Strehl ratio", "", lambda b: estimated(b.best.strehl, least=3), first=True),
+        row("RMS", "waves", lambda b: estimated(b.best.rms, least=4), first=True),
+        row("", "nm", lambda b: estimated(b.best.rms, reference_nm), beside=True),
+        row("P–V", "waves", lambda b: estimated(b.best.peak_to_valley, least=3)),
+        row(
+            "", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm), beside=True
+        ),
+        row(
+            "Astigmatism", "waves RMS", lambda b: _magnitude(b.best.astigmatism), first=True
+        ),
+        row("at", "degrees", lambda b: _angle(b.best.astigmatism), beside=True),
+        row("Coma", "waves RMS", lambda b: _magnitude(b.best.coma)),
+        row("at", "degrees", lambda b: _angle(b.best.coma), beside=True),
+        row("Trefoil", "waves RMS", lambda b: _magnitude(b.best.trefoil)),
+        row("at", "degrees", lambda b: _angle(b.best.trefoil), beside=True),
+        *_mtf_rows(row),
+        row(within, "µm radius", lambda b: estimated(b.best.energy_radius()), first=True),
+        row(
+            "of a perfect lens",
+            "µm radius",
+            lambda b: _ideal(b.best.ideal.energy_radius()),
+            beside=True,
+        ),
+    )
+    return Table((*NAMED, *channel_columns([b.channel for b in focused])), rows)
+
+
+def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
+    """Return MTF50 and the MTF at Nyquist's frequency, of the optics and with the pixel."""
+    return (
         row(
             "MTF50 of the optics along x",
             "cycles/mm",
-            lambda b: estimated(b.mtf50["x"]),
+            lambda b: estimated(b.mtf50("x")),
             first=True,
         ),
-        row("along y", "cycles/mm", lambda b: estimated(b.mtf50["y"])),
+        row("along y", "cycles/mm", lambda b: estimated(b.mtf50("y"))),
         row(
             "of a perfect lens",
             "cycles/mm",
-            lambda b: _ideal(mtf50(b.perfect, "x")),
+            lambda b: _ideal(b.best.ideal.mtf50("x")),
             beside=True,
         ),
         row(
             "MTF50 with the pixel along x",
             "cycles/mm",
-            lambda b: estimated(b.camera_mtf50["x"]),
+            lambda b: estimated(b.camera_mtf50("x")),
         ),
-        row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50["y"])),
+        row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50("y"))),
         row(
             "Nyquist of its own pixels",
             "cycles/mm",
@@ -75,30 +95,22 @@ def focus_table(focused: Sequence[BestFocus], reference_nm: float) -> Table:
             first=True,
         ),
         row(
-            "MTF there, optics along x", "", lambda b: estimated(b.at_nyquist["x"], least=3)
+            "MTF there, optics along x", "", lambda b: estimated(b.at_nyquist("x"), least=3)
         ),
-        row("along y", "", lambda b: estimated(b.at_nyquist["y"], least=3)),
+        row("along y", "", lambda b: estimated(b.at_nyquist("y"), least=3)),
         row(
             "of a perfect lens",
             "",
-            lambda b: _ideal(mtf_at(b.perfect, b.nyquist_per_mm, "x")),
+            lambda b: _ideal(b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
             beside=True,
         ),
         row(
             "MTF there, with the pixel along x",
             "",
-            lambda b: estimated(b.camera_at_nyquist["x"], least=3),
+            lambda b: estimated(b.camera_at_nyquist("x"), least=3),
         ),
-        row("along y", "", lambda b: estimated(b.camera_at_nyquist["y"], least=3)),
-        row(within, "µm radius", lambda b: estimated(b.energy_radius_um), first=True),
-        row(
-            "of a perfect lens",
-            "µm radius",
-            lambda b: _ideal(radius_of_energy(b.perfect, SHARE)),
-            beside=True,
-        ),
+        row("along y", "", lambda b: estimated(b.camera_at_nyquist("y"), least=3)),
     )
-    return Table((*NAMED, *channel_columns([b.channel for b in focused])), rows)
 
 
 NAMED = (Column("at best focus", text=True), Column("", text=True))
@@ -151,7 +163,7 @@ def _on_sensor(curve: Curves) -> str:
     """The depth as a way of the sensor, 8 N^2 times a path: twice the relative error of the cone."""
     if curve.depth is None:
         return NO_LIMIT
-    fitted, span = curve.best.fitted, curve.depth.span
+    fitted, span = curve.focus.fitted, curve.depth.span
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.cone_error * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)

@@ -39,7 +39,7 @@ def write_report(results: Results | Path | str) -> Path:
         )
     curves = curves_of(results, at_best_focus(results))
     photographs = photographs_of(
-        results, min((c.best.photographed for c in curves), key=_defocus)
+        results, min((c.focus.photographed for c in curves), key=_defocus)
     )
     drawn = draw_figures(results, curves, photographs)
     _write_figures(results.folder, drawn)

@@ -9,7 +9,7 @@ import numpy as np
 from labkit.optics import metrics
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
-from labkit.report.best_focus import BestFocus
+from labkit.report.best_focus import ChannelFocus
 from labkit.report.quantities import estimated
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results, Wavefront
@@ -49,7 +49,7 @@ def _path_cells(w: Wavefront, without: tuple[int, ...]) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def mode_table(focused: Sequence[BestFocus], unit: str, factor: float = 1.0) -> Table:
+def mode_table(focused: Sequence[ChannelFocus], unit: str, factor: float = 1.0) -> Table:
     """Each mode at best focus, of each channel, with its OSA and Fringe index. factor: of the unit to waves."""
     columns = [
         Column("Noll", exact=True),
@@ -70,7 +70,7 @@ def mode_table(focused: Sequence[BestFocus], unit: str, factor: float = 1.0) -> 
     return Table(tuple(columns), tuple(rows))
 
 
-def difference_table(results: Results, focused: Sequence[BestFocus]) -> Table | None:
+def difference_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
     """Of each range, by how much each mode but defocus differs from that at best focus; None where none does.
 
     Estimates of two ranges are independent; a session's estimate has one set of modes for all.

@@ -3,7 +3,7 @@
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from labkit.report.best_focus import full_nyquist_per_mm
+from labkit.report.best_focus import DIRECTIONS, full_nyquist_per_mm
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated
 from labkit.report.style import DOTTED, LINE_OF, SOFT, THIRD_IN, Ink, banded, chart
@@ -16,7 +16,7 @@ PALE = 0.45  # of a curve with the pixel
 def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
     """Along x and y, of the optics, and of optics and pixel; MTF50 in the legend."""
     figure, axes = chart(THIRD_IN, 3.0, left=0.5, right=0.1, top=0.62)
-    full, plane = full_nyquist_per_mm(results.plan.sensor), curves.best.nyquist_per_mm
+    full, plane = full_nyquist_per_mm(results.plan.sensor), curves.focus.nyquist_per_mm
     axes.axvline(full, color=SOFT, lw=0.7, zorder=1)
     if plane < full:
         axes.axvline(plane, color=SOFT, lw=0.7, ls=SPARSE, zorder=1)
@@ -34,9 +34,9 @@ def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
             [],
             color=ink.colour,
             ls=LINE_OF[d],
-            label=f"{d}: MTF50 {estimated(half)} cycles/mm",
+            label=f"{d}: MTF50 {estimated(curves.focus.mtf50(d))} cycles/mm",
         )
-        for d, half in curves.best.mtf50.items()
+        for d in DIRECTIONS
     ]
     axes.legend(
         handles=keys,

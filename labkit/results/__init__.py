@@ -1,5 +1,7 @@
 """Results: what a session's photographs amount to, kept in SESSION/results/NAME."""
 
+from labkit.results.best_focus import BestFocus
+from labkit.results.colour import ColourShift
 from labkit.results.model import (
     Focus,
     Lens,
@@ -13,6 +15,8 @@ from labkit.results.model import (
 from labkit.results.results import Results
 
 __all__ = [
+    "BestFocus",
+    "ColourShift",
     "Focus",
     "Lens",
     "OptimumTest",

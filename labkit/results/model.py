@@ -6,6 +6,7 @@ The same objects are made by a fit and read back from its folder, so that whatev
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import isfinite, nan
 
 import numpy as np
@@ -18,6 +19,7 @@ from labkit.optics.mtf import Curve, Direction, mtf
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
+from labkit.results.best_focus import BestFocus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -142,7 +144,8 @@ class Wavefront:
     wavelength, as the plan states it or the photographs call for it. tile: (row, column), None for the whole frame.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
-    >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)
+    >>> w.best.strehl, w.best.rms_nm, w.best.mtf50("x")  # the lens, without defocus
+    >>> w[4], w.strehl, w.mtf([50.0]).std, w.psf(spacing_um=1), w.opd(256)  # the photographs, defocus included
     """
 
     range_mm: float | None
@@ -229,17 +232,22 @@ class Wavefront:
             self.spectrum,
         )
 
+    @cached_property
+    def best(self) -> BestFocus:
+        """What the lens does at best focus: Strehl ratio, RMS, MTF and more of the wavefront without its defocus."""
+        return BestFocus(self.at_focus())
+
     @property
     def strehl(self) -> Uncertain:
-        """Strehl ratio, defocus included; ``strehl(w.at_focus())`` leaves it out."""
+        """Strehl ratio of the photographs, defocus included; `best` has the lens's."""
         return strehl(self.fitted)
 
     def at_focus(self) -> FittedWavefront:
-        """The wavefront without its defocus: what the lens does at best focus."""
+        """The wavefront without its defocus, with its covariance; `best` has the numbers of it."""
         return at_focus(self.fitted)
 
     def rms(self, without: tuple[int, ...] = ()) -> Uncertain:
-        """Root of the sum of squares over the modes, but for some; waves RMS."""
+        """Root of the sum of squares over the modes, but for some; waves RMS. Defocus is included; `best.rms` is without."""
         return metrics.rms(self.fitted, without)
 
     def opd(self, samples: int) -> Floats:

@@ -17,6 +17,7 @@ from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables
+from labkit.results.colour import ColourShift, longitudinal_colour
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.uncertain import Uncertain
 from labkit.version import __version__
@@ -113,14 +114,29 @@ class Results:
 
         Raises DataError for a channel that was not fitted.
         """
+        return min(
+            self._of(channel),
+            key=lambda w: (not w.accepted, float(np.trace(w.at_focus().covariance))),
+        )
+
+    def nearest_focus(self, channel: str) -> Wavefront:
+        """Of a channel's wavefronts the one of least defocus; accepted ones first. Its `best` is what the report gives.
+
+        Raises DataError for a channel that was not fitted.
+        """
+        return min(self._of(channel), key=lambda w: (not w.accepted, _defocus(w)))
+
+    def longitudinal_colour(self) -> tuple[ColourShift, ...]:
+        """Best focus of each channel less that of G, in mm of range and um on the sensor; empty without two channels."""
+        return longitudinal_colour(self.focus, self.lens)
+
+    def _of(self, channel: str) -> tuple[Wavefront, ...]:
         of = self.of_channel(channel)
         if not of:
             raise DataError(
                 f"the session has no wavefront of channel {channel}: it has {', '.join(self.channels)}"
             )
-        return min(
-            of, key=lambda w: (not w.accepted, float(np.trace(w.at_focus().covariance)))
-        )
+        return of
 
     @property
     def thin_lens(self) -> ThinLens:
@@ -187,3 +203,7 @@ class Results:
         title = f"{self.folder or 'Results'}: {len(self)} wavefronts"
         shown = [self.wavefront_rows(), self.focus_rows()]
         return tables.as_html(title, shown, self.warnings)
+
+
+def _defocus(wavefront: Wavefront) -> float:
+    return abs(wavefront.defocus.value) if wavefront.defocus else 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from labkit.optics.psf import diffraction_mtf
 from labkit.report.best_focus import (
-    BestFocus,
+    ChannelFocus,
     at_best_focus,
     full_nyquist_per_mm,
     plane_nyquist_per_mm,
@@ -33,8 +33,8 @@ def with_modes(noll: tuple[int, ...], waves: list[float]) -> Wavefront:
     )
 
 
-def at_focus(noll: tuple[int, ...], waves: list[float]) -> BestFocus:
-    return BestFocus.of(with_modes(noll, waves), PLAN.sensor)
+def at_focus(noll: tuple[int, ...], waves: list[float]) -> ChannelFocus:
+    return ChannelFocus(with_modes(noll, waves), PLAN.sensor)
 
 
 def curves(**changed: object) -> list[Curves]:
@@ -43,7 +43,7 @@ def curves(**changed: object) -> list[Curves]:
 
 
 def test_coma_at_best_focus_has_the_span_and_the_angle_of_its_closed_form() -> None:
-    best = at_focus((4, 7, 8), [0.8, 0.0, -0.04])
+    best = at_focus((4, 7, 8), [0.8, 0.0, -0.04]).best
     # a sqrt(8) (3 r³ - 2 r) cos(theta): greatest at the rim, where a negative one is to the left
     assert best.peak_to_valley.value == pytest.approx(2 * np.sqrt(8) * 0.04, rel=1e-3)
     assert best.peak_to_valley.std == pytest.approx(2 * np.sqrt(8) * 1e-3, rel=1e-3)
@@ -55,9 +55,9 @@ def test_coma_at_best_focus_has_the_span_and_the_angle_of_its_closed_form() -> N
 
 def test_defocus_does_not_enter_what_is_given_at_best_focus() -> None:
     best = at_focus((4,), [0.8])
-    assert best.strehl.value == pytest.approx(1.0)
+    assert best.best.strehl.value == pytest.approx(1.0)
     assert best.photographed.strehl.value < 0.3
-    assert best.mtf50["x"].value == pytest.approx(
+    assert best.mtf50("x").value == pytest.approx(
         0.40397 / (650e-6 * 2.8), rel=1e-4
     )  # of Goodman's perfect MTF
 
@@ -88,9 +88,9 @@ def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_p
     best = at_focus((4,), [0.8])
     nyquist = 250 / 4.78
     perfect = float(diffraction_mtf(np.array(nyquist * 650e-6 * 2.8)))
-    assert best.at_nyquist["y"].value == pytest.approx(perfect, rel=1e-9)
+    assert best.at_nyquist("y").value == pytest.approx(perfect, rel=1e-9)
     # half of Nyquist's frequency of all pixels: sinc(1/4)
-    assert best.camera_at_nyquist["y"].value == pytest.approx(
+    assert best.camera_at_nyquist("y").value == pytest.approx(
         perfect * np.sin(np.pi / 4) / (np.pi / 4), rel=1e-9
     )
     cells = {row.cells[0]: row.cells[2] for row in focus_table([best], 450.0).rows}
