@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.drivers.simulated.modes import drawn_modes
 from labkit.drivers.simulated.optics import (
     defocus_waves,
     entrance_pupil_to_target_mm,
@@ -177,6 +178,9 @@ class Bench:
             range_zero_mm=tape_error_mm,
             focal_length_mm=lens.focal_length_mm,
             f_number=lens.f_number,
+            pupil=lens.pupil,
+            outer_f_number=lens.outer_f_number,
+            clear_share=lens.pupil.clear_share,
             pupil_magnification=lens.pupil_magnification,
             lateral_colour=dict(lens.lateral_colour),
             modes_waves=self._modes,
@@ -195,12 +199,7 @@ class Bench:
         """Everything that stays as it is while the bench lives."""
         lens, sensor, pose = self.settings.lens, self.settings.sensor, self.settings.pose
         rng = self._generator("fixed")
-        shared = rng.normal(size=len(lens.noll))
-        self._modes = {}
-        for colour in lens.wavelength_nm:
-            own = shared + lens.colour_share * rng.normal(size=shared.size)
-            amounts = own * lens.aberration_waves / np.linalg.norm(own)
-            self._modes[colour] = dict(zip(lens.noll, amounts.tolist(), strict=True))
+        self._modes = drawn_modes(lens, rng, self._generator("higher modes"))
         self._tilt_deg = (
             rng.uniform(-1, 1) * pose.tilt_deg,
             rng.uniform(-1, 1) * pose.tilt_deg,
@@ -312,7 +311,7 @@ class Bench:
 
     def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
         lens, sensor = self.settings.lens, self.settings.sensor
-        nyquist_um = lens.shortest_nm * 1e-3 * lens.f_number / 2
+        nyquist_um = lens.shortest_nm * 1e-3 * lens.outer_f_number / 2
         per_pixel = samples or max(
             self.settings.samples_per_pixel,
             int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)),

@@ -15,8 +15,9 @@ from math import factorial, sqrt
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import laplace
+from numpy.polynomial.polynomial import polyval
 
+from labkit.drivers.simulated.pupil import DISC, RIM_REACH, Pupil
 from labkit.types import Floats, Floats32
 
 
@@ -37,19 +38,40 @@ def zernike(j: int, u: Floats, v: Floats) -> Floats:
 
     Thesis (2.39)-(2.41), (2.40) corrected: (n - k)! in the radial polynomial.
     """
+    return wavefront({j: 1.0}, u, v)
+
+
+def wavefront(waves: Mapping[int, float], u: Floats, v: Floats) -> Floats:
+    """The path of Noll's modes {mode: waves RMS} at pupil coordinates (u right, v down), waves. Shapes as given.
+
+    Modes of one azimuthal order m share r^m cos(m theta) and r^m sin(m theta), and are summed as polynomials of r^2.
+    """
+    by_order: dict[int, Floats] = {}
+    for mode, amount in waves.items():
+        m, powers = _radial(mode)
+        total = by_order.setdefault(m, np.zeros(0))
+        wide = np.zeros(max(total.size, powers.size))
+        wide[: total.size] = total
+        wide[: powers.size] += amount * powers
+        by_order[m] = wide
+    squared = u * u + v * v
+    path = np.zeros_like(squared)
+    for m, powers in by_order.items():
+        turn = (u + 1j * v) ** abs(m)
+        path += polyval(squared, powers) * (turn.imag if m < 0 else turn.real)
+    return path
+
+
+def _radial(j: int) -> tuple[int, Floats]:
+    """The azimuthal order of Noll's mode j, and the coefficients of its radial polynomial over r^|m|, by powers of r^2."""
     n, signed = noll_to_nm(j)
     m = abs(signed)
-    squared = u * u + v * v
-    radial = np.zeros_like(squared)
-    for k in range((n - m) // 2 + 1):
+    half = (n - m) // 2
+    powers = np.zeros(half + 1)
+    for k in range(half + 1):
         weight = (-1) ** k * factorial(n - k) / factorial(k)
-        weight /= factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k)
-        radial += weight * squared ** ((n - m) // 2 - k)
-    if m == 0:
-        return sqrt(n + 1) * radial
-    turn = (u + 1j * v) ** m
-    mode: Floats = sqrt(2 * (n + 1)) * radial * (turn.real if signed > 0 else turn.imag)
-    return mode
+        powers[half - k] = weight / (factorial((n + m) // 2 - k) * factorial(half - k))
+    return signed, powers * sqrt(n + 1 if m == 0 else 2 * (n + 1))
 
 
 def defocus_waves(
@@ -134,32 +156,24 @@ def point_spread(
     spacing_um: float,
     reach: int,
     reference_nm: float = 450.0,
+    pupil: Pupil = DISC,
 ) -> Floats32:
     """The lens's PSF on a square grid of spacing_um: (2 reach + 1, 2 reach + 1), centred; each sample's share of all light.
 
-    waves: {Noll mode: waves RMS at reference_nm}. The pupil is sampled so finely that the field repeats only after
-    6 times the reach: what wraps around lands beyond the window, but for the faint outermost tail.
+    waves: {Noll mode: waves RMS at reference_nm}, over the disc of which f_number is. The pupil is sampled so finely that the
+    field repeats only after 6 times the reach: what wraps around lands beyond the window, but for the faint outermost tail.
     """
     n = scipy.fft.next_fast_len(int(6 * reach) + 1)
     radius = n * spacing_um / (2 * wavelength_nm * 1e-3 * f_number)
-    if 4 * radius > n:
+    if 4 * radius * pupil.extent > n:
         raise ValueError(
             f"a grid of {spacing_um:g} um is too coarse for f/{f_number:g} at {wavelength_nm:g} nm"
         )
-    edge = int(radius) + 2
+    edge = int(radius * pupil.extent) + RIM_REACH
     v, u = np.meshgrid(*2 * [np.arange(-edge, edge + 1) / radius], indexing="ij")
-    inside = np.clip(
-        (1 - np.hypot(u, v)) * radius + 0.5, 0, 1
-    )  # grey edge: the share of the sample within the disc
-    inside -= (
-        laplace(inside) / 24
-    )  # what greyness takes from the rings far out, to the fourth order
-    path = np.zeros_like(u)
-    for mode, amount in waves.items():
-        path += amount * zernike(mode, u, v)
-    lit = (inside * np.exp(2j * np.pi * reference_nm / wavelength_nm * path)).astype(
-        np.complex64
-    )
+    inside = pupil.samples(u, v, radius)
+    phase = 2 * np.pi * reference_nm / wavelength_nm * wavefront(waves, u, v)
+    lit = (inside * np.exp(1j * phase)).astype(np.complex64)
     around = np.arange(-reach, reach + 1)
     # where the pupil begins only turns the field's phase; rows beyond the window are left out between the passes
     rows = scipy.fft.fft(lit, n, axis=0, workers=2)[around]
@@ -178,17 +192,20 @@ def halo_beyond(
     reach: int,
     samples: int,
     pixels: int,
+    rim: float = 1.0,
 ) -> Floats32:
     """What `point_spread` lacks, from pixel to pixel: (2 pixels + 1, 2 pixels + 1) shares of all light, centred.
 
-    samples: of spacing_um to a pixel. Beyond the window, and averaged over its rings, the light of any lens with a round
-    pupil falls with the cube of the distance, lambda N / (pi r)^3. It is a thousandth of the light and far away, but a cone is
+    samples: of spacing_um to a pixel; rim: length of the pupil's rims over that of a disc of its area. Beyond the window, and
+    averaged over its rings, the light of any lens falls with the cube of the distance, rim lambda N / (pi r)^3; the spikes of
+    blades are followed within the window only. It is a thousandth of the light and far away, but a cone is
     known by how steeply contrast begins to fall with frequency: without the light beyond 350 um its f-number comes out 0.5 %
     too small.
     """
     airy_um, pitch_um = wavelength_nm * 1e-3 * f_number, samples * spacing_um
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")
-    rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3 * pitch_um**2
+    rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3
+    rings *= rim * pitch_um**2
     edge_um = (reach + 0.5) * spacing_um
     within = np.clip((edge_um - abs(y)) / pitch_um + 0.5, 0, 1) * np.clip(
         (edge_um - abs(x)) / pitch_um + 0.5, 0, 1

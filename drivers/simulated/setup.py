@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-import re
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.panels import paper_panel, plan_panel
 from labkit.devices.shared import Lease
+from labkit.drivers.simulated.address import ordered
 from labkit.drivers.simulated.bench import MOST_AT_ONCE, Bench
 from labkit.drivers.simulated.world import (
-    FAULTS,
     BenchSettings,
-    Fault,
     TrueLens,
     TruePanel,
     TrueRail,
     TrueSensor,
 )
-from labkit.errors import PlanError, shown
+from labkit.errors import PlanError
 from labkit.pace import in_words
 from labkit.plan import Plan, RailSettings
 from labkit.target import open_target
@@ -34,11 +31,6 @@ FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
 
 S_PER_MEGAPIXEL = 25.0
 """About what a picture of a colour mosaic takes on one core, where it is rendered in tiles."""
-
-SEED = re.compile(r"seed=([0-9]{1,9})")
-FAULT = re.compile(
-    r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?"
-)
 
 WHITE_COUNTS = 10_350.0
 """What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
@@ -115,40 +107,16 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
 
 
 def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
-    seed, faults = ordered(address)
-    settings = settings_for(plan, seed)
+    orders = ordered(address)
+    settings = settings_for(plan, orders.seed)
+    settings = replace(settings, lens=orders.made(settings.lens))
     rows, cols = settings.sensor.rows, settings.sensor.cols
     if max(rows, cols) > MOST_AT_ONCE:
         wait = in_words(rows * cols / 1e6 * S_PER_MEGAPIXEL)
         warn(
             f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}"
         )
-    return Bench(settings, faults)
-
-
-def ordered(address: str) -> tuple[int, tuple[Fault, ...]]:
-    """Seed, 1 if none is given, and faults of an address such as "simulated:seed=3,camera.timeout=2,rail.stall=1x4": the
-    second exposure times out, the first four moves stall. Raises PlanError.
-    """
-    seed, faults = 1, list[Fault]()
-    words = address.partition(":")[2]
-    for word in words.split(",") if words else ():
-        if found := SEED.fullmatch(word):
-            seed = int(found[1])
-        elif (found := FAULT.fullmatch(word)) and found["kind"] in FAULTS.get(
-            found["device"], ()
-        ):
-            device, kind = cast(Any, (found["device"], found["kind"]))
-            faults.append(Fault(device, kind, int(found["call"]), int(found["times"] or 1)))
-        else:
-            kinds = ", ".join(
-                f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds
-            )
-            raise PlanError(
-                f'address "{address}": {shown(word)}: allowed is seed=N, and faults as in camera.timeout=2 (at the second '
-                f"exposure) or camera.timeout=2x3 (three times from there): {kinds}"
-            )
-    return seed, tuple(faults)
+    return Bench(settings, orders.faults)
 
 
 def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:

@@ -51,12 +51,14 @@ def psf_and_halo(
     for nm, share in lines:
         here = {**waves, 4: waves.get(4, 0.0) + lens.defocus_within(colour, nm)}
         psf += np.float32(share) * point_spread(
-            here, nm, cone, spacing_um, grid.reach, REFERENCE_NM
+            here, nm, cone, spacing_um, grid.reach, REFERENCE_NM, lens.pupil
         )
     # the halo grows as the wavelength does: a mean of halos is that of the mean wavelength
     mean_nm = sum(nm * share for nm, share in lines)
     pixels = min(max(sensor.rows, sensor.cols), FARTHEST_PX)
-    halo = halo_beyond(mean_nm, cone, spacing_um, grid.reach, grid.samples, pixels)
+    halo = halo_beyond(
+        mean_nm, cone, spacing_um, grid.reach, grid.samples, pixels, lens.pupil.rim
+    )
     kernel = aside(sensor.low_pass, sensor.diffusion_px, settings.rail.smear, grid.samples)
     if kernel.size > 1:
         psf = scipy.signal.fftconvolve(psf, kernel, mode="same").astype(np.float32)

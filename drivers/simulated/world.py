@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 from labkit.drivers.simulated.parts import Lit, LowPassFilter, Smear, Spectrum, Veil
+from labkit.drivers.simulated.pupil import DISC, Pupil
 
 REFERENCE_NM = 450.0
 """Wavelength in whose waves the truth counts optical paths."""
@@ -16,18 +17,24 @@ REFERENCE_NM = 450.0
 FIXED_MODES = tuple(range(5, 16))
 """Noll's modes of the lens's fixed aberration; defocus, 4, comes from the range."""
 
+HIGHER_MODES = tuple(range(16, 37))
+"""Noll's modes of radial orders 5 to 7, of which a lens as it is made has a little."""
+
+MOST_NOLL, MOST_WAVES = 45, 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class TrueLens:
     """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm).
 
     best_focus_mm: true ranges, from the front principal plane. Focal length and f-number are those of green, or of the first
-    colour; one sensor and one aperture serve all, so that other colours' follow from where they focus.
+    colour; one sensor and one aperture serve all, so that other colours' follow from where they focus. Modes are Noll's over
+    the disc of the f-number. Raises ValueError for aberrations that cannot be.
     """
 
     focal_length_mm: float = 70.0
     f_number: float = 2.8
-    """At infinity: focal length over the entrance pupil's diameter."""
+    """At infinity: focal length over the diameter of the circle that has the entrance pupil's clear area on the axis."""
     pupil_magnification: float = 0.985
     wavelength_nm: Mapping[str, float] = field(
         default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0}
@@ -39,6 +46,11 @@ class TrueLens:
     aberration_waves: float = 0.07
     colour_share: float = 0.15
     """Size of what each colour has of its own in the aberration, relative to what they share."""
+    higher_waves: float = 0.0
+    """RMS of random modes of the orders beyond, `HIGHER_MODES`."""
+    stated_waves: Mapping[int, float] = field(default_factory=dict)
+    """{Noll mode: waves RMS} of all colours, in place of what is drawn; 5 to 45."""
+    pupil: Pupil = DISC
     lateral_colour: Mapping[str, float] = field(default_factory=dict)
     """By how much a colour's picture is larger than the others', relative; 0 of those left out."""
     vignetting: float = 0.10
@@ -47,6 +59,28 @@ class TrueLens:
     """Of colours that are more than one wavelength."""
     veil: Veil = field(default_factory=Veil)
     """Stray light, as vignetted as all light is."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.higher_waves <= MOST_WAVES:
+            raise ValueError(
+                f"modes beyond Noll 15 have 0 to {MOST_WAVES:g} waves RMS, "
+                f"not {self.higher_waves:g}"
+            )
+        for j, waves in self.stated_waves.items():
+            if not FIXED_MODES[0] <= j <= MOST_NOLL:
+                raise ValueError(
+                    f"modes are stated for Noll {FIXED_MODES[0]} to {MOST_NOLL}, not {j}; "
+                    "defocus, 4, comes from the range"
+                )
+            if not abs(waves) <= MOST_WAVES:
+                raise ValueError(
+                    f"a mode has at most {MOST_WAVES:g} waves RMS, not {waves:g} (Noll {j})"
+                )
+
+    @property
+    def outer_f_number(self) -> float:
+        """At infinity, of the smallest circle round the pupil: outer rim or corners of the blades."""
+        return self.f_number / self.pupil.extent
 
     @property
     def focused_mm(self) -> float:
@@ -238,6 +272,8 @@ class Truth:
     """What an estimate may be compared with afterwards. Modes are {Noll: waves RMS at 450 nm} per colour.
 
     best_focus_mm: on the plan's scale, as the tape has it; range_zero_mm: the true range less that of the tape.
+    f_number: by clear area on the axis, and modes over that circle; outer_f_number: of the circle round the pupil;
+    clear_share: of that area, what a cat's eye leaves.
     """
 
     seed: int
@@ -251,6 +287,9 @@ class Truth:
     counts_per_electron: float
     read_noise_counts: float
     visits: tuple[Visit, ...]
+    pupil: Pupil = DISC
+    outer_f_number: float | None = None
+    clear_share: float = 1.0
     reference_wavelength_nm: float = REFERENCE_NM
 
     def to_json(self) -> str:

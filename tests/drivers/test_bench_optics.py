@@ -24,7 +24,7 @@ from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePose, Tr
 from labkit.types import Floats
 
 
-@pytest.mark.parametrize("j", range(1, 22))
+@pytest.mark.parametrize("j", range(1, 46))
 def test_modes_are_nolls_as_poppy_has_them(j: int) -> None:
     y, x = np.meshgrid(*2 * [np.linspace(-0.7, 0.7, 41)], indexing="ij")
     theirs = poppy.zernike.zernike1(
@@ -57,15 +57,12 @@ def test_a_perfect_lens_shows_airys_disc() -> None:
     airy = (
         (2 * j1(np.pi * r) / (np.pi * r)) ** 2 * np.pi / 4 * (0.5 / (0.55 * 4.0)) ** 2
     )  # unit integral
-    assert psf.sum(dtype=float) == pytest.approx(
-        airy.sum(), abs=1.2e-5
-    )  # of the rim's fourth order
-    assert np.abs(psf - airy).sum() < 3e-4
+    assert np.abs(psf - airy).sum() < 1.6e-7  # 8.5e-8 as measured
     # what is beyond 200 um is 0.2 %; out to 2 mm all of it but a tenth
     halo = halo_beyond(550.0, 4.0, 0.5, 400, 10, 400)
     tenth = (1 - airy.sum()) / 10
     assert psf.sum(dtype=float) + halo.sum(dtype=float) == pytest.approx(
-        1 - tenth, abs=1e-5
+        1 - tenth, abs=7e-7
     )
 
 
@@ -92,10 +89,7 @@ def test_a_defocused_psf_is_as_bright_as_hankels_transform_has_it() -> None:
         / 4
         * (spacing_um / airy_um) ** 2
     )
-    assert np.abs(psf[:75] - light).max() < 2.4e-4 * light.max()
-    assert r @ psf[:75] == pytest.approx(
-        r @ light, rel=1e-4
-    )  # were the whole picture brightened for the rim's greyness: 4e-4
+    assert np.abs(psf[:75] - light).max() < 3e-7 * light.max()  # 1.5e-7 as measured
 
 
 def test_an_aberrated_psf_is_poppys_in_its_orientation_too() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,12 @@ from labkit.devices.protocols import Camera, Coverable, Display, ExposureSetting
 from labkit.devices.registry import installed, open_camera, open_devices
 from labkit.drivers.simulated import bench as bench_module
 from labkit.drivers.simulated import tiles as tiles_module
+from labkit.drivers.simulated.address import Orders, ordered
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.drivers.simulated.display import SimulatedDisplay
 from labkit.drivers.simulated.rail import SimulatedRail
-from labkit.drivers.simulated.setup import ordered, settings_for, shared_bench
+from labkit.drivers.simulated.setup import settings_for, shared_bench
 from labkit.drivers.simulated.tiles import tiles
 from labkit.drivers.simulated.world import (
     BenchSettings,
@@ -209,16 +211,28 @@ def test_two_simulated_worlds_in_one_room_are_refused() -> None:
 @pytest.mark.parametrize(
     ("address", "order"),
     [
-        ("simulated:", (1, ())),
-        ("simulated:camera.timeout=2", (1, (Fault("camera", "timeout", 2),))),
+        ("simulated:", Orders()),
+        ("simulated:camera.timeout=2", Orders(1, (Fault("camera", "timeout", 2),))),
         (
             "simulated:rail.stall=1x4,seed=3,display.sleep=5",
-            (3, (Fault("rail", "stall", 1, 4), Fault("display", "sleep", 5))),
+            Orders(3, (Fault("rail", "stall", 1, 4), Fault("display", "sleep", 5))),
+        ),
+        (
+            "simulated:lens.blades_turn_deg=-10.5,lens.blades=7,seed=2,lens.blade_rounding=0.3",
+            Orders(2, pupil={"turn_deg": -10.5, "blades": 7, "rounding": 0.3}),
+        ),
+        (
+            "simulated:lens.cats_eye=0.3,1.1,-45,lens.obstruction=0.38",
+            Orders(pupil={"cats_eye": (0.3, 1.1, -45.0), "obstruction": 0.38}),
+        ),
+        (
+            "simulated:lens.noll_22=-0.01,lens.higher_rms=0.03,lens.noll_5=0.2",
+            Orders(higher_waves=0.03, stated_waves={22: -0.01, 5: 0.2}),
         ),
     ],
 )
-def test_seed_and_faults_are_ordered_in_the_address(
-    address: str, order: tuple[int, tuple[Fault, ...]]
+def test_seed_lens_and_faults_are_ordered_in_the_address(
+    address: str, order: Orders
 ) -> None:
     assert ordered(address) == order
 
@@ -228,14 +242,64 @@ def test_seed_and_faults_are_ordered_in_the_address(
     [
         "simulated:seed=x", "simulated:sed=3", "simulated:3", "simulated:seed=-1", "simulated:camera.stall=1",
         "simulated:camera.timeout=0", "simulated:camera.timeout", "simulated:,", "simulated:rail.stall=1x",
+        "simulated:lens.blades=6.5", "simulated:lens.blades=many", "simulated:lens.cats_eye=0.3,1.1", "simulated:lens.coma=0.1",
+        "simulated:lens.obstruction=0.3,0.4", "simulated:lens.noll=0.1", "simulated:lens.higher_rms=nan",
+        "simulated:lens.noll_22=",
     ],
 )  # fmt: skip
 def test_an_address_that_is_not_understood_is_refused(address: str) -> None:
     with pytest.raises(
         PlanError,
-        match=r"allowed is seed=N, and faults as in camera.timeout=2 .*rail.stall, rail.limit",
+        match=r"allowed is seed=N; a lens as in lens.blades=7, .*; and faults as in camera.timeout=2 .*rail.stall, rail.limit",
     ):
         open_camera(address, plan(), DeviceContext())
+
+
+@pytest.mark.parametrize(
+    ("order", "says"),
+    [
+        ("lens.blades=2", "a diaphragm has 3 to 24 blades, or 0 for a round one, not 2"),
+        (
+            "lens.blades=6,lens.blade_rounding=1.1",
+            r"0 \(straight\) to 1 \(a circle\), not 1.1",
+        ),
+        ("lens.blade_rounding=0.3", "turn and rounding are those of blades: say how many"),
+        ("lens.obstruction=0.9", "0 to less than 0.9 of the diameter, not 0.9"),
+        ("lens.cats_eye=1.9,1,0", "leaves a tenth of the pupil or more, not 0.01"),
+        (
+            "lens.cats_eye=0.5,0.4,0,lens.obstruction=0.89",
+            "a tenth of the pupil or more, not 0",
+        ),
+        (
+            "lens.noll_4=0.1",
+            "stated for Noll 5 to 45, not 4; defocus, 4, comes from the range",
+        ),
+        ("lens.noll_46=0.1", "stated for Noll 5 to 45, not 46"),
+        ("lens.noll_20=2.5", r"at most 2 waves RMS, not 2.5 \(Noll 20\)"),
+        ("lens.higher_rms=-0.1", "modes beyond Noll 15 have 0 to 2 waves RMS, not -0.1"),
+    ],
+)
+def test_a_lens_that_cannot_be_is_refused_in_one_line(order: str, says: str) -> None:
+    with pytest.raises(PlanError, match=says) as refused:
+        open_camera(f"simulated:{order}", plan(), DeviceContext())
+    assert "\n" not in str(refused.value)
+
+
+def test_the_lens_of_the_address_is_the_benchs() -> None:
+    context = DeviceContext()
+    address = "simulated:lens.blades=7,lens.obstruction=0.4,lens.higher_rms=0.03,lens.noll_40=0.02"
+    with open_devices(plan(), simulated=address, context=context):
+        (bench,) = context.shared.values()
+        assert isinstance(bench, Bench)
+        truth = bench.truth
+    assert (truth.pupil.blades, truth.pupil.obstruction) == (7, 0.4)
+    assert [*truth.modes_waves["G"]] == [*range(5, 37), 40]
+    higher = [truth.modes_waves["G"][j] for j in range(16, 37)]
+    assert np.linalg.norm(higher) == pytest.approx(0.03)
+    assert truth.outer_f_number == pytest.approx(
+        truth.f_number * (1 - 0.4**2) ** 0.5 / 1.07148066, rel=1e-8
+    )  # area of a heptagon over that of its circle: 7 / (2 pi) sin(2 pi / 7) = 0.871026
+    assert json.loads(truth.to_json())["pupil"]["blades"] == 7
 
 
 def test_an_unknown_driver_is_told_with_those_installed() -> None:

@@ -44,7 +44,7 @@ class Move:
             return self.acceleration * since_s**2 / 2, self.acceleration * since_s
         if left_s < ramp_s:
             return (
-                self.length_mm - self.acceleration * left_s** 2 / 2,
+                self.length_mm - self.acceleration * left_s**2 / 2,
                 self.acceleration * left_s,
             )
         return peak * (since_s - ramp_s / 2), peak

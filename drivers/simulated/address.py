@@ -1,0 +1,119 @@
+"""What the address of a simulated bench orders: seed, lens and faults."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+from labkit.drivers.simulated.pupil import Pupil
+from labkit.drivers.simulated.world import FAULTS, Fault, TrueLens
+from labkit.errors import PlanError, shown
+
+SEED = re.compile(r"seed=([0-9]{1,9})")
+FAULT = re.compile(
+    r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?"
+)
+LENS = re.compile(r"lens\.([a-z_]+[0-9]*)=(.+)")
+NOLL = re.compile(r"noll_([0-9]{1,3})")
+NUMBER = re.compile(r"-?\d{1,6}(?:\.\d{1,12})?")
+
+PUPIL = {
+    "blades": "blades",
+    "blades_turn_deg": "turn_deg",
+    "blade_rounding": "rounding",
+    "obstruction": "obstruction",
+}
+"""The pupil's numbers, by their names in an address."""
+
+ALLOWED = (
+    "allowed is seed=N; a lens as in lens.blades=7, lens.blades_turn_deg=10, "
+    "lens.blade_rounding=0.3, lens.obstruction=0.38, lens.cats_eye=0.3,1.1,45 (shift, radius, "
+    "direction), lens.noll_22=0.01, lens.higher_rms=0.03; and faults as in camera.timeout=2 "
+    "(at the second exposure) or camera.timeout=2x3 (three times from there): "
+    + ", ".join(f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """What an address orders of a bench; nothing by default."""
+
+    seed: int = 1
+    faults: tuple[Fault, ...] = ()
+    pupil: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers of `Pupil`."""
+    higher_waves: float = 0.0
+    stated_waves: Mapping[int, float] = field(default_factory=dict)
+
+    def made(self, lens: TrueLens) -> TrueLens:
+        """The lens as it is ordered. Raises ValueError for a lens that cannot be."""
+        return replace(
+            lens,
+            pupil=Pupil(**self.pupil),
+            higher_waves=self.higher_waves,
+            stated_waves=dict(self.stated_waves),
+        )
+
+
+def ordered(address: str) -> Orders:
+    """Read an address such as "simulated:seed=3,lens.blades=7,camera.timeout=2,rail.stall=1x4".
+
+    Commas between numbers belong to the order that they stand in.
+
+    Raises
+    ------
+    PlanError
+        for a word that is not understood, and for a lens that cannot be
+    """
+    orders = Orders()
+    words = address.partition(":")[2]
+    for word in re.split(r",(?![-.\d])", words) if words else ():
+        read = _read(word, orders)
+        if read is None:
+            raise PlanError(f'address "{address}": {shown(word)}: {ALLOWED}')
+        orders = read
+    try:
+        orders.made(TrueLens())
+    except ValueError as error:
+        raise PlanError(f'address "{address}": {error}') from error
+    return orders
+
+
+def _read(word: str, orders: Orders) -> Orders | None:
+    """Add an order to those before; None for a word that is not understood."""
+    if found := SEED.fullmatch(word):
+        return replace(orders, seed=int(found[1]))
+    if found := LENS.fullmatch(word):
+        return _with_lens(orders, found[1], found[2].split(","))
+    found = FAULT.fullmatch(word)
+    if found and found["kind"] in FAULTS.get(found["device"], ()):
+        device, kind = cast(Any, (found["device"], found["kind"]))
+        fault = Fault(device, kind, int(found["call"]), int(found["times"] or 1))
+        return replace(orders, faults=(*orders.faults, fault))
+    return None
+
+
+def _with_lens(orders: Orders, name: str, written: list[str]) -> Orders | None:
+    """Add what is ordered of the lens; None for a name that is not known, or for other numbers than it has."""
+    if not all(NUMBER.fullmatch(number) for number in written):
+        return None
+    values = [float(number) for number in written]
+    if name == "cats_eye":
+        return (
+            replace(orders, pupil={**orders.pupil, name: tuple(values)})
+            if len(values) == 3
+            else None
+        )
+    if len(values) != 1 or (name == "blades" and not written[0].isdigit()):
+        return None
+    if name in PUPIL:
+        number = int(written[0]) if name == "blades" else values[0]
+        return replace(orders, pupil={**orders.pupil, PUPIL[name]: number})
+    if name == "higher_rms":
+        return replace(orders, higher_waves=values[0])
+    if found := NOLL.fullmatch(name):
+        stated = {**orders.stated_waves, int(found[1]): values[0]}
+        return replace(orders, stated_waves=stated)
+    return None

@@ -1,0 +1,40 @@
+"""The lens's fixed aberration: what is stated of it, and what is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labkit.drivers.simulated.world import HIGHER_MODES, TrueLens
+
+Modes = dict[str, dict[int, float]]
+"""Of each colour, {Noll mode: waves RMS at REFERENCE_NM}."""
+
+
+def drawn_modes(
+    lens: TrueLens, rng: np.random.Generator, higher: np.random.Generator
+) -> Modes:
+    """Modes of every colour, in Noll's order; `higher` draws those of the orders beyond the usual ones.
+
+    A mode that is drawn twice is the usual one, and a mode that is stated is the stated one.
+    """
+    usual = _random_modes(lens, lens.noll, lens.aberration_waves, rng)
+    modes = usual
+    if lens.higher_waves:
+        beyond = _random_modes(lens, HIGHER_MODES, lens.higher_waves, higher)
+        modes = {colour: beyond[colour] | usual[colour] for colour in usual}
+    stated = dict(lens.stated_waves)
+    return {colour: dict(sorted((own | stated).items())) for colour, own in modes.items()}
+
+
+def _random_modes(
+    lens: TrueLens, noll: Sequence[int], waves_rms: float, rng: np.random.Generator
+) -> Modes:
+    """Modes of that RMS in every colour, most of which all colours share."""
+    shared, modes = rng.normal(size=len(noll)), Modes()
+    for colour in lens.wavelength_nm:
+        own = shared + lens.colour_share * rng.normal(size=shared.size)
+        amounts = own * waves_rms / np.linalg.norm(own)
+        modes[colour] = dict(zip(noll, amounts.tolist(), strict=True))
+    return modes

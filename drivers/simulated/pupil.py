@@ -1,0 +1,188 @@
+"""The clear pupil of the simulated lens: blades, central obstruction, cat's eye, and their samples on a grid.
+
+Every rim is that of a disc, and the pupil is where all discs overlap, but for the obstruction. A sample is a smooth function
+of its distance from the nearest rim, so that a transform of samples has the light of a sharp rim.
+
+Written without labkit.optics and labkit.imaging, which it is there to test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from math import asin, cos, pi, radians, sin, sqrt
+
+import numpy as np
+from numpy.polynomial.hermite_e import hermeval
+from scipy.special import factorial, ndtr
+
+from labkit.types import Floats
+
+FEWEST_BLADES, MOST_BLADES = 3, 24
+MOST_OBSTRUCTION = 0.9
+LEAST_CLEAR = 0.1
+"""Share of the pupil that a cat's eye leaves at least."""
+
+STRAIGHT = 1e-6
+"""Rounding below which a blade is as straight as doubles can tell."""
+
+RIM_SIGMA, RIM_TERMS = 1.35, 8
+"""A rim is smoothed by a kernel whose transform is exp(-t) (1 + t + ... + t^8 / 8!), t = (2 pi sigma f)^2 / 2, f in cycles per
+sample: 1e-6 less than one where light lands a sixth of a period from the axis, 2e-4 in a window's corners, and 7e-5 at
+most where copies of the field come from, five sixths away."""
+
+RIM_REACH = 10
+"""Samples from the rim, beyond which the kernel has nothing left: 1e-9."""
+
+MEASURED_RADIUS = 500
+"""Samples to the radius where areas are measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pupil:
+    """A pupil that is no disc. Directions are measured from right towards down, as the sensor sees it.
+
+    blades: of the diaphragm, 0 for a round one; turn_deg: direction of the middle of a blade; rounding: 0 for straight blades,
+    1 for a circle; each blade is an arc of radius 1/rounding, in units of the circle through the corners.
+    obstruction: diameter of the dark disc in the middle over that of the circle of the opening's area.
+    cats_eye: (shift, radius, direction in degrees) of a second circle that cuts the pupil off the axis, in units of the radius
+    of the circle of the opening's area. Raises ValueError for a pupil that cannot be.
+    """
+
+    blades: int = 0
+    turn_deg: float = 0.0
+    rounding: float = 0.0
+    obstruction: float = 0.0
+    cats_eye: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.blades and not FEWEST_BLADES <= self.blades <= MOST_BLADES:
+            raise ValueError(
+                f"a diaphragm has {FEWEST_BLADES} to {MOST_BLADES} blades, or 0 for a "
+                f"round one, not {self.blades}"
+            )
+        if not 0 <= self.rounding <= 1:
+            raise ValueError(
+                f"rounding of blades is 0 (straight) to 1 (a circle), not {self.rounding:g}"
+            )
+        if not 0 <= self.obstruction < MOST_OBSTRUCTION:
+            raise ValueError(
+                f"an obstruction is 0 to less than {MOST_OBSTRUCTION:g} of the diameter, "
+                f"not {self.obstruction:g}"
+            )
+        if not self.blades and (self.rounding or self.turn_deg):
+            raise ValueError("turn and rounding are those of blades: say how many")
+        if self.cats_eye and not self.clear_share >= LEAST_CLEAR:
+            raise ValueError(
+                "a cat's eye is shift, radius and direction of a circle that leaves a tenth "
+                f"of the pupil or more, not {self.clear_share:.2g} of it"
+            )
+
+    @property
+    def opening(self) -> float:
+        """Radius of the circle of the opening's area; 1 is that of the clear area on the axis."""
+        return 1 / sqrt(1 - self.obstruction**2)
+
+    @property
+    def extent(self) -> float:
+        """Radius of the smallest circle about the axis that holds the opening: the rim, or the blades' corners."""
+        if not self.blades:
+            return self.opening
+        half = pi / self.blades
+        area = self.blades * sin(half) * cos(half)
+        if self.rounding > STRAIGHT:
+            leaning = asin(self.rounding * sin(half))
+            area += self.blades * (leaning - sin(2 * leaning) / 2) / self.rounding**2
+        return self.opening * sqrt(pi / area)
+
+    @property
+    def clear_share(self) -> float:
+        """Share of the clear area on the axis that the cat's eye leaves."""
+        return _measured(self)[0]
+
+    @property
+    def rim(self) -> float:
+        """Length of all rims over that of a clear disc of the same area: far light grows with it."""
+        area, length = _measured(self)
+        return length / (2 * area)
+
+    def samples(self, u: Floats, v: Floats, per_radius: float) -> Floats:
+        """Share of light that passes at coordinates (u right, v down) of a grid.
+
+        A unit is the radius of the circle of the clear area on the axis; per_radius: samples to a unit.
+        """
+        return _smooth_step(self._from_rim(u, v) * per_radius)
+
+    def _from_rim(self, u: Floats, v: Floats) -> Floats:
+        """Distance from the nearest rim, units, positive where light passes."""
+        inside = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
+        for right, down, radius in self._discs():
+            np.minimum(inside, radius - np.hypot(u - right, v - down), out=inside)
+        for across, along in self._edges():
+            away = self.extent * cos(pi / self.blades)
+            np.minimum(inside, away - u * across - v * along, out=inside)
+        if self.obstruction:
+            dark = self.obstruction * self.opening
+            np.minimum(inside, np.hypot(u, v) - dark, out=inside)
+        return inside
+
+    def _directions(self) -> Iterator[tuple[float, float]]:
+        """Towards the middle of each blade: right, down."""
+        for k in range(self.blades):
+            angle = radians(self.turn_deg) + 2 * pi * k / self.blades
+            yield cos(angle), sin(angle)
+
+    def _edges(self) -> Iterator[tuple[float, float]]:
+        """Directions of straight blades."""
+        if self.rounding <= STRAIGHT:
+            yield from self._directions()
+
+    def _discs(self) -> Iterator[tuple[float, float, float]]:
+        """Centre (right, down) and radius of each disc within which light passes."""
+        if not self.blades:
+            yield 0.0, 0.0, self.opening
+        elif self.rounding > STRAIGHT:
+            half, radius = pi / self.blades, 1 / self.rounding
+            middle = cos(half) - sqrt(radius**2 - sin(half) ** 2)
+            for right, down in self._directions():
+                yield (
+                    middle * right * self.extent,
+                    middle * down * self.extent,
+                    radius * self.extent,
+                )
+        if self.cats_eye:
+            shift, radius, direction = self.cats_eye
+            angle, unit = radians(direction), self.opening
+            yield shift * cos(angle) * unit, shift * sin(angle) * unit, radius * unit
+
+
+DISC = Pupil()
+
+
+def _smooth_step(samples: Floats) -> Floats:
+    """The kernel's integral up to a distance from the rim: 0 far outside, 1 far inside.
+
+    In Hermite's polynomials: each power of t adds a derivative of the Gaussian.
+    """
+    near = np.abs(samples) < RIM_REACH
+    z = samples[near] / RIM_SIGMA
+    k = np.arange(1, RIM_TERMS + 1)
+    weights = np.zeros(2 * RIM_TERMS)
+    weights[2 * k - 1] = -((-1.0) ** k) / (2.0**k * factorial(k))
+    step = (samples > 0).astype(float)
+    step[near] = ndtr(z) + hermeval(z, weights) * np.exp(-z * z / 2) / sqrt(2 * pi)
+    return step
+
+
+@lru_cache(maxsize=64)
+def _measured(pupil: Pupil) -> tuple[float, float]:
+    """Clear area and length of all rims, in units of the disc's area and of its radius times pi."""
+    edge = int(pupil.extent * MEASURED_RADIUS) + RIM_REACH
+    axis = np.arange(-edge, edge + 1) / MEASURED_RADIUS
+    inside = pupil._from_rim(axis[None, :], axis[:, None]) * MEASURED_RADIUS
+    area, wider, narrower = (
+        float(_smooth_step(inside + by).sum()) for by in (0.0, 0.5, -0.5)
+    )
+    disc = pi * MEASURED_RADIUS**2
+    return area / disc, (wider - narrower) * MEASURED_RADIUS / disc
