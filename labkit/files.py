@@ -14,6 +14,9 @@ from typing import Any
 
 from labkit.errors import InputError, SessionError
 
+MOST_LINKS = 10
+"""That one message names."""
+
 
 def open_standard_streams() -> None:
     """Open descriptors 0 to 2 where they are closed: the next file that is opened would be one, and whatever is printed, a
@@ -38,8 +41,9 @@ def write_atomically(path: Path, content: bytes) -> None:
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
+        beside.unlink(missing_ok=True)
         try:
-            with beside.open("wb") as file:
+            with beside.open("xb") as file:  # never through a link
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
@@ -56,6 +60,38 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}") from error
+
+
+def links_in(folder: Path) -> list[Path]:
+    """Return all symbolic links in a folder and in the folders in it."""
+    return sorted(
+        path
+        for parent, folders, files in os.walk(folder)
+        for name in (*folders, *files)
+        if (path := Path(parent, name)).is_symlink()
+    )
+
+
+def link_problem(path: Path) -> str:
+    """Say what is wrong with a symbolic link in a session: what lies behind it, nobody holds to a checksum."""
+    return f"{path}: a link to {os.readlink(path)}; put the file or folder itself there, or remove it"
+
+
+def refuse_links(*paths: Path) -> None:
+    """Raise SessionError for symbolic links among some paths: through them files outside of a session are changed."""
+    if links := [link_problem(path) for path in paths if path.is_symlink()]:
+        more = len(links) - MOST_LINKS
+        raise SessionError(
+            "; ".join(
+                [*links[:MOST_LINKS], *([f"and {more} more links"] if more > 0 else [])]
+            )
+        )
+
+
+def drop_link(path: Path) -> None:
+    """Remove a symbolic link, but not what it links to; anything else stays. Raises OSError."""
+    if path.is_symlink():
+        path.unlink()
 
 
 def refuse_taken(path: Path) -> None:
@@ -80,7 +116,9 @@ def copy_durably(source: Path, target: Path) -> str:
 
     Raises InputError where it cannot be written.
     """
-    with source.open("rb") as reader, writing(target), target.open("wb") as writer:
+    with writing(target):
+        target.unlink(missing_ok=True)  # a link is not followed
+    with source.open("rb") as reader, writing(target), target.open("xb") as writer:
         shutil.copyfileobj(reader, writer, 1 << 20)
         writer.flush()
         os.fsync(writer.fileno())
@@ -105,6 +143,8 @@ def sync_folder(folder: Path) -> None:
 
 def checksum_problem(path: Path, sha256: str) -> str | None:
     """What is wrong with a file that should have that SHA-256, in words that name it; None if it is as it should be."""
+    if path.is_symlink():
+        return link_problem(path)
     if not path.is_file():
         return f"{path}: missing"
     try:

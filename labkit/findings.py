@@ -15,6 +15,14 @@ from labkit.types import JSON
 TEXTS = {
     # session and photographs
     "session-mended": "{note}",
+    "kept-fits-refused": (
+        "{count} of the fits kept in {folder} were altered, or made by another user or on another machine: they were "
+        "fitted anew"
+    ),
+    "photographs-unlisted": (
+        "{count} photographs in {folder} are not used, {first} for one, for no line of the journal commits them: it has "
+        "lost its end, or they were put there; labkit verify names them"
+    ),
     "same-photograph": "{file} is the same photograph as {same_as}: it counts once",
     "exif-focal-length": (
         "{file} was taken at {focal_length_mm:g} mm by its EXIF, but the plan has lens.focal_length_mm = "

@@ -1,99 +1,118 @@
 """Keep completed fits on disk, so that an interrupted fit of a session continues.
 
 A fit is deterministic. Its file is named by a hash of all inputs: task, function and labkit's own source. A fit with other
-inputs never takes it.
+inputs never takes it. Each file is signed with a secret of the user: a session travels, and a fit that came with it from
+somebody else, or was altered, is made again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
-import pickle
+import hmac
+import secrets
 import shutil
+import typing
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import is_dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import labkit
+from labkit import typed_file
 from labkit.errors import InputError
 from labkit.execute import Result, Run, Task
-from labkit.files import write_atomically, writing
+from labkit.files import drop_link, write_atomically, writing
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.sharing import Shared, Value, packed, share
+from labkit.user_state import kept_secret, state_folder
 
 FOLDER = ".fits"
+
+SIGNATURE_BYTES = hashlib.sha256().digest_size
 
 
 class KeptFits:
     """A `Run` that stores the results of another run in a folder, and reads stored results instead of computing them again.
 
-    If the folder cannot be written, fits continue, and `problem` states the reason; it is None otherwise.
+    Functions must state the type of their results, of which `typed_file` makes files. If the folder cannot be written,
+    fits continue, and `problem` states the reason; it is None otherwise.
     """
 
     def __init__(self, run: Run, folder: Path) -> None:
         self._run = run
         self._folder = folder
+        self._refused = 0
         self.problem: str | None = None
 
     def __call__(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result]]:
         """Map tasks, see `Run`; stored results come first."""
+        kind = typing.get_type_hints(function)["return"]
         places = [self._folder / _key(function, task) for task in tasks]
         missing = []
         for index, place in enumerate(places):
-            found = _read(place)
-            if found is None:
+            kept = self._read(place, kind)
+            if kept is None:
                 missing.append(index)
             else:
-                yield index, found
+                yield index, kept
         for index, result in (
             self._run(function, [tasks[index] for index in missing]) if missing else ()
         ):
-            self._keep(places[missing[index]], result)
+            self._keep(places[missing[index]], typed_file.dump(result, kind))
             yield missing[index], result
 
     def share(self, value: Value) -> Shared[Value]:
         """Return the other run's handle to a value."""
         return share(self._run, value)
 
+    @property
+    def findings(self) -> list[Finding]:
+        """Stored results that were not used, for they are not the user's own, or altered."""
+        if not self._refused:
+            return []
+        folder = str(self._folder)
+        return [found("kept-fits-refused", count=self._refused, folder=folder)]
+
     def clear(self) -> None:
         """Remove all stored results, for the session's results are written."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _keep(self, place: Path, result: object) -> None:
+    def _keep(self, place: Path, content: bytes) -> None:
         try:
             with writing(self._folder):
+                drop_link(self._folder)
                 self._folder.mkdir(parents=True, exist_ok=True)
-            write_atomically(place, pickle.dumps(result))
+            write_atomically(place, self._signature(place, content) + content)
         except InputError as error:
             self.problem = self.problem or str(error)
 
+    def _read(self, place: Path, kind: Any) -> Any:
+        """Read a stored result; None if there is none, or if it is not to be trusted."""
+        if self._folder.is_symlink() or not place.is_file():
+            return None
+        try:
+            signed = place.read_bytes()
+            signature, content = signed[:SIGNATURE_BYTES], signed[SIGNATURE_BYTES:]
+            if hmac.compare_digest(signature, self._signature(place, content)):
+                return typed_file.load(content, kind)
+        except (OSError, ValueError):
+            pass
+        self._refused += 1
+        return None
 
-class _Unpickler(pickle.Unpickler):
-    """An unpickler for labkit's data classes and NumPy's arrays only: a file of a foreign session cannot run code."""
+    def _signature(self, place: Path, content: bytes) -> bytes:
+        """Return what nobody can make who does not know the user's secret."""
+        return hmac.digest(self._secret, place.name.encode() + content, "sha256")
 
-    NUMPY = ("ndarray", "dtype", "_reconstruct", "_frombuffer", "scalar")
-
-    def find_class(self, module: str, name: str) -> Any:
-        if module.partition(".")[0] == "numpy" and name in self.NUMPY:
-            return super().find_class(module, name)
-        if module.partition(".")[0] == "labkit" and "." not in name:
-            found = super().find_class(module, name)
-            if isinstance(found, type) and is_dataclass(found):
-                return found
-        raise pickle.UnpicklingError(f"{module}.{name} is no part of a fit")
-
-
-def _read(place: Path) -> Any:
-    """Read a stored result; None if there is none, or if it cannot be read."""
-    with suppress(
-        Exception
-    ):  # unpickling what is damaged raises what it likes; such a fit is made again
-        return _Unpickler(io.BytesIO(place.read_bytes())).load()
-    return None
+    @cached_property
+    def _secret(self) -> bytes:
+        with suppress(RuntimeError):  # a user without a home keeps fits for this run only
+            return kept_secret(state_folder() / "kept-fits").encode()
+        return secrets.token_bytes()
 
 
 def _key(function: Callable[..., object], task: object) -> str:

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import os
-import re
-import secrets
 import socket
 from pathlib import Path
 from typing import Any
@@ -18,6 +15,8 @@ from urllib.parse import urlsplit
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from labkit.user_state import kept_secret
 
 STRANGER_S = 5.0
 MOST_STRANGERS = 128
@@ -36,36 +35,8 @@ HEADERS = {
 
 
 def kept_token(folder: Path) -> str:
-    """The token of this user on this machine: the same from run to run, so that open pages find back.
-
-    Kept in a file that only the user may read; made anew if there is none, or others can read it.
-    """
-    file = folder / "web-token"
-    try:
-        kept = file.read_text(encoding="ascii").strip()
-        if file.stat().st_mode & 0o077 == 0 and re.fullmatch(r"[A-Za-z0-9_-]{22,64}", kept):
-            return kept
-    except (OSError, UnicodeDecodeError):
-        pass
-    token = secrets.token_urlsafe(16)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file.unlink(missing_ok=True)
-        with os.fdopen(
-            os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w"
-        ) as opened:
-            opened.write(token)
-    except OSError:
-        pass  # a token for this run only
-    return token
-
-
-def state_folder() -> Path:
-    """Where labkit keeps what it needs from run to run, for this user."""
-    return (
-        Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-        / "labkit"
-    )
+    """The token of this user on this machine: the same from run to run, so that open pages find back."""
+    return kept_secret(folder / "web-token")
 
 
 class Guard:

@@ -14,8 +14,8 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from labkit.drivers.web.access import state_folder
 from labkit.files import write_atomically
+from labkit.user_state import state_folder
 
 ANSWER_S = 2.0
 

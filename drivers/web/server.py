@@ -32,11 +32,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from labkit.devices.protocols import PanelInfo
-from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token, state_folder
+from labkit.drivers.web.access import HEADERS, Connection, Guard, kept_token
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.open_pages import note
 from labkit.drivers.web.screen import Report, Screen
 from labkit.errors import DisplayError, PlanError
+from labkit.user_state import state_folder
 
 START_S = STOP_S = 10.0
 SEND_S = PONG_S = 10.0

@@ -52,6 +52,7 @@ from labkit.session.session import Session
 from labkit.session.shown_size import with_shown_size
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
+from labkit.session.verify import unused
 from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
 
@@ -144,7 +145,7 @@ def fit(
     def results_of(fits: Estimate, wanted: bool = True) -> Results:
         return _results(fits, plan, checksum, noted, patience_s, wanted)
 
-    noted = _noted(session, plan, [*assumed, *_changes(change)])
+    noted = _noted(session, plan, [*assumed, *kept.findings, *_changes(change)])
     every = {"": results_of(fits, ranges_mm is None)}
     if together is not None:
         every[""] = replace(
@@ -229,7 +230,7 @@ def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Find
     repairs = [
         found("session-mended", note=note) for note in session.warnings
     ]  # an import repeats the others here
-    return each_once([*stated, *altered, *others, *repairs])
+    return each_once([*stated, *altered, *others, *repairs, *unused(session)])
 
 
 def _results(

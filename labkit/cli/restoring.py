@@ -212,14 +212,18 @@ def _places(
 
 def _session(folder: Path, own: bool) -> Session | None:
     """The session in a folder; None where results alone lie there and its photographs are not needed."""
+    from labkit.files import links_in, refuse_links
     from labkit.session.session import Session
 
     try:
-        return Session.open(folder)
+        session = Session.open(folder)
     except SessionError:
         if own:
             raise
         return None
+    if own:
+        refuse_links(*links_in(folder))
+    return session
 
 
 def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:

@@ -349,9 +349,9 @@ def report(
     from labkit.session.session import Session
 
     console: Console = ctx.obj
-    _ = Session.open(
-        session
-    ).plan  # one that was altered is named before anything is reported
+    opened = Session.open(session)
+    _ = opened.plan  # one that was altered is named before anything is reported
+    opened.results_folder(name)  # and so are links
     made = write_report(Results.load(session, name))
     console.say(f"report: {made}")
     console.answer({"report": str(made)})

@@ -15,6 +15,9 @@ from labkit.plan.fields import what_it_takes
 
 Step = int | str
 
+MOST_PROBLEMS = 20
+"""That one line names."""
+
 
 def message(
     error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]
@@ -32,7 +35,10 @@ def message(
         for detail in details
         if detail["type"] != "too_short" or detail["loc"] not in within
     ]
-    return "; ".join(dict.fromkeys(_problem(detail, model, tables) for detail in details))
+    named = details[:MOST_PROBLEMS]
+    problems = dict.fromkeys(_problem(detail, model, tables) for detail in named)
+    more = len(details) - len(named)
+    return "; ".join([*problems, *([f"and {more} more problems"] if more else [])])
 
 
 def plain_number(text: str) -> str | None:

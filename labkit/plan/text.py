@@ -21,15 +21,20 @@ DEEPEST = 6
 
 TOO_DEEP = "not TOML that can be read: lists or tables too deep in one another"
 
-LONG_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){64}")
-"""A dotted key: tomllib takes minutes for one of 20,000 parts."""
+KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.){0,256}+"|'[^'\n]{0,256}+')"""
+LONG_KEY = re.compile(rf"(?<![\w-])(?:{KEY}\s*+\.\s*+){{64}}")
+"""A dotted key, its parts bare or in quotes: tomllib takes minutes for one of 20,000 parts."""
+
+MOST_CHARACTERS = 2**18
+"""Of a plan: of those in use the longest has some thousand."""
 
 
 def read_text(path: Path) -> str:
     """A plan's text, without a byte order mark. Raises PlanError for a file that is not there or not UTF-8."""
     try:
         refuse_special(path)
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            return file.read(MOST_CHARACTERS + 1)  # what is longer is refused
     except IsADirectoryError as error:
         plan = path / "plan.toml"
         raise PlanError(
@@ -44,6 +49,8 @@ def read_text(path: Path) -> str:
 def read_tables(text: str) -> dict[str, Any]:
     """The tables in TOML. Raises PlanError that names the line."""
     text = text.removeprefix("\ufeff")
+    if len(text) > MOST_CHARACTERS:
+        raise PlanError(f"has more than {MOST_CHARACTERS} characters: no plan is as long")
     if LONG_KEY.search(text):
         raise PlanError(TOO_DEEP)
     try:

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import InputError
-from labkit.files import write_atomically
+from labkit.files import refuse_links, write_atomically
 from labkit.report.best_focus import at_best_focus
 from labkit.report.contents import contents
 from labkit.report.curves import curves_of
@@ -26,8 +26,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 def write_report(results: Results | Path | str) -> Path:
     """Write report.html and figures/ beside results; returns the report's path.
 
-    results: of a fit or loaded, or the folder of a session or of results. Raises DataError where there are none, and
-    InputError where their folder cannot be written to.
+    results: of a fit or loaded, or the folder of a session or of results. Raises DataError where there are none,
+    InputError where their folder cannot be written to, and SessionError where it is a link.
 
     >>> labkit.write_report("night-3")
     """
@@ -58,6 +58,7 @@ def _defocus(wavefront: Wavefront) -> float:
 
 def _write_figures(folder: Path, drawn: dict[str, list[Plate]]) -> None:
     figures = folder / "figures"
+    refuse_links(folder, figures)  # what is no figure of ours would be removed
     try:
         figures.mkdir(exist_ok=True)
     except OSError as error:

@@ -14,7 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from labkit.errors import DataError, PlanError
-from labkit.files import write_atomically, writing
+from labkit.files import (
+    check_name,
+    drop_link,
+    refuse_links,
+    write_atomically,
+    writing,
+)
 from labkit.finding import NOTE, Finding
 from labkit.key import Key
 from labkit.optics.spectrum import Spectrum
@@ -60,16 +66,18 @@ LENS = {
 def write(folder: Path, results: Results) -> Path:
     """Write all files into a folder, each whole or not at all, results.json last; the report of earlier results goes.
 
-    Returns the path of results.json. Raises InputError where the folder cannot be written to.
+    Returns the path of results.json. Raises InputError where the folder cannot be written to, or is a link.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(folder)
     files = {  # made before the first is written: files of two fits never lie side by side for long
         PSFS: _packed(psfs(results.wavefronts)),
         RESIDUALS: _packed(_residuals(results.wavefronts)),
         RESULTS: json.dumps(entry(results), indent=1, allow_nan=False).encode() + b"\n",
     }
     (folder / REPORT[0]).unlink(missing_ok=True)
+    drop_link(folder / REPORT[1])
     shutil.rmtree(folder / REPORT[1], ignore_errors=True)
     for name, packed in files.items():
         write_atomically(folder / name, packed)
@@ -77,12 +85,18 @@ def write(folder: Path, results: Results) -> Path:
 
 
 def read(folder: Path, name: str) -> dict[str, Any]:
-    """The fields of results: of a session's folder those of that name, or those of a results folder. Raises DataError."""
+    """The fields of results: of a session's folder those of that name, or those of a results folder.
+
+    Raises DataError, or SessionError for a name that is unsafe, and for links.
+    """
     session = folder / "results"
     place = (
-        session / name if session.is_dir() or not (folder / RESULTS).exists() else folder
+        session / check_name(name)
+        if session.is_dir() or not (folder / RESULTS).exists()
+        else folder
     )
     path = place / RESULTS
+    refuse_links(session, place, path, place / RESIDUALS)
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):

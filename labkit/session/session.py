@@ -16,7 +16,15 @@ from types import TracebackType
 from typing import Any, Self
 
 from labkit.errors import PlanError, SessionError
-from labkit.files import check_name, copy_durably, sha256_of, sync_folder, writing
+from labkit.files import (
+    check_name,
+    copy_durably,
+    links_in,
+    refuse_links,
+    sha256_of,
+    sync_folder,
+    writing,
+)
 from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
 from labkit.session.frame import (
@@ -114,9 +122,10 @@ class Session:
     def append(cls, folder: str | Path) -> Session:
         """An existing session, to add to. What a crash left is mended; `warnings` lists it.
 
-        Raises SessionError if it is none, is damaged, or is being written by another process.
+        Raises SessionError if it is none, is damaged, holds links, or is being written by another process.
         """
         path = _journal_in(Path(folder))
+        refuse_links(*links_in(path.parent))
         writer = JournalWriter(path)
         try:
             journal = writer.journal
@@ -207,8 +216,12 @@ class Session:
         self._plan = None
 
     def results_folder(self, name: str = "latest") -> Path:
-        """The folder for results of that name; it need not exist yet. Raises InputError if it cannot be written to."""
+        """The folder for results of that name; it need not exist yet.
+
+        Raises InputError if it cannot be written to, SessionError where the session holds links to other places.
+        """
         folder = self.folder / RESULTS / check_name(name)
+        refuse_links(*links_in(self.folder))
         with writing(folder):
             there = next(path for path in (folder, *folder.parents) if path.exists())
             if not there.is_dir():
@@ -308,16 +321,15 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
 
 
 def unlisted(session: Session) -> list[Path]:
-    """What lies in frames/ and does not stand in the journal."""
-    known = {event["file"] for event in session.events if event["event"] == "frame"}
-    if adding := pending(session.events):
-        known.add(adding["file"])
+    """What lies in frames/ and does not stand in the journal, as it is now: another process may be adding to both."""
     folder = session.folder / FRAMES
-    return (
-        [path for path in sorted(folder.iterdir()) if path.name not in known]
-        if folder.is_dir()
-        else []
-    )
+    there = sorted(folder.iterdir()) if folder.is_dir() else []
+    # the journal is read last: a line goes before each photograph
+    events = Session.open(session.folder).events
+    known = {event["file"] for event in events if event["event"] == "frame"}
+    if adding := pending(events):
+        known.add(adding["file"])
+    return [path for path in there if path.name not in known]
 
 
 def refuse_unlisted(session: Session) -> None:
@@ -335,6 +347,7 @@ def refuse_unlisted(session: Session) -> None:
 
 def _journal_in(folder: Path) -> Path:
     path = folder / JOURNAL
+    refuse_links(path)
     if not path.is_file():
         within = next(
             (above for above in folder.absolute().parents if (above / JOURNAL).is_file()),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from labkit.errors import SessionError
-from labkit.files import checksum_problem
-from labkit.session.frame import pending
+from labkit.files import checksum_problem, link_problem, links_in
+from labkit.finding import Finding
+from labkit.findings import found
+from labkit.session.frame import FRAMES, pending
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session, leftovers, unlisted
 
 
 def verify(session: Session) -> list[str]:
-    """What is wrong with a session, a line each: frames against their checksums, the journal against the folder."""
+    """What is wrong with a session, a line each: frames against their checksums, the journal against the folder, links."""
     problems = [*session.plan_damage(), *altered(session), *session.doubled]
-    return problems + [f"{path}: not in the journal" for path in unlisted(session)]
+    problems += [f"{path}: not in the journal" for path in unlisted(session)]
+    links = [link_problem(path) for path in links_in(session.folder)]
+    return list(dict.fromkeys([*problems, *links]))
 
 
 def remarks(session: Session) -> list[str]:
@@ -33,6 +37,19 @@ def remarks(session: Session) -> list[str]:
         f"{path}: left by a capture that was stopped; the next one removes it"
         for path in leftovers(session.folder)
     ]
+
+
+def unused(session: Session) -> list[Finding]:
+    """Report photographs that are not used, for the journal does not list them, or not to the end."""
+    strays = unlisted(session)
+    adding = pending(session.events)
+    if adding and not is_being_written(session.folder / JOURNAL):
+        path = session.folder / FRAMES / adding["file"]
+        strays += [path] if path.exists() else []
+    if not strays:
+        return []
+    folder, first = str(strays[0].parent), strays[0].name
+    return [found("photographs-unlisted", count=len(strays), folder=folder, first=first)]
 
 
 def is_safe(session: Session) -> bool:

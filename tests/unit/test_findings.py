@@ -40,6 +40,8 @@ MOVES = Moves({"G": 0.024}, 0.013, 0.031)
 
 SAMPLES = [
     found("session-mended", note="journal.jsonl: left out a torn last line"),
+    found("kept-fits-refused", count=2, folder="results/latest/.fits"),
+    found("photographs-unlisted", count=2, folder="night/frames", first="a.dng"),
     found("same-photograph", file="b.dng", same_as="a.dng"),
     found("exif-focal-length", file="a.dng", focal_length_mm=50.0, planned_mm=70.0),
     found(

@@ -16,7 +16,7 @@ import pytest
 
 from labkit.errors import InputError, SessionError
 from labkit.session.session import Session, begin
-from labkit.session.verify import remarks, verify
+from labkit.session.verify import remarks, unused, verify
 from tests.plans import PORTRAIT, plan_text
 
 Lines = list[str]
@@ -117,6 +117,28 @@ def test_a_tail_that_is_cut_off_shows_in_the_photographs_that_the_journal_lacks(
     ]
 
 
+@pytest.mark.parametrize("lines_lost", [1, 2])
+def test_a_fit_says_which_photographs_it_does_not_use(
+    folder: Path, lines_lost: int
+) -> None:
+    assert unused(Session.open(folder)) == []
+    change(folder, lambda lines: lines[:-lines_lost])
+    (finding,) = unused(Session.open(folder))
+    assert finding.code == "photographs-unlisted"
+    assert finding.warns
+    assert "are not used, dark_2.dng for one" in finding.text
+
+
+def test_a_photograph_that_another_process_adds_is_not_taken_for_a_stray(
+    folder: Path,
+) -> None:
+    read_before = Session.open(folder)
+    with Session.append(folder) as writer:
+        (folder.parent / "late.dng").write_bytes(b"late")
+        writer.add_frame(folder.parent / "late.dng", "late.dng", "dark", None)
+        assert unused(read_before) == []
+
+
 def test_an_unchained_journal_reads_as_before_with_a_remark(folder: Path) -> None:
     frames = Session.open(folder).frames
     change(folder, unchained)
@@ -185,6 +207,8 @@ def test_what_is_no_line_of_a_journal_is_named_in_a_line(folder: Path, line: str
         ({"kind": ["dark"]}, '"frame" with kind = '),
         ({"range_mm": "near"}, '"frame" with range_mm = '),
         ({"exposure_s": "long"}, '"frame" with exposure_s = '),
+        ({"range_mm": 10**400}, '"frame" with range_mm = 1000'),
+        ({"exposure_s": -(10**309)}, '"frame" with exposure_s = -1000'),
         ({"measured_range_mm": []}, '"frame" with measured_range_mm = '),
         ({"sha256": 1}, '"frame" with sha256 = 1'),
     ],

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from labkit import typed_file
 from labkit.estimation.residual_tests import Verdict
-from labkit.kept_fits import KeptFits
+from labkit.kept_fits import SIGNATURE_BYTES, KeptFits
 
 HALF = np.arange(8.0)[::2]
 
@@ -33,6 +35,10 @@ class Played:
 
 def judged(task: Any) -> Verdict:
     return Verdict(float(len(task[0])), True, 0.0, 0.0)
+
+
+def counted(task: Any) -> int:
+    return len(task)
 
 
 @pytest.fixture
@@ -60,16 +66,19 @@ def test_another_task_or_function_is_not_taken_for_it(run: Played, tmp_path: Pat
     kept = KeptFits(run, tmp_path)
     list(kept(judged, [("a", 1.0)]))
     list(kept(judged, [("a", 1.0 + 1e-16), ("a", np.nextafter(1.0, 2))]))
-    list(kept(pickle.dumps, [("a", 1.0)]))
+    list(kept(counted, [("a", 1.0)]))
     assert run.asked == [("a", 1.0), ("a", np.nextafter(1.0, 2)), ("a", 1.0)]
 
 
-def test_a_damaged_one_is_made_again(run: Played, tmp_path: Path) -> None:
-    list(KeptFits(run, tmp_path)(judged, ["a"]))
-    (kept,) = tmp_path.iterdir()
-    kept.write_bytes(kept.read_bytes()[:-5])
-    assert list(KeptFits(run, tmp_path)(judged, ["a"])) == [(0, judged("a"))]
-    assert run.asked == ["a", "a"]
+def altered(content: bytes) -> bytes:
+    """A fit with another verdict, in a file that is whole."""
+    forged = replace(judged("a"), p_value=0.9)
+    return content[:SIGNATURE_BYTES] + typed_file.dump(forged, Verdict)
+
+
+def signed_by_anybody(content: bytes) -> bytes:
+    body = altered(content)[SIGNATURE_BYTES:]
+    return hashlib.sha256(body).digest() + body
 
 
 class Harmful:
@@ -77,16 +86,56 @@ class Harmful:
         return Path.touch, (Path("harm"),)
 
 
-def test_what_somebody_put_there_runs_nothing(
-    run: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "forge",
+    [
+        lambda content: content[:-5],
+        lambda _: b"",
+        lambda _: pickle.dumps(Harmful()),
+        altered,
+        signed_by_anybody,
+    ],
+)
+def test_what_somebody_put_there_is_not_used_and_the_findings_say_so(
+    run: Played,
+    tmp_path: Path,
+    forge: Callable[[bytes], bytes],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     list(KeptFits(run, tmp_path / "f")(judged, ["a"]))
-    (kept,) = (tmp_path / "f").iterdir()
-    kept.write_bytes(pickle.dumps(Harmful()))
-    list(KeptFits(run, tmp_path / "f")(judged, ["a"]))
-    assert not (tmp_path / "harm").exists()
+    (file,) = (tmp_path / "f").iterdir()
+    file.write_bytes(forge(file.read_bytes()))
+    kept = KeptFits(run, tmp_path / "f")
+    assert list(kept(judged, ["a"])) == [(0, judged("a"))]
     assert run.asked == ["a", "a"]
+    assert [finding.code for finding in kept.findings] == ["kept-fits-refused"]
+    assert not (tmp_path / "harm").exists()
+
+
+def test_a_fit_is_not_taken_for_that_of_another_task(run: Played, tmp_path: Path) -> None:
+    list(KeptFits(run, tmp_path)(judged, ["a", "bb"]))
+    first, second = tmp_path.iterdir()
+    first.write_bytes(second.read_bytes())
+    list(KeptFits(run, tmp_path)(judged, ["a", "bb"]))
+    assert len(run.asked) == 3
+
+
+def test_fits_of_another_user_are_made_again(
+    run: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for user in ("one", "other"):
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / user))
+        list(KeptFits(run, tmp_path / "f")(judged, ["a"]))
+    assert run.asked == ["a", "a"]
+
+
+def test_a_link_to_another_folder_is_replaced(run: Played, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "f").symlink_to(tmp_path / "elsewhere")
+    list(KeptFits(run, tmp_path / "f")(judged, ["a"]))
+    assert not list((tmp_path / "elsewhere").iterdir())
+    assert len(list((tmp_path / "f").iterdir())) == 1
 
 
 def test_a_folder_that_cannot_be_written_to_costs_no_fit(
