@@ -39,13 +39,13 @@ def packed(arrays: Mapping[str, NDArray[Any]], *, compressed: bool = True) -> by
     return buffer.getvalue()
 
 
-def unpacked(content: bytes, most_bytes: Callable[[str], int]) -> Arrays:
+def unpacked(content: bytes, most_bytes: Callable[[str], int | None]) -> Arrays:
     """Return the arrays of an NPZ file.
 
     Parameters
     ----------
     content : the file
-    most_bytes : largest size of an array, by its name
+    most_bytes : largest size of an array, by its name; None leaves an array out
 
     Raises
     ------
@@ -57,7 +57,8 @@ def unpacked(content: bytes, most_bytes: Callable[[str], int]) -> Arrays:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             for entry in archive.infolist():
                 name = entry.filename.removesuffix(SUFFIX)
-                most = most_bytes(name)
+                if (most := most_bytes(name)) is None:
+                    continue
                 with archive.open(entry) as file:
                     data = file.read(most + MOST_HEADER_BYTES + 1)
                 if len(data) > most + MOST_HEADER_BYTES:

@@ -200,7 +200,7 @@ class _Answers:
             if isinstance(tables.get(table), list)
             else filled
         )
-        context = {"folder": self._folder, "files": "" if key == "file" else "unchecked"}
+        context = {"folder": self._folder, "files_needed": key == "file"}
         try:
             Plan.model_validate(tables, context=context)
         except ValidationError as error:

@@ -19,13 +19,23 @@ class Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], folder: Path | str = ".") -> Self:
+    def from_tables(
+        cls,
+        tables: Mapping[str, Any],
+        folder: Path | str = ".",
+        *,
+        files_needed: bool = True,
+    ) -> Self:
         """Of dicts and lists such as TOML gives; a target's file is relative to `folder`.
+
+        files_needed: whether a target's file must be there.
 
         Raises PlanError, one line that names every field that is wrong.
         """
         tables = plain(tables)
         try:
-            return cls.model_validate(tables, context={"folder": Path(folder)})
+            return cls.model_validate(
+                tables, context={"folder": Path(folder), "files_needed": files_needed}
+            )
         except ValidationError as error:
             raise PlanError(message(error, cls, tables)) from None

@@ -261,10 +261,9 @@ class TargetSpec(Table):
             raise problem(
                 'surround = "white": allowed is "black" or "unknown" where [target.pixels] draws the panel'
             )
-        checked = (info.context or {}).get(
-            "files"
-        ) != "unchecked"  # a plan that is only read about needs no picture
-        if checked and self.file is not None and not os.path.isfile(self.file):
+        # a plan that is only read about needs no picture
+        needed = (info.context or {}).get("files_needed", True)
+        if needed and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')
         return self
 

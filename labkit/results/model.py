@@ -112,6 +112,15 @@ class Residuals:
     model: Floats
     sigma: Floats
 
+    def __post_init__(self) -> None:
+        shape = self.data.shape
+        if len(shape) != 4 or 0 in shape:
+            raise ValueError(f"residuals of shape {shape}: frames, planes, rows, columns")
+        if not shape == self.model.shape == self.sigma.shape:
+            raise ValueError("residuals, model and noise differ in shape")
+        if not all(a.dtype.kind == "f" for a in (self.data, self.model, self.sigma)):
+            raise ValueError("residuals are no floating-point numbers")
+
     @property
     def normalised(self) -> Floats:
         """Data less model, in standard deviations of the noise."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
-from collections.abc import Mapping, Sequence
-from math import isfinite, nan
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import isfinite, nan, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from labkit import npz
 from labkit.errors import DataError, PlanError
 from labkit.files import (
     check_name,
@@ -50,6 +51,9 @@ PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
 )
+PARTS = ("data", "model", "sigma")  # of residuals
+MOST_BYTES = 8  # of a number
+MOST_PIXELS = 2**28  # of any photograph
 REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
 
 Json = dict[str, Any]
@@ -72,8 +76,8 @@ def write(folder: Path, results: Results) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
     files = {  # made before the first is written: files of two fits never lie side by side for long
-        PSFS: _packed(psfs(results.wavefronts)),
-        RESIDUALS: _packed(_residuals(results.wavefronts)),
+        PSFS: npz.packed(psfs(results.wavefronts)),
+        RESIDUALS: npz.packed(_residuals(results.wavefronts)),
         RESULTS: json.dumps(entry(results), indent=1, allow_nan=False).encode() + b"\n",
     }
     (folder / REPORT[0]).unlink(missing_ok=True)
@@ -109,9 +113,8 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(
             f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again"
         )
-    residuals = _arrays(place / RESIDUALS)
     try:
-        return _fields(entry, residuals, place)
+        return _fields(entry, place)
     except PlanError as error:
         raise DataError(f"{path}: {error}; fit the session again") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -175,14 +178,8 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
         f"{part}_{w.key}": getattr(w.residuals, part).astype(np.float32)
         for w in wavefronts
         if w.residuals is not None
-        for part in ("data", "model", "sigma")
+        for part in PARTS
     }
-
-
-def _packed(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
 
 
 def _wavefront_json(w: Wavefront) -> Json:
@@ -299,22 +296,40 @@ def _others(session: Path) -> str:
     return f"; results there are: {', '.join(names)} (--name)" if names else ""
 
 
-def _arrays(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        return {}
+def _with_residuals(wavefronts: Sequence[Wavefront], path: Path) -> Iterator[Wavefront]:
+    """Yield wavefronts with their residuals in a file, where it holds them."""
+    most_bytes = {
+        f"{part}_{w.key}": MOST_BYTES * len(w.poses) * _pixels(w)
+        for w in wavefronts
+        for part in PARTS
+    }
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return dict(archive)
-    except (OSError, ValueError, EOFError) as error:
+        content = path.read_bytes() if path.exists() else None
+        arrays = {} if content is None else npz.unpacked(content, most_bytes.get)
+        for w in wavefronts:
+            names = [f"{part}_{w.key}" for part in PARTS]
+            if all(name in arrays for name in names):
+                w = replace(w, residuals=Residuals(*(arrays[name] for name in names)))
+            yield w
+    except (OSError, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
 
 
-def _fields(entry: Json, residuals: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _pixels(w: Wavefront) -> int:
+    """Return the largest number of pixels that a wavefront was fitted to in a photograph."""
+    return MOST_PIXELS if w.placement is None else prod(w.placement.shape_px)
+
+
+def _fields(entry: Json, folder: Path) -> dict[str, Any]:
     plan = _plan(entry, folder)
     return {
         "plan": plan,
         "plan_sha256": str(entry["plan_sha256"]),
-        "wavefronts": tuple(_wavefront(w, residuals, plan) for w in entry["wavefronts"]),
+        "wavefronts": tuple(
+            _with_residuals(
+                [_wavefront(w, plan) for w in entry["wavefronts"]], folder / RESIDUALS
+            )
+        ),
         "focus": None if entry["focus"] is None else _focus(entry["focus"]),
         "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
         "budget": {
@@ -360,11 +375,9 @@ def _plan(entry: Json, folder: Path) -> Plan:
     if "plan" not in entry:
         return Plan.load(folder.resolve().parents[1] / "plan.toml")
     try:
-        return Plan.model_validate(entry["plan"], context={"files": "unchecked"})
-    except ValueError as error:
-        raise PlanError(
-            f"{folder / RESULTS}: the plan in it cannot be read: {error}"
-        ) from error
+        return Plan.from_tables(entry["plan"], files_needed=False)
+    except PlanError as error:
+        raise PlanError(f"the plan in it cannot be read: {error}") from None
 
 
 def _unit(name: str) -> str:
@@ -381,13 +394,8 @@ def _numbers(values: Any) -> Floats:
     return np.array(values, dtype=float)  # None becomes nan
 
 
-def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
+def _wavefront(entry: Json, plan: Plan) -> Wavefront:
     key = _key(entry)
-    parts = [
-        residuals[name]
-        for part in ("data", "model", "sigma")
-        if (name := f"{part}_{key}") in residuals
-    ]
     measured_mm = entry.get("measured_range_mm", key.range_mm)
     return Wavefront(
         range_mm=key.range_mm,
@@ -419,7 +427,6 @@ def _wavefront(entry: Json, residuals: dict[str, Any], plan: Plan) -> Wavefront:
             (entry.get("model") or {}).get("residual_spectrum")
         ),
         placement=_placement(entry),
-        residuals=Residuals(*parts) if len(parts) == 3 else None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from math import isnan
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit import npz
 from labkit.errors import DataError
 from labkit.finding import Finding
 from labkit.findings import found
@@ -97,7 +99,7 @@ def printed(folder: Path, contract: Mapping[str, Any]) -> Results:
     place = folder / "results" / "latest"
     place.mkdir(parents=True)
     plan = {"plan": some_results().plan.model_dump(mode="json", exclude_none=True)}
-    (place / "results.json").write_text(json.dumps({**contract, **plan}))
+    (place / "results.json").write_text(json.dumps({**plan, **contract}))
     return Results.load(folder)
 
 
@@ -473,6 +475,50 @@ def test_damaged_findings_and_keys_give_one_line(
     ) as caught:
         printed(tmp_path, CONTRACT_3 | damage)
     assert "\n" not in str(caught.value)
+
+
+def test_residuals_with_any_bit_flipped_are_read_or_refused_in_one_line(
+    tmp_path: Path,
+) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    whole, rng, refused = file.read_bytes(), np.random.default_rng(3), []
+    for at in rng.integers(8 * len(whole), size=300):
+        damaged = bytearray(whole)
+        damaged[at // 8] ^= 1 << int(at % 8)
+        file.write_bytes(damaged)
+        try:
+            Results.load(file.parent)
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 270  # zip's checksums hold all but its unused fields
+    line = re.compile(rf"cannot read {file}: .*; fit the session again")
+    assert [text for text in refused if not line.fullmatch(text)] == []
+
+
+def test_residuals_larger_than_the_photographs_are_not_unpacked(tmp_path: Path) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    file.write_bytes(npz.packed({"data_3000_R": np.zeros((2, 1, 1000, 1000))}))
+    with pytest.raises(DataError, match="takes more than 11520 bytes"):  # 2 × 24 × 30
+        Results.load(file.parent)
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros((24, 30)), np.zeros((2, 1, 0, 30)), np.array(["a"]), np.zeros(3) > 0]
+)
+def test_residuals_of_another_kind_give_one_line(tmp_path: Path, array: Any) -> None:
+    names = [f"{part}_3000_R" for part in ("data", "model", "sigma")]
+    file = written(tmp_path) / "residuals.npz"
+    file.write_bytes(npz.packed(dict.fromkeys(names, array)))
+    with pytest.raises(DataError, match="cannot read"):
+        Results.load(file.parent)
+
+
+@pytest.mark.parametrize("plan", [{"lens": {}}, [], "plan", {"k": 1} | {"lens": 1}])
+def test_a_plan_that_cannot_be_read_gives_one_short_line(tmp_path: Path, plan: Any) -> None:
+    with pytest.raises(DataError, match="the plan in it cannot be read: ") as caught:
+        printed(tmp_path, CONTRACT_3 | {"plan": plan})
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
 
 
 def test_other_names_of_results_are_offered(tmp_path: Path) -> None:
