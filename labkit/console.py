@@ -5,30 +5,20 @@ from __future__ import annotations
 import json
 import sys
 import threading
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import StringIO
-from typing import Any
-
-import segno
-from rich.console import Console as Terminal
-from rich.console import RenderableType
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-)
-from rich.table import Column
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from labkit.errors import printable
-from labkit.pace import PAUSED, Pace, in_words
-from labkit.types import Progress as Report
+from labkit.pace import Work
+
+if TYPE_CHECKING:
+    from labkit.progress_bar import Bar
+    from labkit.types import Progress
+
+# rich, segno and NumPy are imported where they are needed: a mistyped path must not wait for them.
 
 EVERY_S = 10.0
 """How often a line says how far work is, where there is no terminal."""
@@ -44,7 +34,7 @@ class Console:
     debug: bool = False
     hint: str = ""
     interrupted_by: str = ""
-    bar: Progress | None = None
+    bar: Bar | None = None
     answered: bool = False
 
     def say(self, text: str) -> None:
@@ -75,6 +65,8 @@ class Console:
             return
         print(f"{what}: {url}", file=sys.stderr)
         if sys.stderr.isatty():
+            import segno
+
             code = StringIO()
             segno.make(url, micro=False).terminal(code, border=2, compact=True)
             print(code.getvalue(), file=sys.stderr)
@@ -87,32 +79,21 @@ class Console:
             self.say((indent + "  ".join(cells)).rstrip())
 
     @contextmanager
-    def progress(self, doing: str) -> Iterator[Report]:
+    def progress(self, doing: str) -> Iterator[Progress]:
         """A bar with the time left, on a terminal; elsewhere a line every ten seconds. Neither with --quiet."""
-        terminal, work = Terminal(stderr=True), _Work(doing)
         if self.quiet:
             yield lambda done, total, step: None
             return
-        if not terminal.is_terminal:
+        from labkit.progress_bar import bar_of, terminal
+
+        work, shown_on = Work(doing), terminal()
+        if shown_on is None:
             with _lines(work):
                 yield work.report
             return
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
-            MofNCompleteColumn(),
-            _Times(work),
-        )
-        with _Bar(work, *columns, console=terminal, transient=True) as bar:
-            task = bar.add_task(doing, total=None)
-            self.bar = bar
-
-            def report(done: int, total: int, step: str) -> None:
-                work.report(done, total, step)
-                bar.update(task, completed=done, total=total)
-
+        with bar_of(work, shown_on) as self.bar:
             try:
-                yield report
+                yield self.bar.report
             finally:
                 self.bar = None
 
@@ -129,77 +110,22 @@ class Console:
                 bar.start()
 
 
-@dataclass(slots=True)
-class _Work:
-    """How far some work is."""
-
-    doing: str
-    step: str = ""
-    pace: Pace = field(default_factory=Pace)
-    began_s: float = field(default_factory=lambda: time.monotonic())
-
-    def report(self, done: int, total: int, step: str) -> None:
-        now_s = time.monotonic()
-        if step == PAUSED:
-            self.pace.hold(now_s)
-        else:
-            self.pace.go_on(now_s)
-        self.pace.at(done, total, now_s)
-        self.step = step
-
-    def times(self) -> str:
-        """How long it has taken, and how much longer it takes, in words that cannot be taken for each other."""
-        now_s = time.monotonic()
-        so_far, left_s = f"{in_words(now_s - self.began_s)} so far", self.pace.left_s(now_s)
-        if left_s is not None:
-            return f"{so_far}, about {in_words(left_s)} left"
-        if self.pace.on_hold or self.pace.done >= self.pace.total > 0:
-            return so_far
-        return f"{so_far}, time left not known yet"
-
-    def line(self) -> str:
-        done = f" {self.pace.done}/{self.pace.total}" if self.pace.total else ""
-        return f"labkit: {self.doing}{done}, {self.times()}" + (
-            f": {printable(self.step)}" if self.step else ""
-        )
-
-
-class _Bar(Progress):
-    """A bar, and below it what is being done, cut where the line ends."""
-
-    def __init__(
-        self, work: _Work, *columns: ProgressColumn, console: Terminal, transient: bool
-    ) -> None:
-        self._work = work
-        super().__init__(*columns, console=console, transient=transient)
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        yield self.make_tasks_table(self.tasks)
-        yield Text(f"  {printable(self._work.step)}", no_wrap=True, overflow="ellipsis")
-
-
-class _Times(ProgressColumn):
-    """Time so far, and time left."""
-
-    max_refresh = 0.5
-
-    def __init__(self, work: _Work) -> None:
-        super().__init__(Column(no_wrap=True))
-        self._work = work
-
-    def render(self, task: Task) -> Text:
-        return Text(self._work.times())
+def _line(work: Work) -> str:
+    """Say how far some work is."""
+    done = f" {work.pace.done}/{work.pace.total}" if work.pace.total else ""
+    step = f": {printable(work.step)}" if work.step else ""
+    return f"labkit: {work.doing}{done}, {work.times()}{step}"
 
 
 @contextmanager
-def _lines(work: _Work) -> Iterator[None]:
+def _lines(work: Work) -> Iterator[None]:
     """Every so often a line on stderr that says how far work is."""
     ended = threading.Event()
 
     def speak() -> None:
         while not ended.wait(EVERY_S):
             with suppress(OSError, ValueError):  # nobody reads any more
-                print(work.line(), file=sys.stderr, flush=True)
+                print(_line(work), file=sys.stderr, flush=True)
 
     speaker = threading.Thread(target=speak, name="labkit-progress", daemon=True)
     speaker.start()

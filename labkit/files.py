@@ -59,7 +59,16 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from error
+        advice = NOT_ALLOWED.get(error.errno or 0, "")
+        raise InputError(f"cannot write {path}: {error.strerror}{advice}") from error
+
+
+NOT_ALLOWED = {
+    errno.EACCES: "; work in a folder that you may write to, or have its owner allow it",
+    errno.EPERM: "; work in a folder that you may write to, or have its owner allow it",
+    errno.EROFS: "; copy the session to a disk that can be written to",
+}
+"""What to do where writing is not allowed, by the system's number for why."""
 
 
 def links_in(folder: Path) -> list[Path]:

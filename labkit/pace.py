@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from dataclasses import dataclass, field
 
 PAUSED = "paused on the operator's page"
 """The name of a step in which nothing is done until somebody lets it."""
@@ -74,3 +76,33 @@ def in_words(seconds: float) -> str:
         return f"{whole // 60} min" + (f" {whole % 60} s" if whole % 60 else "")
     minutes = round(whole / 60)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
+@dataclass(slots=True)
+class Work:
+    """How far some work is."""
+
+    doing: str
+    step: str = ""
+    pace: Pace = field(default_factory=Pace)
+    began_s: float = field(default_factory=lambda: time.monotonic())
+
+    def report(self, done: int, total: int, step: str) -> None:
+        """Take note that a step begins, as a `Progress`."""
+        now_s = time.monotonic()
+        if step == PAUSED:
+            self.pace.hold(now_s)
+        else:
+            self.pace.go_on(now_s)
+        self.pace.at(done, total, now_s)
+        self.step = step
+
+    def times(self) -> str:
+        """How long it has taken, and how much longer it takes, in words that cannot be taken for each other."""
+        now_s = time.monotonic()
+        so_far, left_s = f"{in_words(now_s - self.began_s)} so far", self.pace.left_s(now_s)
+        if left_s is not None:
+            return f"{so_far}, about {in_words(left_s)} left"
+        if self.pace.on_hold or self.pace.done >= self.pace.total > 0:
+            return so_far
+        return f"{so_far}, time left not known yet"

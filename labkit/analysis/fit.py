@@ -48,6 +48,7 @@ from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.storage import kept_keys
+from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
 from labkit.session.shown_size import with_shown_size
 from labkit.session.stated import contradictions
@@ -106,7 +107,7 @@ def fit(
     Raises
     ------
     SessionError
-        Photographs or the plan were altered.
+        Photographs or the plan were altered, or another process fits under this name.
     TargetError
         A photograph does not show the target.
     DataError
@@ -116,6 +117,41 @@ def fit(
     """
     session, plan, checksum = _opened(session, plan, noll)
     folder = _folder(session, plan, ranges_mm, channels, name)
+    with fitted_alone(folder):
+        return _fitted(
+            session,
+            plan,
+            checksum,
+            folder,
+            ranges_mm=ranges_mm,
+            channels=channels,
+            workers=workers,
+            run=run,
+            patience_s=patience_s,
+            joint=joint,
+            split=split,
+            plain=plain,
+            progress=progress,
+        )
+
+
+def _fitted(
+    session: Session,
+    plan: Plan,
+    checksum: str,
+    folder: Path,
+    *,
+    ranges_mm: Ranges,
+    channels: Channels,
+    workers: int | None,
+    run: Run | None,
+    patience_s: float,
+    joint: bool,
+    split: bool,
+    plain: bool,
+    progress: Progress,
+) -> Results:
+    """Fit as `fit` does, and write the results into a folder."""
     target, steps = open_target(plan.target), Steps(progress)
     most = max(len(_wanted_keys(session, plan, ranges_mm, channels)), 1)
     with (

@@ -14,8 +14,8 @@ import typer
 
 from labkit.cli.app import (
     CameraPlace,
+    NewSession,
     PlanPath,
-    SessionPath,
     app,
     camera_app,
     rail_app,
@@ -23,6 +23,7 @@ from labkit.cli.app import (
 )
 from labkit.cli.complete import panels, targets
 from labkit.cli.device_tables import NONE_OF, device_tables
+from labkit.cli.paths import a_file, checked, perhaps_a_plan
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError, PlanError
 
@@ -38,6 +39,7 @@ TargetText = Annotated[
         metavar="SPEC",
         help="A plan, or a target such as sierpinski:order=5,size_mm=46.8.",
         autocompletion=targets,
+        callback=checked(perhaps_a_plan),
     ),
 ]
 
@@ -144,7 +146,9 @@ def camera_tone(
     photograph: Annotated[
         Path,
         typer.Argument(
-            metavar="IMAGE", help="The photograph of the wedge: JPEG, PNG or TIFF."
+            metavar="IMAGE",
+            help="The photograph of the wedge: JPEG, PNG or TIFF.",
+            callback=checked(a_file),
         ),
     ],
     out: Annotated[
@@ -275,7 +279,7 @@ Listen = Annotated[
 def capture(
     ctx: typer.Context,
     plan: PlanPath,
-    session: SessionPath,
+    session: NewSession,
     resume: Resume = False,
     simulate: Simulate = False,
     no_preflight: NoPreflight = False,

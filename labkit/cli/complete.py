@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import typer
@@ -26,6 +25,8 @@ def panels(incomplete: str) -> list[str]:
 
 def targets(incomplete: str) -> list[str]:
     """Kinds of target, and plans in the folder."""
+    from importlib.metadata import entry_points
+
     kinds = (f"{entry.name}:" for entry in entry_points(group="labkit.targets"))
     return _begin(incomplete, [*kinds, *map(str, Path().glob("*.toml"))])
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import app
+from labkit.cli.paths import a_file_or_plan, a_file_or_session, checked
 from labkit.cli.sessions import Workers
 from labkit.console import Console
 from labkit.errors import DataError
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 Images = Annotated[
     list[Path],
     typer.Argument(
-        metavar="IMAGE... PLAN.toml", help="Frames of one scene, and their plan."
+        metavar="IMAGE... PLAN.toml",
+        help="Frames of one scene, and their plan.",
+        callback=checked(a_file_or_plan),
     ),
 ]
 Boxes = Annotated[
@@ -42,6 +45,7 @@ Psf = Annotated[
         metavar="SESSION",
         help="Whose wavefront and best focus are taken.",
         show_default="none: fitted along",
+        callback=checked(a_file_or_session),
     ),
 ]
 Focus = Annotated[

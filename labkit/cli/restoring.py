@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from labkit.cli.app import app
+from labkit.cli.paths import a_file_or_session, checked
 from labkit.cli.sessions import Workers
 from labkit.console import Console
 from labkit.errors import DataError, SessionError
@@ -26,13 +27,18 @@ METHODS = ("model", "richardson-lucy", "richardson-lucy-blind", "wiener", "total
 Photographs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="IMAGE... | SESSION", help="Raw files of one scene, or a session's folder."
+        metavar="IMAGE... | SESSION",
+        help="Raw files of one scene, or a session's folder.",
+        callback=checked(a_file_or_session),
     ),
 ]
 Psf = Annotated[
     Path | None,
     typer.Option(
-        metavar="SESSION", help="Whose lens took them.", show_default="the session given"
+        metavar="SESSION",
+        help="Whose lens took them.",
+        show_default="the session given",
+        callback=checked(a_file_or_session),
     ),
 ]
 Out = Annotated[

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import PlanPath, SessionPath, app
+from labkit.cli.app import NewSession, PlanPath, SessionPath, app
 from labkit.cli.complete import channels, studies
+from labkit.cli.paths import a_file, a_plan, checked
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError
 
@@ -64,11 +65,13 @@ def import_(
     frames: Annotated[
         Path,
         typer.Argument(
-            metavar="FRAMES.csv", help="The list of photographs: file, kind, range_mm."
+            metavar="FRAMES.csv",
+            help="The list of photographs: file, kind, range_mm.",
+            callback=checked(a_file),
         ),
     ],
     plan: PlanPath,
-    session: SessionPath,
+    session: NewSession,
 ) -> None:
     """Make a session of existing photographs. Each is checked and copied; nothing is made if one cannot be used."""
     from labkit.session.import_frames import import_frames
@@ -95,7 +98,9 @@ def plan_(
     image: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[IMAGE]", help="A photograph: raw, JPEG, TIFF, PNG or PGM."
+            metavar="[IMAGE]",
+            help="A photograph: raw, JPEG, TIFF, PNG or PGM.",
+            callback=checked(a_file),
         ),
     ] = None,
     out: Annotated[
@@ -190,7 +195,10 @@ OnlyChannels = Annotated[
 OtherPlan = Annotated[
     Path | None,
     typer.Option(
-        metavar="PLAN.toml", help="Plan to fit by.", show_default="the session's own"
+        metavar="PLAN.toml",
+        help="Plan to fit by.",
+        show_default="the session's own",
+        callback=checked(a_plan),
     ),
 ]
 Modes = Annotated[

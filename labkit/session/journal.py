@@ -18,7 +18,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from labkit.errors import InputError, SessionError
-from labkit.files import open_standard_streams, write_atomically, writing
+from labkit.files import (
+    open_standard_streams,
+    refuse_links,
+    write_atomically,
+    writing,
+)
 
 Event = dict[str, Any]
 
@@ -48,6 +53,25 @@ class Journal:
     torn: bytes
     last_check: str
     unchained: int
+
+
+def journal_in(folder: Path) -> Path:
+    """Return the journal of a session's folder. Raise SessionError for a folder that is no session."""
+    path = folder / JOURNAL
+    refuse_links(path)
+    if not path.is_file():
+        within = next(
+            (above for above in folder.absolute().parents if (above / JOURNAL).is_file()),
+            None,
+        )
+        hint = (
+            f"give {within}"
+            if within
+            else "give the folder that labkit import or labkit capture has made"
+        )
+        why = f"it has no {JOURNAL}" if folder.exists() else "it is not there"
+        raise SessionError(f"{folder} is no session: {why}; {hint}")
+    return path
 
 
 def encode(event: Event, after: str | None) -> tuple[bytes, str]:

@@ -36,7 +36,13 @@ from labkit.session.frame import (
     frame_of,
     pending,
 )
-from labkit.session.journal import JOURNAL, Event, JournalWriter, read_journal
+from labkit.session.journal import (
+    JOURNAL,
+    Event,
+    JournalWriter,
+    journal_in,
+    read_journal,
+)
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.stored_plan import (
     PLAN,
@@ -113,7 +119,7 @@ class Session:
     @classmethod
     def open(cls, folder: str | Path) -> Session:
         """An existing session, to read. Raises SessionError if it is none, or its journal is damaged."""
-        path = _journal_in(Path(folder))
+        path = journal_in(Path(folder))
         journal = read_journal(path)
         warnings = (f"{path}: left out a torn last line",) if journal.torn else ()
         return cls(path.parent, list(journal.events), None, warnings, journal.unchained)
@@ -124,7 +130,7 @@ class Session:
 
         Raises SessionError if it is none, is damaged, holds links, or is being written by another process.
         """
-        path = _journal_in(Path(folder))
+        path = journal_in(Path(folder))
         refuse_links(*links_in(path.parent))
         writer = JournalWriter(path)
         try:
@@ -343,24 +349,6 @@ def refuse_unlisted(session: Session) -> None:
             f"are moved away{' (labkit verify names all)' if len(strange) > MOST_NAMED else ''}: "
             f"{shlex.join(['mkdir', '-p', aside])} && {first}"
         )
-
-
-def _journal_in(folder: Path) -> Path:
-    path = folder / JOURNAL
-    refuse_links(path)
-    if not path.is_file():
-        within = next(
-            (above for above in folder.absolute().parents if (above / JOURNAL).is_file()),
-            None,
-        )
-        hint = (
-            f"give {within}"
-            if within
-            else "give the folder that labkit import or labkit capture has made"
-        )
-        why = f"it has no {JOURNAL}" if folder.exists() else "it is not there"
-        raise SessionError(f"{folder} is no session: {why}; {hint}")
-    return path
 
 
 def leftovers(folder: Path) -> list[Path]:

@@ -10,7 +10,7 @@ import pytest
 from labkit import console as console_module
 from labkit.acquisition.log import CaptureLog
 from labkit.console import Console
-from labkit.pace import PAUSED
+from labkit.pace import PAUSED, Work
 
 
 def test_without_a_terminal_a_line_says_how_far_it_is(
@@ -59,8 +59,8 @@ def test_time_left_cannot_be_taken_for_the_time_so_far(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
-    work = console_module._Work("capturing")
+    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    work = Work("capturing")
     work.report(0, 13, "homing the rail")
     clock[0] = 15.0
     assert work.times() == "15 s so far, time left not known yet"
@@ -96,8 +96,8 @@ def test_a_pause_on_the_page_is_seen_in_the_terminal() -> None:
 
 def test_a_pause_does_not_count_as_work(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("labkit.console.time.monotonic", lambda: clock[0])
-    work = console_module._Work("capturing")
+    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    work = Work("capturing")
     work.report(0, 3, "a")
     clock[0] = 10.0
     work.report(1, 3, "b")

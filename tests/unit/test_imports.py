@@ -37,6 +37,7 @@ ROOMS = [
     ["restoring"],
     ["fiducials"],
     ["experiments"],
+    ["progress_bar"],
     ["console"],
     ["demo"],
     ["cli"],

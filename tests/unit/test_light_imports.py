@@ -94,3 +94,43 @@ def test_a_report_is_written_by_results_and_optics(session: Path) -> None:
     run = f"from labkit.cli import run; assert run(['report', {str(session)!r}]) == 0"
     assert unneeded(loaded_by(run)) == set()
     assert (session / "results" / "latest" / "report.html").exists()
+
+
+MISTYPED = [
+    ["fit", "nosuch"],
+    ["fit", ".", "--plan", "nosuch.toml"],
+    ["report", "nosuch"],
+    ["verify", "nosuch"],
+    ["import", "nosuch.csv", "nosuch.toml", "new"],
+    ["plan", "nosuch.jpg"],
+    ["advise", "nosuch.toml"],
+    ["capture", "nosuch.toml", "new"],
+    ["edges", "nosuch.dng", "nosuch.toml"],
+    ["restore", "nosuch"],
+    ["restore", "nosuch.dng", "--psf", "nosuch"],
+    ["camera", "test", "nosuch.toml"],
+    ["camera", "focus", "nosuch.toml"],
+    ["camera", "tone", "nosuch.jpg"],
+    ["rail", "calibrate", "nosuch.toml"],
+    ["target", "render", "nosuch.toml", "a.png"],
+    ["target", "serve", "nosuch.toml"],
+]
+SLOW_TO_LOAD = {
+    "cv2",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "rawpy",
+    "rich",
+    "scipy",
+    "segno",
+}
+
+
+@pytest.mark.parametrize("command", MISTYPED, ids=" ".join)
+def test_a_mistyped_path_is_named_before_anything_slow_is_loaded(
+    command: list[str],
+) -> None:
+    modules = loaded_by(f"from labkit.cli import run; assert run({command}) == 2")
+    assert "labkit.cli.main" in modules
+    assert {name.partition(".")[0] for name in modules} & SLOW_TO_LOAD == set()

@@ -1,0 +1,90 @@
+"""Two fits of one name at once: the second is refused, and is told by whom."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+import signal
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from labkit.errors import InputError, SessionError
+from labkit.session.fit_lock import fitted_alone
+
+
+def hold(folder: Path, held: Connection) -> None:
+    """In a process of its own: fit until killed."""
+    with fitted_alone(folder):
+        held.send(os.getpid())
+        signal.pause()
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> multiprocessing.process.BaseProcess:
+    """Another process that fits into `latest`."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(
+        target=hold, args=(tmp_path / "results" / "latest", there), daemon=True
+    )
+    process.start()
+    assert here.poll(100)
+    return process
+
+
+def test_the_second_is_told_the_process_and_since_when(
+    tmp_path: Path, other: multiprocessing.process.BaseProcess
+) -> None:
+    words = (
+        rf"latest is being fitted by process {other.pid} since \d\d:\d\d:\d\d \S+: "
+        "wait for it, or give another name"
+    )
+    with (
+        pytest.raises(SessionError, match=words),
+        fitted_alone(tmp_path / "results/latest"),
+    ):
+        pass
+    with fitted_alone(tmp_path / "results" / "other"):
+        pass
+    other.kill()
+    other.join(100)
+    with fitted_alone(tmp_path / "results" / "latest"):  # the lock went with the process
+        pass
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"),
+    [
+        (errno.EACCES, "Permission denied; work in a folder that you may write to"),
+        (errno.EROFS, "Read-only file system; copy the session to a disk"),
+    ],
+)
+def test_a_disk_that_cannot_be_written_to_is_named_with_what_to_do(
+    reason: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr("labkit.session.fit_lock.os.open", refuse)
+    with (
+        pytest.raises(InputError, match=f"cannot write {tmp_path / 'latest'}: {words}"),
+        fitted_alone(tmp_path / "latest"),
+    ):
+        pass
+
+
+def test_nothing_is_left_behind(tmp_path: Path) -> None:
+    with fitted_alone(tmp_path / "results" / "latest"):
+        pass
+    assert list((tmp_path / "results").iterdir()) == []
+
+
+def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / ".latest.fitting").symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match="cannot write"), fitted_alone(tmp_path / "latest"):
+        pass
+    assert (tmp_path / "mine").read_text() == "mine"
