@@ -56,6 +56,8 @@ from labkit.plan import Plan
 
 Result = TypeVar("Result")
 
+NO_LIBUSB = "libusb is missing (Debian: apt-get install libusb-1.0-0)"
+
 ON_NETWORK = "PTP/IP Camera"
 """What libgphoto2 calls any camera on a network: it does not look for them."""
 
@@ -126,8 +128,18 @@ def find_cameras() -> list[tuple[str, str]]:
             (f"gphoto2:{port}", _printable(model))
             for model, port in link.ask("find", ASK_S)
         ]
+    except Trouble as trouble:
+        if "libusb" in str(trouble) or (trouble.code == DIED and not _has_libusb()):
+            raise CameraError(NO_LIBUSB) from trouble
+        raise
     finally:
         link.close(CLOSE_S)
+
+
+def _has_libusb() -> bool:
+    from usb.backend import libusb1
+
+    return libusb1.get_backend() is not None
 
 
 class Gphoto2Camera(ClosesItself):

@@ -7,6 +7,7 @@ itself when a request takes longer than it may: SIGALRM stops it even inside the
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import signal
@@ -338,7 +339,20 @@ def serve(channel: Connection, gp: Any, pauses_s: Sequence[float] = PAUSES_S) ->
     worker.close()
 
 
-if __name__ == "__main__":
-    import gphoto2
+def refuse(channel: Connection, why: str) -> None:
+    """Answer every request by why the library cannot be loaded, until the other end closes."""
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            request = json.loads(channel.recv_bytes())
+            answer = {"id": request["id"], "code": 0, "error": why}
+            channel.send_bytes(json.dumps(answer).encode())
 
-    serve(Connection(int(sys.argv[1])), gphoto2)
+
+if __name__ == "__main__":
+    near = Connection(int(sys.argv[1]))
+    try:
+        import gphoto2
+    except (ImportError, OSError) as error:  # of what it is linked with
+        refuse(near, f"the package gphoto2 cannot be loaded: {error}")
+    else:
+        serve(near, gphoto2)

@@ -175,6 +175,32 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     assert "USB\n  not looked at\n" in capfd.readouterr().out
 
 
+def test_a_library_that_cannot_be_loaded_for_lack_of_libusb_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = "libusb-1.0.so.0: cannot open shared object file: No such file or directory"
+    (tmp_path / "gphoto2.py").write_text(f"raise ImportError({missing!r})")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(CameraError, match="^libusb is missing"):
+        find_cameras()
+    (tmp_path / "gphoto2.py").write_text("raise ImportError('libltdl.so.7: not found')")
+    words = r"^the package gphoto2 cannot be loaded: libltdl\.so\.7: not found$"
+    with pytest.raises(CameraError, match=words):
+        find_cameras()
+
+
+def test_a_library_that_crashes_without_libusb_is_said_to_lack_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    command = (sys.executable, "-c", "import os; os.abort()")
+    monkeypatch.setattr(gphoto2_camera, "Link", lambda: Link(command))
+    with pytest.raises(CameraError, match="libgphoto2 crashed in 'find'"):
+        find_cameras()
+    monkeypatch.setattr("usb.backend.libusb1.get_backend", lambda: None)
+    with pytest.raises(CameraError, match="^libusb is missing"):
+        find_cameras()
+
+
 def test_settings_are_listed_and_what_cannot_be_asked_is_left_to_a_person(
     make: MakeCamera, scene: Scene
 ) -> None:
