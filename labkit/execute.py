@@ -22,6 +22,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import lru_cache, partial
 from importlib import import_module
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
 from tempfile import mkdtemp
@@ -272,6 +273,7 @@ class Workers:
         if self._pool is None:
             # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
             context = multiprocessing.get_context("spawn")
+            _begin_tracker()
             self._pool = ProcessPoolExecutor(
                 self._count,
                 mp_context=context,
@@ -375,6 +377,25 @@ def _saying(heard: Callable[[str], None] | None) -> Iterator[None]:
         yield
     finally:
         _say.reset(token)
+
+
+def _begin_tracker() -> None:
+    """Begin Python's own process that clears up after processes that were killed, so that nobody hears of it.
+
+    A terminal that is closed does not end it, and it does its work in silence.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})  # it inherits both
+    before = os.environ.get("PYTHONWARNINGS")
+    silent = "ignore:resource_tracker"
+    os.environ["PYTHONWARNINGS"] = f"{before},{silent}" if before else silent
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextmanager

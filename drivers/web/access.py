@@ -83,8 +83,15 @@ class Guard:
         except ValueError:
             return False
         loopback = server[0] == "::1" or server[0].startswith("127.")
-        return port == server[1] and (
-            name == server[0] or name in self._names or (loopback and name == "localhost")
+        bare = parts.netloc == host and parts.username is None  # no path, no user
+        return (
+            bare
+            and port == server[1]
+            and (
+                name == server[0]
+                or name in self._names
+                or (loopback and name == "localhost")
+            )
         )
 
 

@@ -181,7 +181,7 @@ def test_a_library_that_cannot_be_loaded_for_lack_of_libusb_says_so(
     missing = "libusb-1.0.so.0: cannot open shared object file: No such file or directory"
     (tmp_path / "gphoto2.py").write_text(f"raise ImportError({missing!r})")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(CameraError, match="^libusb is missing"):
+    with pytest.raises(CameraError, match=r"^libusb is missing"):
         find_cameras()
     (tmp_path / "gphoto2.py").write_text("raise ImportError('libltdl.so.7: not found')")
     words = r"^the package gphoto2 cannot be loaded: libltdl\.so\.7: not found$"
@@ -197,7 +197,7 @@ def test_a_library_that_crashes_without_libusb_is_said_to_lack_it(
     with pytest.raises(CameraError, match="libgphoto2 crashed in 'find'"):
         find_cameras()
     monkeypatch.setattr("usb.backend.libusb1.get_backend", lambda: None)
-    with pytest.raises(CameraError, match="^libusb is missing"):
+    with pytest.raises(CameraError, match=r"^libusb is missing"):
         find_cameras()
 
 

@@ -81,6 +81,7 @@ def test_nothing_else_is_there(path: str, lab: Lab, display: WebDisplay) -> None
     [
         "", "evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost:{port}x",
         "127.0.0.2:{port}", "127.0.0.1:{port}@evil.example", "[", "localhost.evil:{port}",
+        "127.0.0.1:{port}/evil", "127.0.0.1:{port}?evil", "127.0.0.1:{port}#evil", "evil@127.0.0.1:{port}",
     ],
 )  # fmt: skip
 def test_a_rebound_name_is_not_us(host: str, lab: Lab, display: WebDisplay) -> None:

@@ -242,3 +242,28 @@ def test_a_full_folder_for_temporary_files_is_named(
     ):
         list(run_all(factorial, [1, 2], 2))
     assert list(tmp_path.iterdir()) == []
+
+
+HUNG_UP = "import signal; signal.signal(signal.SIGHUP, signal.default_int_handler)\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+def test_processes_end_in_silence(number: signal.Signals, tmp_path: Path) -> None:
+    """Ends a whole process group, as a closed terminal does; of the killed one nobody else is told."""
+    script = tmp_path / "hours.py"
+    script.write_text(HUNG_UP + HOURS)
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == b"under way\n"
+        end = os.kill if number == signal.SIGKILL else os.killpg
+        end(running.pid, number)
+        _, said = running.communicate(timeout=100)
+    ours = [b"KeyboardInterrupt"] if number == signal.SIGHUP else []
+    assert said.splitlines()[-1:] == ours
+    assert b"resource_tracker" not in said
+    assert b"leaked" not in said

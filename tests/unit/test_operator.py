@@ -63,7 +63,7 @@ class Reader:
 
 
 def test_who_asks_nobody_needs_no_terminal_driver() -> None:
-    code = "import sys; sys.modules['termios'] = None; import labkit.cli.main, labkit.devices.registry"
+    code = "import sys; sys.modules['termios'] = None; import labkit.cli.command_line, labkit.devices.registry"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
 
 

@@ -15,13 +15,16 @@ from typing import NoReturn
 import typer
 from typer.exceptions import TyperException
 
+from labkit.cli import bench, edges, focus, restoring, sessions
 from labkit.cli.app import app
 from labkit.console import Console, error_line
 from labkit.errors import LabkitError
 from labkit.files import open_standard_streams
 
-GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
+COMMANDS = (bench, edges, focus, restoring, sessions)
+"""Modules that add their commands to `app` as they are imported."""
 
+GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
 
 INTERRUPTS = (signal.SIGTERM, signal.SIGHUP)
 """Beside Ctrl-C."""
@@ -32,11 +35,14 @@ def main() -> None:
     open_standard_streams()
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for good
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(run(sys.argv[1:], leaving=True))
 
 
-def run(args: Sequence[str]) -> int:
-    """Run a command line; returns the exit status. --debug, --quiet and --json may stand anywhere before a "--"."""
+def run(args: Sequence[str], *, leaving: bool = False) -> int:
+    """Run a command line; returns the exit status. --debug, --quiet and --json may stand anywhere before a "--".
+
+    leaving: the process ends with it, so that after an interrupt further ones change nothing.
+    """
     end = args.index("--") if "--" in args else len(args)
     flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
     rest = [arg for arg in args[:end] if arg not in GLOBAL_FLAGS] + list(args[end:])
@@ -50,10 +56,12 @@ def run(args: Sequence[str]) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        with _interrupts(console):
+        with _interrupts(console, leaving):
             status = typer.main.get_command(app).main(
                 [*flags, *rest], prog_name="labkit", standalone_mode=False, obj=console
             )
+            if status == 130:
+                raise KeyboardInterrupt
         sys.stdout.flush()
     except BrokenPipeError:
         # whoever read our output has had enough; Python must not complain about it again on exit
@@ -61,14 +69,15 @@ def run(args: Sequence[str]) -> int:
         return 1
     except BaseException as error:
         return _failed(error, console)
-    if status == 130:
-        return _interrupted(console)
     return status if isinstance(status, int) else 0
 
 
 @contextmanager
-def _interrupts(console: Console) -> Iterator[None]:
-    """SIGTERM and SIGHUP end a command as Ctrl-C does: what was begun is brought to an end, and a line says so."""
+def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
+    """SIGTERM and SIGHUP end a command as Ctrl-C does: what was begun is brought to an end, and a line says so.
+
+    leaving: after an interrupt all of them are ignored for good, so that the process ends by itself, with its status.
+    """
 
     def interrupt(number: int, frame: object) -> NoReturn:
         for each in INTERRUPTS:
@@ -89,6 +98,10 @@ def _interrupts(console: Console) -> Iterator[None]:
         signal.signal(number, interrupt)
     try:
         yield
+    except (KeyboardInterrupt, typer.Abort):
+        if leaving and ours:
+            before = dict.fromkeys((signal.SIGINT, *INTERRUPTS), signal.SIG_IGN)
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
