@@ -40,6 +40,7 @@ def fitted_alone(results: Path) -> Iterator[None]:
     finally:
         with suppress(OSError):
             path.unlink(missing_ok=True)
+            results.parent.rmdir()  # where nothing was written
         os.close(file)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -54,7 +55,7 @@ def test_more_signals_on_the_way_out_change_nothing(
         command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
     ) as running:
         assert running.stderr is not None
-        assert b"yes or no" in running.stderr.read1()
+        assert b"yes or no" in os.read(running.stderr.fileno(), 4096)
         running.send_signal(first)
         last = running.stderr.read().splitlines()[-1]
         assert running.wait(100) == 130
