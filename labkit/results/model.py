@@ -23,6 +23,9 @@ from labkit.results.best_focus import BestFocus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+ROUNDING = 1e-6
+"""Of correlations, in results that are written as numbers of a file."""
+
 
 @dataclass(frozen=True, slots=True)
 class OtherOptimum:
@@ -78,20 +81,6 @@ class ResidualSpectrum:
             "power": power,
             "power_without_parts": without,
         }
-
-    @classmethod
-    def from_json(
-        cls, entry: dict[str, list[float] | None] | None
-    ) -> ResidualSpectrum | None:
-        """As read from there; None where there is none."""
-        if entry is None:
-            return None
-        without = entry.get("power_without_parts")
-        return cls(
-            np.array(entry["cycles_per_px"]),
-            np.array(entry["power"]),
-            None if without is None else np.array(without),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +177,11 @@ class Wavefront:
             raise ValueError(
                 f"{modes} modes, {self.waves.size} coefficients and a covariance of shape {self.covariance.shape}"
             )
+        if len(set(self.noll)) != modes:
+            raise ValueError(f"{self.key.label} has a mode twice")
+        refuse_no_covariance(f"the covariance of {self.key.label}", self.covariance)
+        if self.poses.ndim != 2 or not len(self.poses):
+            raise ValueError(f"{self.key.label} has poses of shape {self.poses.shape}")
 
     def __getitem__(self, mode: int) -> Uncertain:
         """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode that was not estimated."""
@@ -315,6 +309,15 @@ class Focus:
     chi2_per_freedom: float | None = None
     residual_std_waves: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if self.covariance is not None:
+            size = len(self.best_focus_mm) + 1
+            if self.covariance.shape != (size, size):
+                raise ValueError(
+                    f"the covariance of best focus has shape {self.covariance.shape}; ({size}, {size}) is needed"
+                )
+            refuse_no_covariance("the covariance of best focus", self.covariance)
+
     def residuals(self, channel: str) -> list[Uncertain]:
         """Defocus residuals of a channel's ranges, waves RMS; an error that is not known is nan."""
         rest = self.residual_waves.get(channel, ())
@@ -328,3 +331,15 @@ class Focus:
                 f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}"
             )
         return self.best_focus_mm[channel]
+
+
+def refuse_no_covariance(name: str, matrix: Floats) -> None:
+    """Raise ValueError for a matrix (n, n) that is not symmetric, or has a variance below 0; nan stands for unknown."""
+    if matrix.shape != matrix.T.shape or not np.isfinite(matrix).all():
+        return
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    scaled = matrix / np.where(scale > 0, np.outer(scale, scale), 1.0)
+    if not np.allclose(scaled, scaled.T, rtol=0, atol=ROUNDING):
+        raise ValueError(f"{name} is not symmetric")
+    if matrix.size and np.linalg.eigvalsh(scaled).min() < -ROUNDING * len(matrix):
+        raise ValueError(f"{name} has a variance below 0")

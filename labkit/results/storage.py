@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import isfinite, nan, prod
+from math import isfinite, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from labkit import npz
-from labkit.errors import DataError, PlanError
+from labkit.errors import DataError, PlanError, shown
 from labkit.files import (
     check_name,
     drop_link,
@@ -22,7 +22,6 @@ from labkit.files import (
     write_atomically,
     writing,
 )
-from labkit.finding import NOTE, Finding
 from labkit.key import Key
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
@@ -30,22 +29,17 @@ from labkit.results.model import (
     Focus,
     Lens,
     OptimumTest,
-    OtherOptimum,
-    PartTried,
-    Placement,
     Residuals,
-    ResidualSpectrum,
     Wavefront,
 )
+from labkit.results.schema import LENS, Content
 from labkit.types import Floats
-from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
     from labkit.results.results import Results
 
 RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
 SCHEMA, READABLE = 3, (1, 2, 3)
-FIRST_WITH_FINDINGS = 3
 MOST_OTHERS = 5  # other optima that are kept, the likeliest
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = (
@@ -57,14 +51,6 @@ MOST_PIXELS = 2**28  # of any photograph
 REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
 
 Json = dict[str, Any]
-
-LENS = {
-    "focal_length_mm": ("focal_length", "mm"),
-    "f_number": ("f_number", ""),
-    "pupil_magnification": ("pupil_magnification", ""),
-    "range_zero_mm": ("range_zero", "mm"),
-}
-"""Keys of the lens, the fields that they hold, and their units."""
 
 
 def write(folder: Path, results: Results) -> Path:
@@ -102,35 +88,44 @@ def read(folder: Path, name: str) -> dict[str, Any]:
     path = place / RESULTS
     refuse_links(session, place, path, place / RESIDUALS)
     try:
-        entry = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        schema = _schema(text)
     except (FileNotFoundError, NotADirectoryError):
         raise DataError(f"no {path}: run labkit fit first{_others(session)}") from None
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
-    schema = entry.get("schema") if isinstance(entry, dict) else None
     if schema not in READABLE:
         known = f"{READABLE[0]} to {READABLE[-1]}"
         raise DataError(
-            f"{path} has schema {schema!r}; this version reads schemas {known}: fit the session again"
+            f"{path} has schema {shown(schema)}; this version reads schemas {known}: fit the session again"
         )
     try:
-        return _fields(entry, place)
+        content = Content.of(text)
+        plan = _plan(content, place)
+        fields = content.fields(plan)
     except PlanError as error:
         raise DataError(f"{path}: {error}; fit the session again") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        detail = f"no {error}" if isinstance(error, KeyError) else str(error)
+    except ValueError as error:
         raise DataError(
-            f"{path} is not as schema {schema} has it: {detail}; fit the session again"
+            f"{path} is not as schema {schema} has it: {error}; fit the session again"
         ) from None
+    wavefronts = tuple(_with_residuals(fields["wavefronts"], place / RESIDUALS))
+    return {**fields, "plan": plan, "folder": place, "wavefronts": wavefronts}
 
 
 def kept_keys(folder: Path) -> set[Key]:
     """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
     try:
-        entries = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["wavefronts"]
-        return {_key(entry) for entry in entries}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        content = Content.of((folder / RESULTS).read_text(encoding="utf-8"))
+        return {entry.identity for entry in content.wavefronts}
+    except (OSError, ValueError):
         return set()
+
+
+def _schema(text: str) -> Any:
+    """Return the number of a file's schema; None where it states none. Raises ValueError for what is no JSON."""
+    entry = json.loads(text)
+    return entry.get("schema") if isinstance(entry, dict) else None
 
 
 def entry(results: Results) -> Json:
@@ -320,178 +315,11 @@ def _pixels(w: Wavefront) -> int:
     return MOST_PIXELS if w.placement is None else prod(w.placement.shape_px)
 
 
-def _fields(entry: Json, folder: Path) -> dict[str, Any]:
-    plan = _plan(entry, folder)
-    return {
-        "plan": plan,
-        "plan_sha256": str(entry["plan_sha256"]),
-        "wavefronts": tuple(
-            _with_residuals(
-                [_wavefront(w, plan) for w in entry["wavefronts"]], folder / RESIDUALS
-            )
-        ),
-        "focus": None if entry["focus"] is None else _focus(entry["focus"]),
-        "lens": None if entry.get("lens") is None else _lens(entry["lens"]),
-        "budget": {
-            str(name): dict(shares) for name, shares in entry.get("budget", {}).items()
-        },
-        "joint": {
-            str(name): float(moved) for name, moved in entry.get("joint", {}).items()
-        },
-        "model_parts": {
-            str(name): Uncertain.from_json(number, _unit(name))
-            for name, number in entry.get("model_parts", {}).items()
-        },
-        "parts_tried": tuple(
-            PartTried(str(p["part"]), _optional(p["gain"]), bool(p["adopted"]))
-            for p in entry.get("parts_tried", ())
-        ),
-        "widest_light_nm": {
-            str(name): float(nm) for name, nm in entry.get("widest_light_nm", {}).items()
-        },
-        "findings": tuple(_findings(entry)),
-        "unanswered": entry.get("unanswered"),
-        "created": str(entry["created"]),
-        "labkit_version": str(entry["labkit_version"]),
-        "folder": folder,
-    }
-
-
-def _findings(entry: Json) -> list[Finding]:
-    """All findings; of results before schema 3, which had none, their warnings."""
-    warnings = [str(text) for text in entry["warnings"]]
-    if entry["schema"] < FIRST_WITH_FINDINGS:
-        return [Finding(NOTE, None, {}, text) for text in warnings]
-    return [Finding.from_json(finding, warnings) for finding in entry["findings"]]
-
-
-def _key(wavefront: Json) -> Key:
-    """The identity of a wavefront; before schema 3 its range and channel."""
-    return Key.from_json(wavefront.get("key") or wavefront)
-
-
-def _plan(entry: Json, folder: Path) -> Plan:
-    """The plan that the results were made with; of results that do not hold it, the session's."""
-    if "plan" not in entry:
+def _plan(content: Content, folder: Path) -> Plan:
+    """Return the plan that the results were made with; of results that do not hold it, the session's."""
+    if content.plan is None:
         return Plan.load(folder.resolve().parents[1] / "plan.toml")
     try:
-        return Plan.from_tables(entry["plan"], files_needed=False)
+        return Plan.from_tables(content.plan, files_needed=False)
     except PlanError as error:
         raise PlanError(f"the plan in it cannot be read: {error}") from None
-
-
-def _unit(name: str) -> str:
-    """That a number's name ends with."""
-    units = {"px": "px", "px2": "px²", "nm": "nm"}
-    return units.get(name.rpartition("_")[2], "")
-
-
-def _optional(value: Any) -> float:
-    return nan if value is None else float(value)
-
-
-def _numbers(values: Any) -> Floats:
-    return np.array(values, dtype=float)  # None becomes nan
-
-
-def _wavefront(entry: Json, plan: Plan) -> Wavefront:
-    key = _key(entry)
-    measured_mm = entry.get("measured_range_mm", key.range_mm)
-    return Wavefront(
-        range_mm=key.range_mm,
-        measured_range_mm=None if measured_mm is None else float(measured_mm),
-        channel=key.channel,
-        tile=key.tile,
-        wavelength_nm=float(entry["wavelength_nm"]),
-        reference_wavelength_nm=plan.reference_wavelength_nm,
-        f_number=float(entry.get("f_number", plan.lens.f_number)),
-        f_number_std=_optional(entry.get("f_number_working", {}).get("std")),
-        blur=None
-        if entry.get("blur_um") is None
-        else Uncertain.from_json(entry["blur_um"], "um"),
-        noll=tuple(int(j) for j in entry["noll"]),
-        waves=_numbers(entry["waves_rms"]),
-        covariance=_covariance(entry),
-        poses=np.atleast_2d(_numbers(entry.get("poses") or [entry["pose"]])),
-        gain=_optional(entry.get("gain")),
-        read_noise=_optional(entry.get("read_noise")),
-        chi2_per_pixel=_optional(entry.get("chi2_per_pixel")),
-        test=_test(entry.get("global_test"), entry.get("model")),
-        seconds=_optional(entry.get("seconds")),
-        frames=tuple(str(name) for name in entry.get("frames", ())),
-        missing=tuple(str(name) for name in (entry.get("model") or {}).get("missing", ())),
-        spectrum=Spectrum.of_lines(
-            entry.get("spectrum") or [[entry["wavelength_nm"], 1.0]], entry["wavelength_nm"]
-        ),
-        residual_spectrum=ResidualSpectrum.from_json(
-            (entry.get("model") or {}).get("residual_spectrum")
-        ),
-        placement=_placement(entry),
-    )
-
-
-def _covariance(entry: Json) -> Floats:
-    """Of results without one, that of independent errors."""
-    covariance = entry.get("covariance")
-    return (
-        np.diag(_numbers(entry["std"]) ** 2) if covariance is None else _numbers(covariance)
-    )
-
-
-def _placement(entry: Json) -> Placement | None:
-    if "corners_px" not in entry:
-        return None
-    (row, column), (rows, columns) = entry["origin_px"], entry["shape_px"]
-    return Placement(
-        (int(row), int(column)), (int(rows), int(columns)), _numbers(entry["corners_px"])
-    )
-
-
-def _test(entry: Json | None, model: Json | None) -> OptimumTest | None:
-    if entry is None:
-        return None
-    others = [
-        OtherOptimum(_numbers(o["waves_rms"]), _optional(o["log_likelihood_below"]))
-        for o in entry.get("others", ())
-    ]
-    return OptimumTest(
-        name=str(entry.get("name", "")),
-        accepted=bool(entry["accepted"]),
-        p_value=_optional(entry.get("p_value")),
-        starts=entry.get("starts"),
-        undetermined=tuple(entry.get("undetermined", ())),
-        others=tuple(others),
-        explains=bool((model or entry)["accepted"]),
-    )
-
-
-def _lens(entry: Json) -> Lens:
-    return Lens(
-        **{
-            field: Uncertain.from_json(entry[name], unit)
-            for name, (field, unit) in LENS.items()
-        }
-    )
-
-
-def _focus(entry: Json) -> Focus:
-    magnification = entry["pupil_magnification"]
-    covariance, chi2 = entry.get("covariance"), entry.get("chi2_per_freedom")
-    return Focus(
-        best_focus_mm={
-            str(c): Uncertain.from_json(best, "mm")
-            for c, best in entry["best_focus_mm"].items()
-        },
-        pupil_magnification=Uncertain.from_json(magnification),
-        identifiable=bool(magnification.get("identifiable", True)),
-        residual_waves={
-            str(c): tuple(map(_optional, rest))
-            for c, rest in entry.get("residual_waves", {}).items()
-        },
-        covariance=None if covariance is None else _numbers(covariance),
-        chi2_per_freedom=None if chi2 is None else float(chi2),
-        residual_std_waves={
-            str(c): tuple(map(_optional, std))
-            for c, std in entry.get("residual_std_waves", {}).items()
-        },
-    )

@@ -1,0 +1,152 @@
+"""Results that were damaged or forged: one line, and no more memory than results need."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labkit import npz
+from labkit.errors import DataError
+from labkit.results import Results
+from tests.results_contracts import CONTRACT_3, printed
+from tests.results_samples import full_results, written
+
+
+def test_residuals_with_any_bit_flipped_are_read_or_refused_in_one_line(
+    tmp_path: Path,
+) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    whole, rng, refused = file.read_bytes(), np.random.default_rng(3), []
+    for at in rng.integers(8 * len(whole), size=300):
+        damaged = bytearray(whole)
+        damaged[at // 8] ^= 1 << int(at % 8)
+        file.write_bytes(damaged)
+        try:
+            Results.load(file.parent)
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 270  # zip's checksums hold all but its unused fields
+    line = re.compile(rf"cannot read {file}: .*; fit the session again")
+    assert [text for text in refused if not line.fullmatch(text)] == []
+
+
+def test_residuals_larger_than_the_photographs_are_not_unpacked(tmp_path: Path) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    file.write_bytes(npz.packed({"data_3000_R": np.zeros((2, 1, 1000, 1000))}))
+    with pytest.raises(DataError, match="takes more than 11520 bytes"):  # 2 × 24 × 30
+        Results.load(file.parent)
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros((24, 30)), np.zeros((2, 1, 0, 30)), np.array(["a"]), np.zeros(3) > 0]
+)
+def test_residuals_of_another_kind_give_one_line(tmp_path: Path, array: Any) -> None:
+    names = [f"{part}_3000_R" for part in ("data", "model", "sigma")]
+    file = written(tmp_path) / "residuals.npz"
+    file.write_bytes(npz.packed(dict.fromkeys(names, array)))
+    with pytest.raises(DataError, match="cannot read"):
+        Results.load(file.parent)
+
+
+@pytest.mark.parametrize("plan", [{"lens": {}}, [], "plan", {"k": 1} | {"lens": 1}])
+def test_a_plan_that_cannot_be_read_gives_one_short_line(tmp_path: Path, plan: Any) -> None:
+    with pytest.raises(DataError, match="the plan in it cannot be read: ") as caught:
+        printed(tmp_path, CONTRACT_3 | {"plan": plan})
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+HUGE, NOT_FINITE = 10**400, float("inf")
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "words"),
+    [
+        ("wavefronts.0.noll.0", NOT_FINITE, "valid integer"),
+        ("wavefronts.0.noll.1", 4, "a mode twice"),
+        ("wavefronts.0.waves_rms.0", HUGE, "wavefronts.0.waves_rms.0"),
+        ("wavefronts.0.waves_rms.0", None, "valid number"),
+        ("wavefronts.0.waves_rms", [0.1], "1 coefficients"),
+        ("wavefronts.0.range_mm", float("nan"), "wavefronts.0.range_mm"),
+        ("wavefronts.0.range_mm", -1.0, "greater than 0"),
+        ("wavefronts.0.wavelength_nm", 1e-300, "wavelength_nm = 1e-300"),
+        ("wavefronts.0.f_number", 1e300, "f_number = 1e+300"),
+        ("wavefronts.0.covariance.0.1", 5e-7, "is not symmetric"),
+        ("wavefronts.0.covariance.0.0", -1.0, "variance below 0"),
+        ("wavefronts.0.covariance.0", [1.0], "inhomogeneous"),
+        ("wavefronts.0.poses", [[0.0]], "poses.0"),
+        ("wavefronts.0.shape_px", [10**9, 1], "shape_px.0 = 1000000000"),
+        ("wavefronts.0.spectrum", [[0.0, 1.0]], "spectrum.0.0"),
+        ("wavefronts.0.model.residual_spectrum.power", [], "different lengths"),
+        ("focus.covariance", [[1.0]], "has shape"),
+        ("focus.best_focus_mm.R.std", -1.0, "greater than or equal to 0"),
+        ("lens.f_number.value", 0.0, "greater than 0"),
+        ("lens.f_number", 2.8, "lens.f_number = 2.8"),
+        ("findings.0.where.tile", [1], "tile"),
+        ("budget", {"x": "y"}, "budget.x = 'y'"),
+    ],
+)
+def test_a_value_that_cannot_be_is_named(
+    tmp_path: Path, where: str, value: Any, words: str
+) -> None:
+    folder = tmp_path / "results" / "latest"
+    file = full_results().write(folder)
+    content = json.loads(file.read_text())
+    inner, steps = content, [int(s) if s.isdigit() else s for s in where.split(".")]
+    for step in steps[:-1]:
+        inner = inner[step]
+    inner[steps[-1]] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(DataError, match=re.escape(words)) as caught:
+        Results.load(tmp_path)
+    assert "is not as schema 3 has it" in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def flipped(text: bytes, rng: random.Random) -> bytes:
+    damaged = bytearray(text)
+    damaged[rng.randrange(len(text))] ^= 1 << rng.randrange(7)
+    return bytes(damaged)
+
+
+def cut(text: bytes, rng: random.Random) -> bytes:
+    first, second = sorted(rng.sample(range(len(text)), 2))
+    return text[:first] + text[second:]
+
+
+def another_value(text: bytes, rng: random.Random) -> bytes:
+    """One number, text or word in another's place."""
+    values = list(re.finditer(rb'-?\d[-+.e\d]*|"[^"]*"|true|false|null', text))
+    at = rng.choice(values)
+    other = rng.choice(
+        [b"null", b"-1", b"1e308", b"1e-308", b"NaN", b"[]", b"{}", b"9" * 400, b"true"]
+    )
+    return (
+        text[: at.start()] + rng.choice([other, rng.choice(values)[0]]) + text[at.end() :]
+    )
+
+
+@pytest.mark.parametrize("damage", [flipped, cut, another_value])
+def test_results_damaged_at_random_are_read_or_refused_in_one_line(
+    tmp_path: Path, damage: Callable[[bytes, random.Random], bytes]
+) -> None:
+    file = full_results().write(tmp_path)
+    (tmp_path / "residuals.npz").unlink()
+    whole, rng = file.read_bytes(), random.Random(11)
+    said = []
+    for _ in range(250):
+        file.write_bytes(damage(whole, rng))
+        try:
+            Results.load(tmp_path)
+        except DataError as error:
+            said.append(str(error))
+    assert said
+    assert max(map(len, said)) < 1000
+    assert not [line for line in said if "\n" in line]
