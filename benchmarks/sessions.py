@@ -23,8 +23,9 @@ from scipy import stats
 import labkit
 from benchmarks.random_sessions import KINDS, Drawn, make
 from labkit.drivers.simulated.world import Truth
-from labkit.estimation.settings import SETTINGS
+from labkit.estimation.camera import chance_gain
 from labkit.execute import run_all
+from labkit.imaging.parts import KNOWN
 
 Line = dict[str, Any]
 
@@ -188,7 +189,8 @@ def parts_table(lines: Iterable[Line]) -> Iterator[str]:
         with_it = [line for true, line in done if name in true]
         found = sum(name in line["found"] for line in with_it)
         missed = sum(
-            name not in line["found"] and line["gains"].get(name, 0.0) > SETTINGS.part_cost
+            name not in line["found"]
+            and line["gains"].get(name, 0.0) > chance_gain(len(KNOWN[name].labels))
             for line in with_it
         )
         more = [

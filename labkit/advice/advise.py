@@ -174,7 +174,7 @@ def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
     """What all ranges together will determine. fits: of the shortest wavelength, by range."""
     plan = setup.plan
     ranges = [range_mm for range_mm, fit in fits.items() if not fit.bound.undetermined]
-    if len(ranges) < 2 or plan.fit.zernike_noll[0] != DEFOCUS:
+    if len(ranges) < 2 or DEFOCUS not in plan.fit.noll:
         return None
     first = shortest(plan)
     every = {
@@ -265,7 +265,6 @@ def _nearest_mm(plan: Plan) -> float | None:
 
 def _at(setup: Setup, range_mm: float, fit: ExpectedFit) -> RangeAdvice:
     plan = setup.plan
-    first, last = plan.fit.zernike_noll
     cell_airy = size_mm = None
     if plan.target.kind == "sierpinski" and plan.target.order:
         size_mm = 3**plan.target.order * _airy_on_target_mm(plan, range_mm)
@@ -278,6 +277,6 @@ def _at(setup: Setup, range_mm: float, fit: ExpectedFit) -> RangeAdvice:
         size_mm=size_mm,
         defocus_waves=setup.defocus(range_mm),
         std_defocus_waves=float(fit.bound.std[0]),
-        std_wavefront_waves=fit.bound.rms(0, last - first + 1),
+        std_wavefront_waves=fit.bound.rms(0, len(plan.fit.noll)),
         undetermined=fit.bound.undetermined,
     )

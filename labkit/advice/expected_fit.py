@@ -130,14 +130,13 @@ class Setup:
 
     def _optics(self, channel: Channel) -> Optics:
         plan = self.plan
-        first, last = plan.fit.zernike_noll
         return Optics(
             wavelength_um=channel.wavelength_nm * 1e-3,
             reference_um=plan.reference_wavelength_nm * 1e-3,
             f_number=float(self.lens.working_f_number(self.focus_mm)),
             pitch_um=plan.sensor.pixel_pitch_um,
             active_um=plan.sensor.active_um,
-            noll=tuple(range(first, last + 1)),
+            noll=plan.fit.noll,
         )
 
 

@@ -1,4 +1,4 @@
-"""Select camera parts that a session shows and its plan does not state: forward selection by summed score tests.
+"""Select camera parts and modes that a session shows and its plan does not state: forward selection by summed score tests.
 
 A score test at every optimum gives the log-likelihood that each absent part would gain (C. R. Rao, Proc. Camb. Phil. Soc.
 44, 50 (1948)). The sums over a session name the part to try. The most significant fits are refitted with it, and the
@@ -13,12 +13,14 @@ from functools import reduce
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import chdtri
 
 from labkit.estimation.candidate import Measured, mostly_unexplained
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.parts import KNOWN
+from labkit.mode_groups import GROUPS
 from labkit.results.model import PartTried
 
 BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
@@ -29,10 +31,21 @@ Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
 
 def cost(parts: Parts) -> float:
-    """Return the penalty of a choice of parts, in log-likelihood."""
-    return sum(
-        SETTINGS.part_cost + SETTINGS.clear_gain * (name in BLURS[1:]) for name in parts
+    """Return the penalty of a choice of parts and modes, in log-likelihood.
+
+    By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
+    distributed as chi-squared with n degrees of freedom.
+    """
+    numbers = [len(KNOWN[name].labels) for name in parts if name in KNOWN]
+    numbers += [len(GROUPS[name].noll) for name in parts if name in GROUPS]
+    return sum(map(chance_gain, numbers)) + SETTINGS.clear_gain * len(
+        parts & set(BLURS[1:])
     )
+
+
+def chance_gain(numbers: int) -> float:
+    """Return the log-likelihood that some absent numbers gain by chance once in `1 / SETTINGS.part_chance` sessions."""
+    return 0.5 * float(chdtri(numbers, SETTINGS.part_chance))
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
@@ -49,7 +62,7 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
         name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits))
         for name in names
     }
-    for name in [name for name in names if KNOWN[name].per_channel]:
+    for name in [name for name in names if name in KNOWN and KNOWN[name].per_channel]:
         by_channel = dict[str, ScoreTest]()
         for channel, one in fits:
             test = one.scores[name]
@@ -60,22 +73,38 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
         whole[name] = ScoreTest(
             np.concatenate([c.slope for c in tests]),
             block_diag(*(c.information for c in tests)),
+            tests[0].one_sided,
         )
     return whole
 
 
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
-    """Return the log-likelihood that fits would lose without each fitted part, to second order (Wald test)."""
+    """Return the log-likelihood that fits would lose without each part, and without the highest modes (Wald test)."""
     losses = dict[str, float]()
     for measured in fits:
-        names = [label.split(".")[0] for label in measured.parts]
-        for name in dict.fromkeys(name for name in names if name in KNOWN):
-            at = len(measured.noll) + np.flatnonzero([one == name for one in names])
+        labels = [label.split(".")[0] for label in measured.parts]
+        groups = [n for n in GROUPS if GROUPS[n].last in measured.noll]
+        numbers = {
+            name: len(measured.noll) + np.flatnonzero([one == name for one in labels])
+            for name in dict.fromkeys(labels)
+            if name in KNOWN
+        }
+        for name in groups[-1:]:
+            numbers[name] = np.flatnonzero(np.isin(measured.noll, GROUPS[name].noll))
+        for name, at in numbers.items():
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             losses[name] = losses.get(name, 0.0) + 0.5 * float(
                 values @ np.linalg.solve(covariance, values)
             )
     return losses
+
+
+def extended(parts: Parts, name: str) -> Parts:
+    """Return a choice with a further part, or with all groups of modes up to one."""
+    if name not in GROUPS:
+        return parts | {name}
+    groups = list(GROUPS)
+    return parts | set(groups[: groups.index(name) + 1])
 
 
 def _explained(fits: Iterable[Optimum]) -> int:
@@ -138,21 +167,23 @@ class CameraChoice:
         self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts
     ) -> Iterator[Parts]:
         """Propose other choices of parts, the most promising first."""
-        tests = summed_score_tests(list(ends.values()))
-        gains = {
-            name: test.gain - cost(Parts([name])) + SETTINGS.part_cost
-            for name, test in tests.items()
-        }
-        self.tried = [one for one in self.tried if one.name not in gains]
+        fits = list(ends.values())
+        tests = summed_score_tests(fits)
+        self.tried = [one for one in self.tried if one.name not in tests]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
-        losses = wald_losses([optimum.measured for _, optimum in ends.values()])
-        for name in sorted(parts, key=lambda one: losses.get(one, 0.0)):
-            if losses.get(name, 0.0) < SETTINGS.part_cost:
+        losses = wald_losses([optimum.measured for _, optimum in fits])
+        for name in sorted(parts & losses.keys(), key=lambda one: losses[one]):
+            if losses[name] < cost(parts) - cost(parts - {name}):
                 yield parts - {name}
-        least = _least_gain([optimum for _, optimum in ends.values()])
-        for name in sorted(gains, key=lambda one: -gains[one]):
-            if gains[name] > max(SETTINGS.part_cost, least) and name not in self.wanted:
-                yield parts | {name}
+        least = _least_gain([optimum for _, optimum in fits])
+        net = {
+            name: test.gain - cost(extended(parts, name)) + cost(parts)
+            for name, test in tests.items()
+            if test.gain > least and name not in self.wanted
+        }
+        for name in sorted(net, key=lambda one: -net[one]):
+            if net[name] > 0:
+                yield extended(parts, name)
         for name in [one for one in BLURS if one in parts]:
             more_common = [one for one in BLURS[: BLURS.index(name)] if one in tests]
             for one in more_common:
@@ -180,19 +211,22 @@ class CameraChoice:
             ]
             self.missing = tuple(name for name in self.missing if name not in choice)
             return {k: (ends[k][0], fits.get(k, ends[k][1])) for k in ends}
-        if added and self._gain(ends, fits) > SETTINGS.part_cost:
+        if added and self._gain(ends, fits) > cost(added):
             self.missing, self.with_missing = tuple(sorted(added)), fits
         return None
 
     def _telling(self, ends: Mapping[int, tuple[str, Optimum]], names: Parts) -> list[int]:
         """Return the fits with the most significant score tests, or estimates, of some parts."""
 
+        leading = [name for name in names if name not in GROUPS]
+        leading += [name for name in GROUPS if name in names][-1:]
+
         def shown(k: int) -> float:
             optimum = ends[k][1]
             losses = wald_losses([optimum.measured])
             return sum(
                 optimum.scores[n].gain if n in optimum.scores else losses.get(n, 0.0)
-                for n in names
+                for n in leading
             )
 
         return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]

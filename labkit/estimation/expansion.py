@@ -8,7 +8,7 @@ expansion is exact to second order about an f-number that the last step hardly c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -169,22 +169,19 @@ class Expansion:
         """Predict the relative image (pixels,) of each frame after a short step (p,), to first order."""
         return self.problem.foreseen(self.state, step, self.evaluations)
 
-    def with_parts(self, optics: Optics) -> Expansion:
-        """Add camera parts behind the present ones. Their numbers are 0, so images and other derivatives stay valid."""
-        problem, state = (
-            replace(self.problem, model=self.problem.model.with_optics(optics)),
-            self.state,
-        )
-        used, have = [frame.used for frame in problem.frames], self.optics.parts
-        more = problem.model.by_parts(
-            state.waves, problem.draw(state), used, first=len(have)
-        )
-        behind = state.waves.size + sum(len(part.labels) for part in have)
+    def with_parts(self, names: Collection[str]) -> Expansion:
+        """Add parts and modes behind the present ones. Their numbers are 0, so images and other derivatives stay valid."""
+        optics, have = self.optics.with_parts(names), self.optics.parts
+        modes, state = self.state.waves.size, with_modes(self.state, self.optics, optics)
+        problem = replace(self.problem, model=self.problem.model.with_optics(optics))
+        used, drawing = [frame.used for frame in problem.frames], problem.draw(state)
+        more = problem.model.by_parts(state.waves, drawing, used, first=len(have))
+        higher = problem.model.by_modes(state.waves, drawing, used, first=modes)
+        behind = modes + sum(len(part.labels) for part in have)
+        places = [modes] * (state.waves.size - modes) + [behind] * len(more[0])
         evaluations = [
-            replace(
-                each, by_waves=np.insert(each.by_waves, [behind] * len(rows), rows, axis=0)
-            )
-            for each, rows in zip(self.evaluations, more, strict=True)
+            replace(each, by_waves=np.insert(each.by_waves, places, [*of, *rows], axis=0))
+            for each, of, rows in zip(self.evaluations, higher, more, strict=True)
         ]
         return _expansion(problem, state, evaluations)
 
@@ -309,6 +306,12 @@ def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
     given, stds = np.zeros_like(optics.camera_parameters), optics.camera_stds
     given[-1], stds[-1] = optics.camera_parameters[-1], max(f_number_std, SETTINGS.exact)
     return given, stds**-2
+
+
+def with_modes(state: State, optics: Optics, other: Optics) -> State:
+    """Return the state with the modes of other optics; new modes are 0."""
+    waves = dict(zip(optics.noll, state.waves, strict=True))
+    return replace(state, waves=np.array([waves.get(j, 0.0) for j in other.noll]))
 
 
 def with_optics_about(model: ForwardModel, optics: Optics, state: State) -> ForwardModel:

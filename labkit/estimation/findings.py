@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from labkit.finding import Finding
 from labkit.findings import found
-from labkit.imaging.parts import KNOWN
+from labkit.imaging.optics import OPTIONAL
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain
@@ -79,7 +79,7 @@ def residuals_not_noise(
     missing : camera parts that the frames show and the model lacks
     confirmed_by : test that accepted the optimum; None if no test did
     """
-    words = {"such_as": "".join(f", such as {KNOWN[name].words}" for name in missing)}
+    words = {"such_as": "".join(f", such as {OPTIONAL[name].words}" for name in missing)}
     code = "optimum-doubtful"
     if confirmed_by is not None:
         code = "model-incomplete"
@@ -117,7 +117,7 @@ def camera_part_found(
     return found(
         "camera-part-found",
         None,
-        {"part_words": KNOWN[part].words, "values_words": words},
+        {"part_words": OPTIONAL[part].words, "values_words": words},
         part=part,
         log_likelihood_gain=gain,
         values={name: value.as_json() for name, value in values.items()},
@@ -127,7 +127,10 @@ def camera_part_found(
 
 def camera_parts_missing(parts: Sequence[str], moves: Moves) -> Finding:
     """Report camera parts that the frames show and the model lacks. moves: changes of all results with these parts."""
-    words = {"list": " and ".join(KNOWN[name].words for name in parts), "moves": str(moves)}
+    words = {
+        "list": " and ".join(OPTIONAL[name].words for name in parts),
+        "moves": str(moves),
+    }
     return found("camera-parts-missing", None, words, parts=list(parts), **moves.numbers)
 
 

@@ -15,7 +15,7 @@ from labkit.estimation.expansion import Freed, free_cone
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residual_spectrum import residual_spectrum
 from labkit.estimation.residual_tests import Verdict, judge
-from labkit.estimation.scores import ScoreTest, score_tests
+from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches
 from labkit.estimation.starts import Log
@@ -43,7 +43,7 @@ class Optimum:
     verdict : whether the residuals are noise alone
     relative : relative image (pixels,) of each frame's used pixels
     residual_power : power of the residuals by frequency
-    scores : by name, the score test of each camera part that the model lacks
+    scores : by name, the score test of each part and group of modes that the model lacks
     """
 
     state: State
@@ -96,6 +96,7 @@ class Optimum:
             covariance=self.covariance * np.outer(signs, signs),
             measured=self.measured.twin(),
             sandwich=self.sandwich.twin(),
+            scores=twin_scores(self.scores),
         )
 
     def canonical(self) -> Optimum:
@@ -179,7 +180,7 @@ class Guesses:
     modes : predicted wavefronts with unknown defocus
     deep : whether to search on if the first optima are not explained
     alone : whether there are no frames at other ranges to reveal a wrong optimum
-    score : whether to test for camera parts that the model lacks
+    score : parts and groups of modes to test for, which the model lacks
     patience_s : processor time after which no start is made
     most_starts : largest number of starts
     """
@@ -191,7 +192,7 @@ class Guesses:
     modes: tuple[Floats, ...] = ()
     deep: bool = True
     alone: bool = True
-    score: bool = False
+    score: tuple[str, ...] = ()
     patience_s: float = np.inf
     most_starts: int = SETTINGS.most_starts
 
@@ -241,7 +242,7 @@ def find_optima(
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
     if guesses.score:
-        lacking = score_tests(expansion, expansion.optics.lacking, guesses.f_number_std)
+        lacking = score_tests(expansion, guesses.score, guesses.f_number_std)
         optima[0] = replace(optima[0], scores=lacking)
     return Found(
         tuple(optima),

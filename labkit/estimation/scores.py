@@ -1,4 +1,4 @@
-"""Score tests for camera parts that a model lacks, at the optimum without them.
+"""Score tests for numbers that a model lacks, at the optimum without them: parts of the camera, and groups of modes.
 
 A part is parametrised so that the likelihood is regular where all its numbers are 0 (`labkit.imaging.parts`). The slope there
 gives the log-likelihood that the part would gain, to second order, without a fit that includes the part: C. R. Rao, Proc.
@@ -7,9 +7,8 @@ Camb. Phil. Soc. 44, 50 (1948).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import reduce
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,60 +17,90 @@ from labkit.estimation.expansion import Expansion
 from labkit.estimation.identifiability import inverse
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
+from labkit.mode_groups import GROUPS
+from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """A Rao score test for one camera part with n numbers.
+    """A Rao score test for one group of n numbers.
 
     Attributes
     ----------
-    slope : (n,) derivative of the log-likelihood by the part's numbers, at 0
+    slope : (n,) derivative of the log-likelihood by the numbers, at 0
     information : (n, n) Fisher information, all other parameters refitted
+    one_sided : whether numbers below 0 are unphysical
     """
 
     slope: Floats
     information: Floats
+    one_sided: bool = True
 
     def __add__(self, other: ScoreTest) -> ScoreTest:
-        """Add the tests of two fits that share the part."""
-        return ScoreTest(self.slope + other.slope, self.information + other.information)
+        """Add the tests of two fits that share the numbers."""
+        return replace(
+            self,
+            slope=self.slope + other.slope,
+            information=self.information + other.information,
+        )
 
     @property
     def step(self) -> Floats:
-        """(n,) likeliest numbers of the part, to second order."""
+        """(n,) likeliest numbers, to second order."""
         return inverse(self.information) @ self.slope
 
     @property
     def gain(self) -> float:
-        """Log-likelihood that the part would gain; 0 if its likeliest numbers are unphysical."""
+        """Log-likelihood that the numbers would gain; 0 if the likeliest ones are unphysical."""
         step = self.step
-        return float(0.5 * step @ self.slope) if step.max() > 0 and step.sum() > 0 else 0.0
+        if self.one_sided and not (step.max() > 0 and step.sum() > 0):
+            return 0.0
+        return float(0.5 * step @ self.slope)
+
+
+def twin_scores(scores: Mapping[str, ScoreTest]) -> dict[str, ScoreTest]:
+    """Return the tests at the twin of an optimum, where even modes have the other sign."""
+    return {
+        name: replace(
+            test,
+            slope=test.slope * signs,
+            information=test.information * np.outer(signs, signs),
+        )
+        for name, test in scores.items()
+        for signs in [_signs(name, test)]
+    }
+
+
+def _signs(name: str, test: ScoreTest) -> Floats:
+    if name not in GROUPS:
+        return np.ones(test.slope.size)
+    modes = [j for group in GROUPS.values() for j in group.noll if j <= GROUPS[name].last]
+    return twin_signs(modes[-test.slope.size :])
 
 
 def score_tests(
     expansion: Expansion, names: Sequence[str], f_number_std: float
 ) -> dict[str, ScoreTest]:
-    """Test for camera parts that a model lacks, by the likelihood about its optimum without them.
+    """Test for parts and groups of modes that a model lacks, by the likelihood about its optimum without them.
 
     Parameters
     ----------
     expansion : the likelihood about the optimum
-    names : parts to test for
+    names : parts and groups to test for
     f_number_std : relative standard error of the working f-number
 
     Returns
     -------
-    one test for each name
+    one test for each name. The test of a group of modes includes all lower groups in `names`.
     """
     if not names:
         return {}
-    without = expansion.optics
-    wider = expansion.with_parts(reduce(Optics.with_part, names, without))
+    without, wider = expansion.optics, expansion.with_parts(names)
     first, cone = wider.camera.start, wider.camera.stop - 1
-    added = {name: first + places for name, places in _added(without, names).items()}
-    kept = np.setdiff1d(np.arange(len(wider.gradient)), np.concatenate([*added.values()]))
+    added = _added(without, names)
+    new = np.unique(np.concatenate([*added.values()]))
+    kept = np.setdiff1d(np.arange(len(wider.gradient)), new)
     information, gradient = wider.information.copy(), wider.gradient
     information[cone, cone] += max(f_number_std, 1e-6) ** -2
     others = kept[
@@ -84,18 +113,22 @@ def score_tests(
         pulled = information[np.ix_(at, kept)] @ rest
         slope = gradient[at] - pulled @ gradient[kept]
         result[name] = ScoreTest(
-            slope, information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)]
+            slope,
+            information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)],
+            one_sided=name in KNOWN and KNOWN[name].one_sided,
         )
     return result
 
 
 def _added(without: Optics, names: Sequence[str]) -> dict[str, NDArray[np.intp]]:
-    """Return the places of each added part's numbers among the camera parameters: behind the parts that are present."""
-    at, places = (
-        sum(len(part.labels) for part in without.parts),
-        dict[str, NDArray[np.intp]](),
-    )
-    for name in names:
+    """Return the places of each added group's numbers among all parameters: modes behind modes, parts behind parts."""
+    places = dict[str, NDArray[np.intp]]()
+    begin = at = len(without.noll)
+    for name in [name for name in GROUPS if name in names]:
+        at += len(GROUPS[name].noll)
+        places[name] = np.arange(begin, at)
+    at += sum(len(part.labels) for part in without.parts)
+    for name in [name for name in KNOWN if name in names]:
         many = len(KNOWN[name].labels)
         places[name] = np.arange(at, at + many)
         at += many

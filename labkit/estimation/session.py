@@ -10,6 +10,7 @@ import numpy as np
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
+from labkit.estimation.expansion import with_modes
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
@@ -22,6 +23,7 @@ from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_par
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.mode_groups import GROUPS
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
@@ -68,7 +70,7 @@ class _Loop:
     plan : the session's plan
     patience_s : processor time of one search
     found : optima of each observation, with the present parts in the model
-    parts : camera parts in the model that the plan does not state
+    parts : camera parts and groups of modes in the model that the plan does not state
     anchors : observations that were searched from nothing
     starts : predictions from which each observation was climbed
     deep : whether a search without limit was made
@@ -92,14 +94,26 @@ class _Loop:
     def __post_init__(self) -> None:
         self.observations = self.search.observations
         self.stated = Stated.of(self.plan)
-        first, last = self.plan.fit.zernike_noll
-        self.noll = tuple(range(first, last + 1))
         places = range(len(self.observations))
-        self.ranged = [k for k in places if is_ranged(self.observations[k], self.noll)]
+        self.ranged = [
+            k for k in places if is_ranged(self.observations[k], self.plan.fit.noll)
+        ]
         ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
         self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
         self.engraved_cone = engraved_cone(self.plan, ranges)
         self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
+
+    @property
+    def _noll(self) -> tuple[int, ...]:
+        """Modes in the model."""
+        return (
+            optics_of(self.plan, self.observations[0].channel).with_parts(self.parts).noll
+        )
+
+    @property
+    def _camera_parts(self) -> Parts:
+        """Camera parts in the model that the plan does not state."""
+        return self.parts - GROUPS.keys()
 
     # the loop
 
@@ -174,7 +188,6 @@ class _Loop:
             cone.std / cone.value,
             deep=deep or self.alone,
             alone=self.alone,
-            score=True,
             patience_s=self.patience_s,
         )
 
@@ -196,7 +209,7 @@ class _Loop:
             if k not in rows:
                 sure[k] = self._guess(modes=(self._clearest().waves,))
                 continue
-            waves = predicted[rows[k], : len(self.noll)]
+            waves = predicted[rows[k], : len(self._noll)]
             if covariance[rows[k], at, at] < SETTINGS.sure_waves**2:
                 sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
                 continue
@@ -205,7 +218,7 @@ class _Loop:
                 leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k)
             )
         for _, k in leaders.values():
-            sure[k] = self._guess(modes=(predicted[rows[k], : len(self.noll)],))
+            sure[k] = self._guess(modes=(predicted[rows[k], : len(self._noll)],))
         return sure
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
@@ -228,7 +241,7 @@ class _Loop:
                 continue
             candidate, sign = selection.candidate(row)
             measured = candidate.measured if sign > 0 else candidate.measured.twin()
-            waves = predicted[row, : len(self.noll)]
+            waves = predicted[row, : len(self._noll)]
             far = np.linalg.norm(measured.waves - waves) > SETTINGS.other_optimum_waves
             doubtful = not selection.members[row] or (anyone and not candidate.explained)
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
@@ -241,7 +254,9 @@ class _Loop:
         """Whether no climb of an observation began near a wavefront, and further climbs are allowed."""
         before = self.starts.get(k, [])
         far = all(
-            np.linalg.norm(waves - one) > SETTINGS.other_optimum_waves for one in before
+            np.linalg.norm(waves[: one.size] - one[: waves.size])
+            > SETTINGS.other_optimum_waves
+            for one in before
         )
         return far and len(before) < SETTINGS.tried
 
@@ -276,13 +291,25 @@ class _Loop:
     def _fit(self, guesses: Mapping[int, Guesses]) -> None:
         """Run searches, and add the optima."""
         selection = self.selection() if self.found else None
-        wanted = {k: (self._optics(k, selection), guess) for k, guess in guesses.items()}
+        wanted = {
+            k: self._scored(self._optics(k, selection), guess)
+            for k, guess in guesses.items()
+        }
         doing = "fitting" if self.found else "searching from nothing"
         for k, found in self.search(wanted, doing).items():
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
             self.deep |= guess.deep
+
+    def _scored(self, optics: Optics, guess: Guesses) -> tuple[Optics, Guesses]:
+        """Return the optics and a guess that asks for tests for all that the model may lack."""
+        modes = [
+            name
+            for name in self.plan.fit.mode_groups
+            if GROUPS[name].last not in optics.noll
+        ]
+        return optics, replace(guess, score=(*optics.lacking, *modes))
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
@@ -294,7 +321,7 @@ class _Loop:
             predicted, _ = selection.lens.predictions
             return optics.with_named(
                 selection.lens.model.parts,
-                predicted[self.ranged.index(k), len(self.noll) : -1],
+                predicted[self.ranged.index(k), len(self._noll) : -1],
             )
         clearest = self._clearest().optics
         return optics.with_named(clearest.camera_labels, clearest.camera_parameters)
@@ -332,10 +359,10 @@ class _Loop:
         usable = [one for one in found.optima if not one.verdict.undetermined]
         return usable[place].twin() if twin else usable[place]
 
-    # camera parts
+    # camera parts and groups of modes
 
     def _choose_parts(self) -> None:
-        """Adopt the camera parts that the fits show: after the anchors, and after all fits."""
+        """Adopt the camera parts and the modes that the fits show: after the anchors, and after all fits."""
         if (
             len(self.found) not in (len(self.anchors), len(self.observations))
             or not self.found
@@ -360,7 +387,7 @@ class _Loop:
             }
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
-        """Refit from the present optima, with other camera parts."""
+        """Refit from the present optima, with other camera parts and modes."""
         return self._climbed(places, parts, score=True)
 
     def _climbed(
@@ -373,13 +400,12 @@ class _Loop:
             optics = optics.with_named(
                 end.optics.camera_labels, end.optics.camera_parameters
             )
-            guess = Guesses(
-                SETTINGS.shared_cone_std, state=end.state, deep=False, score=score
-            )
-            wanted[k] = optics, guess
+            state = with_modes(end.state, end.optics, optics)
+            guess = Guesses(SETTINGS.shared_cone_std, state=state, deep=False)
+            wanted[k] = self._scored(optics, guess) if score else (optics, guess)
         if not wanted:
             return {}
-        found = self.search(wanted, "fitting with other parts of the camera")
+        found = self.search(wanted, "fitting with other parts or modes")
         made = {k: one.best for k, one in found.items()}
         self.refitted.setdefault(parts, {}).update(made)
         return made
@@ -401,12 +427,12 @@ class _Loop:
             self.search.made,
             "what the fits make of the lens, and its images of points",
         )
-        if not self.parts:
+        if not self._camera_parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
         bare = self._with_stated_camera(whole)
         if not plain:
             return replace(self._asked(whole, (), {}), stated_camera=bare)
-        missing = (*self.camera.missing, *sorted(self.parts))
+        missing = (*self.camera.missing, *sorted(self._camera_parts))
         full = {
             k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)
         }
@@ -436,7 +462,7 @@ class _Loop:
     def _with_stated_camera(self, whole: Estimate) -> Estimate:
         """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
         places = sorted(self.found)
-        bare = self._climbed(places, Parts(), score=False)
+        bare = self._climbed(places, self.parts - self._camera_parts, score=False)
         fits = tuple(
             replace(fit, optimum=bare.get(k, fit.optimum).nearest_to(fit.optimum))
             for k, fit in zip(places, whole.fits, strict=True)

@@ -119,8 +119,8 @@ class Settings:
     """Factor by which chi2 must fall if a session is split: with a touched lens, misfits are hundreds of standard errors."""
 
     # camera: which of its parts are fitted
-    part_cost: float = 10.0
-    """Gain that a part must have, reached by chance once in 20 000 sessions."""
+    part_chance: float = 5e-5
+    """Probability of the gain that a part, or a group of modes, must have, if it is absent: once in 20 000 sessions."""
 
     # session: what is fitted next
     sure_waves: float = 0.05

@@ -18,7 +18,6 @@ from labkit.uncertain import Uncertain
 def optics_of(plan: Plan, channel: str) -> Optics:
     """Return light, sensor and lens of a plan's channel, with the engraved f-number."""
     light = next(c for c in plan.channel if c.name == channel)
-    first, last = plan.fit.zernike_noll
     stated = [
         found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
     ]
@@ -28,7 +27,7 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         f_number=plan.lens.f_number,
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
-        noll=tuple(range(first, last + 1)),
+        noll=plan.fit.noll,
         spectrum=None
         if light.spectrum is None
         else Spectrum.of_samples(*light.samples, light.wavelength_nm),

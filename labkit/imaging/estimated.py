@@ -20,6 +20,7 @@ class Estimated(ABC):
     usual : standard deviation of each number among cameras, far beyond the error of one frame
     meanings : a few words on each quantity, for a table, by the end of its key
     per_channel : whether each channel has numbers of its own; otherwise all channels share them
+    one_sided : whether numbers below 0 are unphysical
     """
 
     __slots__ = ()
@@ -28,6 +29,7 @@ class Estimated(ABC):
     usual: ClassVar[tuple[float, ...]]
     meanings: ClassVar[Mapping[str, str]]
     per_channel: ClassVar[bool] = False
+    one_sided: ClassVar[bool] = True
 
     @property
     @abstractmethod

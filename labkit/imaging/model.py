@@ -148,13 +148,15 @@ class ForwardModel:
         )
 
     def with_optics(self, optics: Optics) -> "ForwardModel":
-        """Return the model with other `Optics.camera_parameters`. Drawings serve both unless a panel's `Aperture` changes.
+        """Return the model with other `Optics.camera_parameters`, parts or modes.
+
+        Drawings serve both unless a panel's `Aperture` changes.
 
         Raises
         ------
         ValueError : the cone is wider than the margin allows, at some wavelength of the light
         """
-        pupil = replace(self.blur.pupil, f_number=optics.f_number)
+        pupil = replace(self.blur.pupil, f_number=optics.f_number, noll=optics.noll)
         blur = replace(self.blur, pupil=pupil, spectrum=optics.light, parts=optics.parts)
         target = _lit(self.scene.target, optics)
         scene = (
@@ -274,6 +276,13 @@ class ForwardModel:
         return self._turned(
             self.blur, self.blur.by_parts(waves, first), drawing.spectra, used
         )
+
+    def by_modes(
+        self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int
+    ) -> list[list[Floats32]]:
+        """(pixels,) for each mode of each frame: derivatives by the modes from one on."""
+        psfs = self.blur.psf_slopes(waves, slice(first, None))
+        return self._responses(self.blur, psfs, drawing.spectra, used)
 
     def _turned(
         self,

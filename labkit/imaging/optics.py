@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from itertools import chain
 
 import numpy as np
@@ -15,11 +14,15 @@ from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import Estimated
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth
 from labkit.imaging.window import window_for
+from labkit.mode_groups import GROUPS, ModeGroup
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
 
 ESTIMATED: dict[str, Estimated] = {**KNOWN, Aperture.name: Aperture()}
 """Groups of numbers that results may hold, by name."""
+
+OPTIONAL: dict[str, Part | ModeGroup] = {**KNOWN, **GROUPS}
+"""Parts and groups of modes that a session may add to its model, by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,13 +132,15 @@ class Optics:
             have.add(SpectrumWidth.name)
         return [name for name in KNOWN if name not in have]
 
-    def with_part(self, name: str) -> Optics:
-        """Return the optics with another known part, which does nothing yet, to be estimated."""
-        return replace(self, parts=(*self.parts, KNOWN[name]))
-
     def with_parts(self, names: Collection[str]) -> Optics:
-        """Return the optics with further known parts, in the order of `KNOWN`."""
-        return reduce(Optics.with_part, [name for name in KNOWN if name in names], self)
+        """Return the optics with further known parts, which do nothing yet, and with further groups of modes."""
+        parts = (part for name, part in KNOWN.items() if name in names)
+        modes = (group.noll for name, group in GROUPS.items() if name in names)
+        return replace(
+            self,
+            parts=(*self.parts, *parts),
+            noll=(*self.noll, *chain.from_iterable(modes)),
+        )
 
     def with_named(self, labels: Sequence[str], values: Floats) -> Optics:
         """Return the same optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""

@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from labkit.mode_groups import GROUPS, HIGHEST_NOLL, USUAL_NOLL
 from labkit.plan.fields import (
     Address,
     Allowed,
@@ -271,8 +272,13 @@ class TargetSpec(Table):
 class FitSettings(Table):
     """What to estimate, and how well the ranges are known."""
 
-    zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] = (4, 15)
-    """First and last Zernike mode to estimate, in Noll's order."""
+    zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] | None = None
+    """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the radial orders beyond
+    that the photographs show."""
+    highest_noll: Annotated[
+        Count, AfterValidator(Allowed(USUAL_NOLL[1], 45, whole=True))
+    ] = HIGHEST_NOLL
+    """Last mode that may be added where `zernike_noll` is not stated."""
     reference_wavelength_nm: (
         Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None
     ) = None
@@ -286,10 +292,25 @@ class FitSettings(Table):
 
     @field_validator("zernike_noll")
     @classmethod
-    def _ordered(cls, noll: tuple[int, int]) -> tuple[int, int]:
-        if not 4 <= noll[0] <= noll[1] <= LAST_NOLL:
+    def _ordered(cls, noll: tuple[int, int] | None) -> tuple[int, int] | None:
+        if noll is not None and not 4 <= noll[0] <= noll[1] <= LAST_NOLL:
             raise not_allowed(NOLL)
         return noll
+
+    @property
+    def noll(self) -> tuple[int, ...]:
+        """Modes that are estimated in any case, by Noll's numbers."""
+        first, last = self.zernike_noll or USUAL_NOLL
+        return tuple(range(first, last + 1))
+
+    @property
+    def mode_groups(self) -> tuple[str, ...]:
+        """Names of the groups of modes that the session may add, the lowest first."""
+        if self.zernike_noll is not None:
+            return ()
+        return tuple(
+            group.name for group in GROUPS.values() if group.last <= self.highest_noll
+        )
 
 
 class CameraSettings(Table):

@@ -70,7 +70,7 @@ def budget_rows(budget: Mapping[str, Mapping[str, float]]) -> Rows:
 
 
 def part_rows(tried: Sequence[PartTried]) -> Rows:
-    """A heading, and a row for each part of the camera that the photographs were asked about; empty where none was."""
+    """Return a heading and a row for each part and group of modes that was tested for; empty if none was."""
     rows = [
         [p.name.replace("_", " "), f"{p.gain:.1f}", "taken in" if p.adopted else ""]
         for p in tried

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
 
 import numpy as np
 import pytest
@@ -19,8 +18,6 @@ from labkit.estimation.camera import (
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.stated_optics import optics_of
-from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN
 from labkit.results.model import PartTried
 from tests.optimum_samples import PLAN, optimum
 
@@ -61,7 +58,7 @@ class Fits:
     refits: list[tuple[int, Parts]] = field(default_factory=list)
 
     def end(self, parts: Parts) -> Optimum:
-        optics = reduce(Optics.with_part, [name for name in KNOWN if name in parts], OPTICS)
+        optics = OPTICS.with_parts(parts)
         height = next(
             (of for names, of in self.heights.items() if Parts(names) == parts), 0.0
         )
@@ -134,7 +131,7 @@ def test_what_no_camera_has_gains_nothing() -> None:
 
 def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
     of = optimum(
-        OPTICS.with_part("low_pass_filter").with_part("diffusion"), 3200.0
+        OPTICS.with_parts(["low_pass_filter"]).with_parts(["diffusion"]), 3200.0
     ).measured
     values = of.values.copy()
     values[2:5] = 0.01, -0.01, 0.04  # known to 0.01 each

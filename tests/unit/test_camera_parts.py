@@ -121,7 +121,7 @@ def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
 def test_the_shape_is_of_parts_then_panel_then_cone() -> None:
     optics = replace(
         OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)
-    ).with_part("spectrum")
+    ).with_parts(["spectrum"])
     assert optics.camera_labels == (
         "diffusion.variance_px2",
         "spectrum.variance",
@@ -226,7 +226,7 @@ def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
     assert "streak" in freed.optics.lacking
     # twice the gain of one number is chi-squared of one: beyond 5.4 once in a thousand
     assert score_tests(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
-    model = plain.with_optics(OPTICS.with_part("streak"))
+    model = plain.with_optics(OPTICS.with_parts(["streak"]))
     found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
     modes = len(OPTICS.noll)
     variance = Uncertain(

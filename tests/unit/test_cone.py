@@ -123,7 +123,7 @@ def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(
         POSE,
         cone_margin=SETTINGS.cone_margin,
     )
-    broad = with_optics_about(model, OPTICS.with_part("spectrum"), TRUTH)
+    broad = with_optics_about(model, OPTICS.with_parts(["spectrum"]), TRUTH)
     freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
     assert freed.solution.converged
     assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ROOMS = [
-    ["types", "errors", "key", "pace", "uncertain", "version"],
+    ["types", "errors", "key", "mode_groups", "pace", "uncertain", "version"],
     ["finding"],
     ["findings"],
     ["files", "arrays", "images", "filter_array", "npz", "sharing", "user_state"],

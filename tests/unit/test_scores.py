@@ -45,7 +45,7 @@ def asked(of: Problem) -> dict[str, ScoreTest]:
 def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     frames = problem(LowPass(0.2, 0.15))
     plain, test = fitted(frames), asked(frames)["low_pass_filter"]
-    model = frames.model.with_optics(OPTICS.with_part("low_pass_filter"))
+    model = frames.model.with_optics(OPTICS.with_parts(["low_pass_filter"]))
     climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
@@ -74,7 +74,7 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
 
 def test_a_veil_is_climbed_to_with_its_width() -> None:
     frames = problem(Veil(0.02, 7.0))
-    model = frames.model.with_optics(OPTICS.with_part("veil"))
+    model = frames.model.with_optics(OPTICS.with_parts(["veil"]))
     climbed = free_cone(
         replace(frames, model=model), Start(fitted(frames).solution.state), 0.03
     )
@@ -103,15 +103,15 @@ def test_what_a_plan_gives_is_not_asked_for() -> None:
     assert replace(OPTICS, spectrum=Spectrum()).lacking == [
         name for name in EVERY if name != SPECTRUM
     ]
-    assert OPTICS.with_part("veil").lacking == [name for name in EVERY if name != "veil"]
+    assert OPTICS.with_parts(["veil"]).lacking == [name for name in EVERY if name != "veil"]
 
 
 def test_a_part_of_each_name_can_be_added() -> None:
     for name, part in KNOWN.items():
-        assert OPTICS.with_part(name).parts == (part,)
-        assert OPTICS.with_part(name).without([name]) == OPTICS
-    assert OPTICS.with_part(SPECTRUM).camera_labels == ("spectrum.variance",)
-    assert replace(OPTICS, parts=(Diffusion(0.1),)).with_part("veil").camera_labels == (
+        assert OPTICS.with_parts([name]).parts == (part,)
+        assert OPTICS.with_parts([name]).without([name]) == OPTICS
+    assert OPTICS.with_parts([SPECTRUM]).camera_labels == ("spectrum.variance",)
+    assert replace(OPTICS, parts=(Diffusion(0.1),)).with_parts(["veil"]).camera_labels == (
         "diffusion.variance_px2",
         "veil.share",
         "veil.log_scale",
