@@ -10,11 +10,11 @@ import numpy as np
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
-from labkit.estimation.expansion import with_modes
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
+from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
@@ -75,7 +75,7 @@ class _Loop:
     starts : predictions from which each observation was climbed
     deep : whether a search without limit was made
     again : observations that were doubted and refitted from a prediction
-    refitted : refits by choice of parts
+    refits : refits from the present optima, with other parts and modes
     """
 
     search: Searches
@@ -87,7 +87,6 @@ class _Loop:
     starts: dict[int, list[Floats]] = field(default_factory=dict)
     deep: bool = False
     again: set[int] = field(default_factory=set)
-    refitted: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
     _parts_chosen_by: dict[int, float] = field(default_factory=dict)
 
@@ -101,6 +100,7 @@ class _Loop:
         ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
         self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
         self.engraved_cone = engraved_cone(self.plan, ranges)
+        self.refits = Refits(self.search, self.plan)
         self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
 
     @property
@@ -291,25 +291,16 @@ class _Loop:
     def _fit(self, guesses: Mapping[int, Guesses]) -> None:
         """Run searches, and add the optima."""
         selection = self.selection() if self.found else None
-        wanted = {
-            k: self._scored(self._optics(k, selection), guess)
-            for k, guess in guesses.items()
-        }
+        wanted = dict[int, tuple[Optics, Guesses]]()
+        for k, guess in guesses.items():
+            optics = self._optics(k, selection)
+            wanted[k] = optics, with_tests(guess, optics, self.plan)
         doing = "fitting" if self.found else "searching from nothing"
         for k, found in self.search(wanted, doing).items():
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
             self.deep |= guess.deep
-
-    def _scored(self, optics: Optics, guess: Guesses) -> tuple[Optics, Guesses]:
-        """Return the optics and a guess that asks for tests for all that the model may lack."""
-        modes = [
-            name
-            for name in self.plan.fit.mode_groups
-            if GROUPS[name].last not in optics.noll
-        ]
-        return optics, replace(guess, score=(*optics.lacking, *modes))
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
@@ -378,7 +369,7 @@ class _Loop:
         self._parts_chosen_by = asked
         parts = self.camera.chosen(fits, self.parts)
         if parts != self.parts:
-            refitted = dict(self.refitted[parts])
+            refitted = dict(self.refits.made[parts])
             self.parts = parts
             rest = [k for k in self.found if k not in refitted]
             refitted |= self._with_parts(rest, parts)
@@ -388,33 +379,7 @@ class _Loop:
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Refit from the present optima, with other camera parts and modes."""
-        return self._climbed(places, parts, score=True)
-
-    def _climbed(
-        self, places: Sequence[int], parts: Parts, *, score: bool
-    ) -> dict[int, Optimum]:
-        wanted = {}
-        for k in places:
-            end = self._end(k, parts)
-            optics = optics_of(self.plan, self.observations[k].channel).with_parts(parts)
-            optics = optics.with_named(
-                end.optics.camera_labels, end.optics.camera_parameters
-            )
-            state = with_modes(end.state, end.optics, optics)
-            guess = Guesses(SETTINGS.shared_cone_std, state=state, deep=False)
-            wanted[k] = self._scored(optics, guess) if score else (optics, guess)
-        if not wanted:
-            return {}
-        found = self.search(wanted, "fitting with other parts or modes")
-        made = {k: one.best for k, one in found.items()}
-        self.refitted.setdefault(parts, {}).update(made)
-        return made
-
-    def _end(self, k: int, parts: Parts) -> Optimum:
-        """Return the optimum to climb from: of the most similar choice of parts that was fitted."""
-        fitted = [(names, made[k]) for names, made in self.refitted.items() if k in made]
-        fitted.append((self.parts, self.chosen(k)))
-        return min(fitted, key=lambda one: len(one[0] ^ parts))[1]
+        return self.refits({k: self.chosen(k) for k in places}, self.parts, parts)
 
     # the end
 
@@ -462,7 +427,12 @@ class _Loop:
     def _with_stated_camera(self, whole: Estimate) -> Estimate:
         """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
         places = sorted(self.found)
-        bare = self._climbed(places, self.parts - self._camera_parts, score=False)
+        bare = self.refits(
+            {k: self.chosen(k) for k in places},
+            self.parts,
+            self.parts - self._camera_parts,
+            score=False,
+        )
         fits = tuple(
             replace(fit, optimum=bare.get(k, fit.optimum).nearest_to(fit.optimum))
             for k, fit in zip(places, whole.fits, strict=True)

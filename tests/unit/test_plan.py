@@ -42,7 +42,14 @@ def refusal(old: str, new: str, text: str = LEAST + CAPTURE) -> str:
 def test_the_least_plan_takes_the_documented_defaults() -> None:
     plan = parse(LEAST)
     assert [channel.name for channel in plan.channel] == ["R", "G"]
-    assert plan.fit.zernike_noll == (4, 15)
+    assert plan.fit.zernike_noll is None
+    assert plan.fit.noll == tuple(range(4, 16))
+    assert plan.fit.mode_groups == (
+        "modes_16_21",
+        "modes_22_28",
+        "modes_29_36",
+        "modes_37_37",
+    )
     assert plan.fit.convention == "corrected"
     assert plan.reference_wavelength_nm == 450.0
     assert (plan.sensor.fill_factor, plan.target.surround) == (1.0, "black")

@@ -1,0 +1,78 @@
+"""Refits of observations from their optima, with other camera parts and other groups of modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from labkit.estimation.camera import Parts
+from labkit.estimation.expansion import with_modes
+from labkit.estimation.local import Guesses, Optimum
+from labkit.estimation.searches import Searches
+from labkit.estimation.settings import SETTINGS
+from labkit.estimation.stated_optics import optics_of
+from labkit.imaging.optics import Optics
+from labkit.mode_groups import GROUPS
+from labkit.plan import Plan
+
+
+@dataclass
+class Refits:
+    """Refits observations, and keeps every refit.
+
+    Attributes
+    ----------
+    search : runs searches
+    plan : the session's plan
+    made : by choice of parts and modes, the refitted optima by observation
+    """
+
+    search: Searches
+    plan: Plan
+    made: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
+
+    def __call__(
+        self,
+        ends: Mapping[int, Optimum],
+        parts: Parts,
+        choice: Parts,
+        *,
+        score: bool = True,
+    ) -> dict[int, Optimum]:
+        """Refit observations with a choice of parts and modes.
+
+        Parameters
+        ----------
+        ends : by observation, the present optimum
+        parts : parts and modes in the model of the present optima
+        choice : parts and modes to fit
+        score : whether to test for parts and modes that the choice lacks
+        """
+        wanted = {}
+        for k, end in ends.items():
+            begin = self._most_similar(k, end, parts, choice)
+            optics = optics_of(self.plan, self.search.observations[k].channel)
+            optics = optics.with_parts(choice).with_named(
+                begin.optics.camera_labels, begin.optics.camera_parameters
+            )
+            state = with_modes(begin.state, begin.optics, optics)
+            guess = Guesses(SETTINGS.shared_cone_std, state=state, deep=False)
+            wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
+        if not wanted:
+            return {}
+        found = self.search(wanted, "fitting with other parts or modes")
+        refitted = {k: one.best for k, one in found.items()}
+        self.made.setdefault(choice, {}).update(refitted)
+        return refitted
+
+    def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
+        """Return the optimum of an observation whose parts and modes are most similar to a choice."""
+        fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
+        fitted.append((parts, end))
+        return min(fitted, key=lambda one: len(one[0] ^ choice))[1]
+
+
+def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
+    """Return a guess that requests score tests for all that the optics lack and the plan leaves open."""
+    modes = [n for n in plan.fit.mode_groups if GROUPS[n].last not in optics.noll]
+    return replace(guess, score=(*optics.lacking, *modes))
