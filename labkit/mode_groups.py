@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 USUAL_NOLL = (4, 15)
 """First and last mode of every session: defocus, and radial orders 2 to 4."""
-HIGHEST_NOLL = 37
+MOST_NOLL = 37
 """Last mode that a session adds, unless its plan says otherwise."""
 
 

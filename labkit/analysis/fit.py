@@ -12,7 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.observe import observe
-from labkit.analysis.session_parts import camera_findings, model_parts
+from labkit.analysis.session_parts import camera_findings, higher_modes, model_parts
 from labkit.analysis.session_results import (
     as_focus,
     as_lens,
@@ -283,6 +283,7 @@ def _results(
     findings = [
         *noted,
         *(found("fit-left-out", note=words) for words in fits.lost),
+        *higher_modes(wavefronts, plan),
         *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
         *session_findings(fits, patience_s),
         *_doubts(wavefronts),

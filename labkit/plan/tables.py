@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from labkit.mode_groups import GROUPS, HIGHEST_NOLL, USUAL_NOLL
+from labkit.mode_groups import GROUPS, MOST_NOLL, USUAL_NOLL
 from labkit.plan.fields import (
     Address,
     Allowed,
@@ -275,9 +275,9 @@ class FitSettings(Table):
     zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] | None = None
     """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the radial orders beyond
     that the photographs show."""
-    highest_noll: Annotated[
+    most_noll: Annotated[
         Count, AfterValidator(Allowed(USUAL_NOLL[1], 45, whole=True))
-    ] = HIGHEST_NOLL
+    ] = MOST_NOLL
     """Last mode that may be added where `zernike_noll` is not stated."""
     reference_wavelength_nm: (
         Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None
@@ -309,7 +309,7 @@ class FitSettings(Table):
         if self.zernike_noll is not None:
             return ()
         return tuple(
-            group.name for group in GROUPS.values() if group.last <= self.highest_noll
+            group.name for group in GROUPS.values() if group.last <= self.most_noll
         )
 
 

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation.camera import chance_gain
 from labkit.estimation.climb import Problem, Start
-from labkit.estimation.expansion import Freed, free_cone
-from labkit.estimation.scores import ScoreTest, score_tests
+from labkit.estimation.expansion import Freed, free_cone, with_modes
+from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
+from labkit.mode_groups import GROUPS
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
@@ -116,3 +118,63 @@ def test_a_part_of_each_name_can_be_added() -> None:
         "veil.share",
         "veil.log_scale",
     )
+
+
+# groups of modes
+
+HIGHER = (0.02, -0.015, 0.01, 0.012, -0.02, 0.01)
+"""Noll 16 to 21, waves RMS."""
+
+
+def higher_problem(waves: tuple[float, ...]) -> Problem:
+    """Return frames taken through a lens with modes 16 to 21, and a model without these modes."""
+    lens = replace(OPTICS, noll=(*OPTICS.noll, *GROUPS["modes_16_21"].noll))
+    with_them = ForwardModel.build(
+        lens, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
+    without = ForwardModel.build(
+        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+    )
+    truth = replace(TRUTH, waves=np.array([*TRUTH.waves, *waves]))
+    return replace(photographed(with_them, truth), model=without)
+
+
+def test_modes_gain_as_much_as_a_climb_with_them_gains() -> None:
+    frames = higher_problem(HIGHER)
+    plain = fitted(frames)
+    tests = score_tests(plain.expansion, ["modes_16_21", "modes_22_28"], 0.03)
+    wider = OPTICS.with_parts(["modes_16_21"])
+    start = with_modes(plain.solution.state, OPTICS, wider)
+    climbed = free_cone(
+        replace(frames, model=frames.model.with_optics(wider)), Start(start), 0.03
+    )
+    gained = climbed.solution.objective - plain.solution.objective
+    assert climbed.solution.converged
+    assert gained > 100
+    assert tests["modes_16_21"].gain == pytest.approx(gained, rel=0.2)
+    std = np.sqrt(np.diag(climbed.covariance))
+    true = np.array([*TRUTH.waves, *HIGHER])
+    assert np.abs((climbed.solution.state.waves - true) / std).max() < 3.5
+    # seven further modes, which are not there: 2 gain is chi-squared of 7
+    further = tests["modes_22_28"].gain - tests["modes_16_21"].gain
+    assert 0 < further < 0.1 * gained
+
+
+def test_a_lens_without_higher_modes_shows_none() -> None:
+    names = ["modes_16_21", "modes_22_28", "modes_29_36"]
+    tests = score_tests(fitted(problem()).expansion, names, 0.03)
+    for numbers, name in zip((6, 13, 21), names, strict=True):
+        assert tests[name].slope.shape == (numbers,)
+        assert tests[name].gain < chance_gain(numbers)
+
+
+def test_the_twin_shows_the_even_modes_with_the_other_sign() -> None:
+    expansion = fitted(higher_problem(HIGHER)).expansion
+    tests = score_tests(expansion, ["veil", "modes_16_21", "modes_22_28"], 0.03)
+    twin = twin_scores(tests)
+    np.testing.assert_array_equal(twin["veil"].slope, tests["veil"].slope)
+    odd, even = np.split(twin["modes_22_28"].slope, [6])
+    np.testing.assert_array_equal(odd, tests["modes_22_28"].slope[:6])
+    np.testing.assert_array_equal(even, -tests["modes_22_28"].slope[6:])
+    for name, test in twin.items():
+        assert test.gain == pytest.approx(tests[name].gain, rel=1e-9)
