@@ -53,7 +53,6 @@ order = 5
 size_mm = 46.8         # side of the whole carpet
 
 [fit]
-zernike_noll = [4, 15] # first and last mode
 range_std_mm = 0.0015  # standard error of a range: the rail's encoder counts in 0.005 mm
 
 [camera]

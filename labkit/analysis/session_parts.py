@@ -22,7 +22,6 @@ from labkit.finding import Finding
 from labkit.findings import found
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.optics import ESTIMATED
-from labkit.mode_groups import GROUPS
 from labkit.optics.metrics import psf_difference, rms
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import twin_signs
@@ -111,29 +110,19 @@ def part_findings(
 
 
 def higher_modes(wavefronts: Sequence[Wavefront], plan: Plan) -> Iterator[Finding]:
-    """Report the groups of modes that were added, with their RMS in the wavefront that determines them best."""
+    """Report the modes that were added to the plan's, with their RMS in the wavefront that determines them best."""
     best = min(wavefronts, key=lambda w: float(np.sum(w.std)))
     added = [j for j in best.noll if j not in plan.fit.noll]
-    if not added:
-        return
-
-    def held(modes: Collection[int]) -> Uncertain:
-        return rms(best.fitted, without=[j for j in best.noll if j not in modes])
-
-    whole = held(added)
-    yield found(
-        "higher-modes-found",
-        None,
-        {"waves_words": str(whole)},
-        first_noll=min(added),
-        last_noll=max(added),
-        waves_rms=whole.as_json(),
-        groups={
-            name: held(group.noll).as_json()
-            for name, group in GROUPS.items()
-            if group.last in added
-        },
-    )
+    if added:
+        whole = rms(best.fitted, without=plan.fit.noll)
+        yield found(
+            "higher-modes-found",
+            None,
+            {"waves_words": str(whole)},
+            first_noll=min(added),
+            last_noll=max(added),
+            waves_rms=whole.as_json(),
+        )
 
 
 def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Moves:

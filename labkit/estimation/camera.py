@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
+from itertools import chain
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -49,17 +50,21 @@ def chance_gain(numbers: int) -> float:
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:
-    """Sum the score tests of a session, by name of the part.
+    """Sum the score tests of a session, by name of the part or group of modes.
 
     Parameters
     ----------
-    fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test.
+    fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test. Modes are
+        summed over the fits that were tested for them, parts only if all fits were.
     """
+    tests = [one.scores for _, one in fits]
     names = [
-        name for name in fits[0][1].scores if all(name in one.scores for _, one in fits)
+        name
+        for name in dict.fromkeys(chain(*tests))
+        if name in GROUPS or all(name in of for of in tests)
     ]
     whole = {
-        name: reduce(ScoreTest.__add__, (one.scores[name] for _, one in fits))
+        name: reduce(ScoreTest.__add__, (of[name] for of in tests if name in of))
         for name in names
     }
     for name in [name for name in names if name in KNOWN and KNOWN[name].per_channel]:
@@ -69,11 +74,11 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
             by_channel[channel] = (
                 by_channel[channel] + test if channel in by_channel else test
             )
-        tests = list(by_channel.values())
+        apart = list(by_channel.values())
         whole[name] = ScoreTest(
-            np.concatenate([c.slope for c in tests]),
-            block_diag(*(c.information for c in tests)),
-            tests[0].one_sided,
+            np.concatenate([c.slope for c in apart]),
+            block_diag(*(c.information for c in apart)),
+            apart[0].one_sided,
         )
     return whole
 

@@ -181,6 +181,7 @@ class Guesses:
     deep : whether to search on if the first optima are not explained
     alone : whether there are no frames at other ranges to reveal a wrong optimum
     score : parts and groups of modes to test for, which the model lacks
+    score_unexplained : what to test for besides if the residuals are not explained
     patience_s : processor time after which no start is made
     most_starts : largest number of starts
     """
@@ -193,6 +194,7 @@ class Guesses:
     deep: bool = True
     alone: bool = True
     score: tuple[str, ...] = ()
+    score_unexplained: tuple[str, ...] = ()
     patience_s: float = np.inf
     most_starts: int = SETTINGS.most_starts
 
@@ -241,9 +243,11 @@ def find_optima(
         ):
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
-    if guesses.score:
-        lacking = score_tests(expansion, guesses.score, guesses.f_number_std)
-        optima[0] = replace(optima[0], scores=lacking)
+    names = guesses.score
+    if not optima[0].verdict.accepted:
+        names += guesses.score_unexplained
+    tests = score_tests(expansion, names, guesses.f_number_std)
+    optima[0] = replace(optima[0], scores=tests)
     return Found(
         tuple(optima),
         log.starts,

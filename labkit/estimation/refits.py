@@ -73,6 +73,12 @@ class Refits:
 
 
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
-    """Return a guess that requests score tests for all that the optics lack and the plan leaves open."""
-    modes = [n for n in plan.fit.mode_groups if GROUPS[n].last not in optics.noll]
-    return replace(guess, score=(*optics.lacking, *modes))
+    """Return a guess that requests score tests for all that the optics lack and the plan leaves open.
+
+    Tests for modes take longer than those for parts. Predicted fits are tested for modes only if they are not explained.
+    """
+    modes = tuple(n for n in plan.fit.mode_groups if GROUPS[n].last not in optics.noll)
+    parts = tuple(optics.lacking)
+    if guess.starts or guess.modes:
+        return replace(guess, score=parts, score_unexplained=modes)
+    return replace(guess, score=(*parts, *modes))

@@ -13,7 +13,7 @@ import numpy as np
 from labkit.arrays import positive
 from labkit.optics.psf import Pupil
 from labkit.optics.wavefront import FittedWavefront, modes_at
-from labkit.optics.zernike import nm_to_noll
+from labkit.optics.zernike import nm_to_noll, noll_to_nm
 from labkit.types import Bools, Floats
 from labkit.uncertain import Uncertain
 
@@ -139,6 +139,17 @@ def opd_map(
 def rms(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
     """RMS of the path difference about its mean. without: Noll modes to leave out; the errors are as `magnitude`'s."""
     return magnitude(wavefront.without({1, *without}))
+
+
+def rms_by_order(wavefront: FittedWavefront) -> dict[int, Uncertain]:
+    """RMS of the modes of each radial order, waves at the reference wavelength, by order; the errors are as `magnitude`'s."""
+    orders = sorted({noll_to_nm(j)[0] for j in wavefront.noll})
+    return {
+        order: rms(
+            wavefront, without=[j for j in wavefront.noll if noll_to_nm(j)[0] != order]
+        )
+        for order in orders
+    }
 
 
 def magnitude(wavefront: FittedWavefront) -> Uncertain:

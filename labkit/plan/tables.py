@@ -275,9 +275,9 @@ class FitSettings(Table):
     zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] | None = None
     """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the radial orders beyond
     that the photographs show."""
-    most_noll: Annotated[
-        Count, AfterValidator(Allowed(USUAL_NOLL[1], 45, whole=True))
-    ] = MOST_NOLL
+    most_noll: Annotated[Count, AfterValidator(Allowed(USUAL_NOLL[1], 45, whole=True))] = (
+        MOST_NOLL
+    )
     """Last mode that may be added where `zernike_noll` is not stated."""
     reference_wavelength_nm: (
         Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None

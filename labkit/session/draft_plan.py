@@ -89,7 +89,6 @@ def _tables(exif: Exif, photograph: _Photograph) -> list[tuple[str, list[Row]]]:
         ("[sensor]", [*_sensor(exif, photograph)]),
         *(("[[channel]]", [*_channel(name)]) for name in photograph.colours or ("",)),
         ("[target]", [*_target()]),
-        ("[fit]", [("zernike_noll", "[4, 15]", "first and last mode")]),
     ]
 
 

@@ -17,6 +17,7 @@ from tests.golden.measure import import_and_fit, resampled
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
 NAMES = {
     "golden_bench": "bench-open",
+    "golden_beyond": "beyond-open",
     "golden_dslr": "dslr2-open",
     "golden_engraved": "engraved2-open",
     "golden_messy": "messy-open",
@@ -150,7 +151,7 @@ def test_the_lens_is_right(golden: Golden) -> None:
     assert abs(lens["range_zero_mm"]["value"]) < lens["range_zero_mm"]["std"]
 
 
-@of("golden_bench", "golden_engraved", "golden_messy")
+@of("golden_bench", "golden_beyond", "golden_engraved", "golden_messy")
 def test_no_part_of_the_camera_is_invented(golden: Golden) -> None:
     assert golden.measured["model_parts"] == {}
 
@@ -194,7 +195,7 @@ def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(
     )  # standard errors: 0.0014 measured; 0.7 by fits expanded where each ended
 
 
-@of("golden_bench", "golden_dslr", "golden_engraved")
+@of("golden_bench", "golden_beyond", "golden_dslr", "golden_engraved")
 def test_the_model_explains_the_frames(golden: Golden) -> None:
     assert all(fit["model"]["accepted"] for fit in golden.measured["wavefronts"])
     codes = {finding["code"] for finding in golden.measured["findings"]}
@@ -223,7 +224,7 @@ def test_a_model_that_is_poor_for_all_is_one_finding(golden: Golden) -> None:
     assert not {"model-incomplete", "chi2-unusual"} & set(codes)
 
 
-@of("golden_bench", "golden_dslr", "golden_engraved")
+@of("golden_bench", "golden_beyond", "golden_dslr", "golden_engraved")
 def test_noise_is_right(golden: Golden) -> None:
     for fit in golden.measured["wavefronts"]:
         assert abs(fit["chi2_per_pixel"] - 1) < limit(golden.claim, "chi2")
@@ -236,3 +237,18 @@ def test_noise_is_right(golden: Golden) -> None:
         assert fit["read_noise"] == pytest.approx(
             read_noise, rel=limit(golden.claim, "read_noise_relative")
         )
+
+
+@of("golden_beyond")
+def test_as_many_modes_are_fitted_as_the_photographs_show(golden: Golden) -> None:
+    modes = golden.measured["lens"]["modes"]
+    assert modes["noll"] == [4, 36]
+    (true, *_) = (frame["alpha"] for frame in golden.truth["frames"])
+    for entry in modes["orders"]:
+        order = entry["order"]
+        group = (order * (order + 1) // 2 + 1, (order + 1) * (order + 2) // 2)
+        rms = np.sqrt(sum(v**2 for j, v in true.items() if group[0] <= int(j) <= group[1]))
+        assert abs(entry["waves_rms"]["value"] - rms) < 0.001
+    assert [entry["order"] for entry in modes["orders"]] == [5, 6, 7]
+    codes = [finding["code"] for finding in golden.measured["findings"]]
+    assert codes.count("higher-modes-found") == 1

@@ -103,7 +103,6 @@ SAMPLES = [
         first_noll=16,
         last_noll=36,
         waves_rms={"value": 0.035, "std": 0.0002},
-        groups={},
     ),
     camera_parts_missing(["veil"], MOVES),
     stated_model_moves(MOVES, 0, 4),

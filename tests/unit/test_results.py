@@ -205,7 +205,8 @@ def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
     assert entry["schema"] == 3
     for part in ("optimum", "model") if contract["schema"] >= 2 else ():
         assert contract["wavefronts"][0][part].keys() <= written[part].keys()
-    assert entry["lens"].keys() == CONTRACT_2["lens"].keys()
+    assert entry["lens"].keys() == {*CONTRACT_2["lens"], "modes"}
+    assert entry["lens"]["modes"] == {"orders": [], "noll": [4, 8]}
     assert written["optimum"]["accepted"] == written["global_test"]["accepted"]
 
 
