@@ -42,7 +42,6 @@ WORDS = {
     "target.diameter_mm": "Diameter of a disk, mm",
     "target.size_mm": "Side of the whole target, mm",
     "target.surround": "What lies around the target: black, white or unknown",
-    "fit.zernike_noll": "First and last Zernike mode, by Noll",
     "camera.address": "Camera: gphoto2: for the one on USB (labkit devices lists all), gphoto2:ptpip:ADDRESS on a network",
     "camera.exposure_s": "Exposure, s (1/50 is fine)",
     "camera.iso": "ISO",

@@ -129,8 +129,8 @@ def test_parts_that_some_fits_were_not_asked_about_are_not_summed() -> None:
 
 
 def test_modes_are_summed_over_the_fits_that_were_tested_for_them() -> None:
-    with_modes = with_scores(veil=4.0, modes_16_21=9.0)
-    tests = summed_score_tests([("G", with_scores(veil=2.0)), ("G", with_modes)])
+    with_modes = with_scores(veil=3.0, modes_16_21=9.0)
+    tests = summed_score_tests([("G", with_scores(veil=3.0)), ("G", with_modes)])
     assert {name: test.gain for name, test in tests.items()} == pytest.approx(
         {"veil": 6.0, "modes_16_21": 9.0}
     )

@@ -81,7 +81,7 @@ def test_nothing_is_invented_for_an_empty_answer(
 def test_units_may_be_typed(
     focal: str, stop: str, pitch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = ["", focal, stop, pitch, "605 nm", "", "", *TARGET, "", "", ""]
+    answers = ["", focal, stop, pitch, "605 nm", "", "", *TARGET, "", ""]
     assert asked(answers, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
     stated = plan.lens.focal_length_mm, plan.lens.f_number, plan.sensor.pixel_pitch_um
@@ -100,7 +100,6 @@ def test_answers_are_read_as_people_write_them(
         "4",
         "15.6",
         "white",
-        "",
         "yes",
         *camera,
         *rail,
@@ -126,7 +125,7 @@ def test_what_a_target_needs_is_asked_for(
 ) -> None:
     assert (
         asked(
-            ["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", "4, 11", ""],
+            ["no", "50", "2", "6", "550", "disks", "3, 4", "1.5", "80", "", ""],
             tmp_path,
             monkeypatch,
         )
@@ -149,15 +148,15 @@ def test_what_a_target_needs_is_asked_for(
         ([*BEFORE_TARGET, "image", "no.pgm"], "no.pgm"),
         ([*BEFORE_TARGET, "", "9"], "target.order = 9: allowed is a whole number, 1 to 8"),
         (
-            [*BEFORE_TARGET, *TARGET, "", "", "yes", "usb:1"],
+            [*BEFORE_TARGET, *TARGET, "", "yes", "usb:1"],
             "camera.address = 'usb:1': allowed is one of gphoto2:",
         ),
         (
-            [*BEFORE_TARGET, *TARGET, "", "", "yes", *[""] * 7, "40"],
+            [*BEFORE_TARGET, *TARGET, "", "yes", *[""] * 7, "40"],
             "rail.ranges_mm has 40 mm: allowed is more than the focal",
         ),
         (
-            [*BEFORE_TARGET, *TARGET, "", "", "yes", *[""] * 8, "2950", "", "", "iphone"],
+            [*BEFORE_TARGET, *TARGET, "", "yes", *[""] * 8, "2950", "", "", "iphone"],
             'display.panel = "iphone": known are',
         ),
         (["yes", "70"], "the input ended at the question: f-number"),
