@@ -112,10 +112,14 @@ TEXTS = {
         "these ranges do not determine the pupil magnification: its standard error is {pupil_magnification_std:.3f}; "
         "ranges near the closest focus would, or a focal length and a tape known better"
     ),
+    "plan-contradicted": (
+        "the photographs contradict the plan: they agree with {key} = {agreed} in place of {stated:g}, which the results "
+        "assume; check it first, then, the likeliest first, {others}; correct the plan and fit again"
+    ),
     "cones-contradict-one-lens": (
         "cone and sizes do not follow from one lens that is focused as a whole (the cone is {cone_relative_error:+.1%} off): "
-        "they were not used for focal length, f-number and pupil magnification; are wavelengths, pixel pitch and target size "
-        "right?"
+        "they were not used for focal length, f-number and pupil magnification; are channel.wavelength_nm, "
+        "sensor.pixel_pitch_um, target.size_mm and lens.f_number right?"
     ),
     "modes-differ-between-ranges": (
         "the modes differ from range to range beyond their errors: they were estimated for each range"

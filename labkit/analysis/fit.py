@@ -12,6 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.observe import observe
+from labkit.analysis.plan_doubts import plan_findings
 from labkit.analysis.session_parts import camera_findings, higher_modes, model_parts
 from labkit.analysis.session_results import (
     as_focus,
@@ -31,6 +32,7 @@ from labkit.estimation.findings import (
 )
 from labkit.estimation.joint import refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
+from labkit.estimation.mistakes import with_doubts
 from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
@@ -278,6 +280,8 @@ def _results(
     wanted: bool,
 ) -> Results:
     """Make results of all or some of a session's fits. wanted: whether the fits should determine best focus."""
+    if fits.lens is not None:
+        fits = replace(fits, lens=with_doubts(fits.lens))
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     findings = [
@@ -285,6 +289,7 @@ def _results(
         *(found("fit-left-out", note=words) for words in fits.lost),
         *higher_modes(wavefronts, plan),
         *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
+        *plan_findings(fits.lens, plan),
         *session_findings(fits, patience_s),
         *_doubts(wavefronts),
     ]

@@ -13,6 +13,7 @@ from labkit.estimation.columns import (
     FOCAL_LENGTH,
     MAGNIFICATION,
     RANGE_ZERO,
+    WAVELENGTH,
 )
 from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
@@ -115,6 +116,7 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     pull[[at, -2]] = um, um * waves[at]
     return replace(
         w,
+        wavelength_nm=_light_nm(w, lens),
         spectrum=optics.with_camera_parameters(np.array(parameters)).light,
         waves=waves,
         covariance=covariance[:modes, :modes],
@@ -122,6 +124,14 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
         f_number_std=f_number * float(np.sqrt(covariance[-2, -2])),
         blur=Uncertain(um * waves[at], float(np.sqrt(pull @ covariance @ pull)), "um"),
     )
+
+
+def _light_nm(w: Wavefront, lens: LensFit) -> float:
+    """Return the wavelength of a channel: as stated, or as estimated if the stated wavelength is a mistake."""
+    column = (WAVELENGTH, (w.channel,))
+    if column != lens.model.laws.mistaken:
+        return w.wavelength_nm
+    return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, w.channel)))
 
 
 def as_focus(lens: LensFit) -> Focus | None:

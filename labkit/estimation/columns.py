@@ -13,6 +13,7 @@ RANGE_ZERO = "tape"  # a key of results.json, where a joint climb is compared
 HOMING = "homing"
 STEPS = "steps"
 SIZE = "target size"
+PITCH = "pixel pitch"
 CONE = "cone"
 FOCUS = "best focus"
 AXIAL_COLOUR = "axial colour"
@@ -22,11 +23,13 @@ PART = "part"
 COMMON_MODE = "common mode"
 MODE = "mode"
 
-GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE)
+GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE, PITCH)
 OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
 """Columns that are unknown before the session: their prior is not a measurement."""
 
 Name = tuple[str | float, ...]
+Place = tuple[str, Name]
+"""Kind and name of a column."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.imaging.optics import OPTIONAL
+from labkit.imaging.parts import Diffusion, LowPass
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain
@@ -17,6 +18,10 @@ CONFIRMED_BY = {
     "parts": "a fit with more parts of the camera confirms",
 }
 """How an optimum was confirmed, by the name of its test; any other test is the session's."""
+
+
+LIKE_PIXELS = (LowPass.name, Diffusion.name)
+"""Parts whose blur is like that of a larger pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +119,7 @@ def camera_part_found(
     words = ", ".join(
         f"{name} {value}" for name, value in plain.items() if name != "spread"
     )
+    words += "; a wrong sensor.fill_factor looks alike" if part in LIKE_PIXELS else ""
     return found(
         "camera-part-found",
         None,

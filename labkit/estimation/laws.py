@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labkit.estimation.columns import Place
 from labkit.estimation.settings import SETTINGS
 
 
@@ -21,6 +22,7 @@ class Laws:
     cone_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
     cone_scatter : relative, of each observation's working f-number
     size_scatter : relative, of each observation's size
+    mistaken : column whose stated number is a mistake
     """
 
     mode_scatter: float = 0.0
@@ -28,6 +30,7 @@ class Laws:
     cone_std: float = 0.0
     cone_scatter: float = 0.0
     size_scatter: float = SETTINGS.size_floor
+    mistaken: Place | None = None
 
     @property
     def paraxial(self) -> bool:

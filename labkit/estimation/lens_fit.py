@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,6 +51,7 @@ class LensFit:
     solved : the least-squares solution
     bias : change of the estimate due to camera parts that the model of the frames lacks; None if no part is missing
     bias_chi2 : change of chi2 due to the missing parts
+    others : probabilities and estimates of other models of the plan: numbers that may be mistaken
     """
 
     model: LensModel
@@ -57,6 +59,7 @@ class LensFit:
     solved: LeastSquares
     bias: Point | None = None
     bias_chi2: float = 0.0
+    others: tuple[tuple[float, LensFit], ...] = ()
 
     @property
     def theta(self) -> Floats:
@@ -114,11 +117,30 @@ class LensFit:
             @ combinations.T
             * self.birge_ratio**2
         )
+        noise = self._mixed(noise, combinations, lambda lens, of: lens.errors_of(of))
         return (
             noise
             if self.bias is None
             else covariance_with_bias(noise, combinations @ self.bias.theta)
         )
+
+    def _mixed(
+        self, noise: Floats, of: Floats, covariance: Callable[[LensFit, Floats], Floats]
+    ) -> Floats:
+        """Return the covariance over all models of linear combinations (m, columns).
+
+        Parameters
+        ----------
+        noise : (m, m) covariance under this model
+        of : (m, columns)
+        covariance : returns the covariance (m, m) under another model
+        """
+        mixed = (1 - sum(probability for probability, _ in self.others)) * noise
+        for probability, lens in self.others:
+            there = _sized(of, len(lens.theta))
+            moved = there @ lens.theta - of @ self.theta
+            mixed = mixed + probability * (covariance(lens, there) + np.outer(moved, moved))
+        return mixed
 
     def value(self, kind: str, *name: str | float) -> float:
         """Return the estimate of a column."""
@@ -187,12 +209,14 @@ class LensFit:
 
         Returns
         -------
-        (values,) in light of the stated wavelength, and their covariance (values, values)
+        (values,) for the estimated wavelengths and pitch, see `LensModel.true`, and their covariance (values, values)
         """
         model, point = self.model, self.solved.point
-        slopes = model.in_stated_light(self.solved.slopes)[k : k + 1]
+        slopes = model.true_slopes(self.solved.slopes)[k : k + 1]
         value = model.true(point.theta, point.own)[k]
         whole = self._at(k, slopes)
+        if not model.laws.paraxial:
+            whole = covariance_with_bias(whole, self._by_cone(value))
         if model.laws.shared:
             return value, whole
         scatter = np.zeros(model.values)
@@ -204,6 +228,14 @@ class LensFit:
         value = value + pull @ (self.measured.values[k] - self.solved.predicted[k])
         return value, left @ whole @ left.T + left @ np.diag(scatter)
 
+    def _by_cone(self, value: Floats) -> Floats:
+        """Return the change of values (values,) if all cones are off because all wavelengths are: see `LensModel.predicted`."""
+        modes = len(self.model.noll)
+        change = np.zeros(len(value))
+        change[:modes] = -value[:modes]
+        change[-2] = 1.0
+        return change * self.value(CONE)
+
     def _at(self, k: int, slopes: Floats) -> Floats:
         """Return the covariance (values, values) of a prediction of observation k with derivatives (1, values, columns)."""
         normal, own = self.solved.normal, self.solved.own_slopes[k]
@@ -214,6 +246,7 @@ class LensFit:
             + own @ normal.own_covariance[group] @ own.T
         )
         noise = noise * self.birge_ratio**2
+        noise = self._mixed(noise, slopes[0], lambda lens, of: lens._at(k, of[None]))
         if self.bias is None:
             return np.asarray(noise)
         return covariance_with_bias(
@@ -265,6 +298,14 @@ class LensFit:
         return -0.5 * (
             self.chi2 + log_noise + self.solved.normal.log_determinant()
         ) - float(prior)
+
+
+def _sized(rows: Floats, columns: int) -> Floats:
+    """Return rows (m, any) with fewer columns, or with further columns of 0: a mistaken pitch is a column of its own."""
+    sized = np.zeros((len(rows), columns))
+    shared = min(columns, rows.shape[1])
+    sized[:, :shared] = rows[:, :shared]
+    return sized
 
 
 def fit_lens(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
 
@@ -29,6 +29,7 @@ from labkit.estimation.columns import (
     MAGNIFICATION,
     MODE,
     PART,
+    PITCH,
     RANGE_ZERO,
     SIZE,
     STEPS,
@@ -146,7 +147,7 @@ class LensModel:
     @cached_property
     def columns(self) -> tuple[Column, ...]:
         """Parameters of the whole session."""
-        return tuple(self._columns())
+        return tuple(self._widened(column) for column in self._columns())
 
     @cached_property
     def local_columns(self) -> tuple[Column, ...]:
@@ -200,7 +201,7 @@ class LensModel:
         low = np.full(len(self.columns), -np.inf)
         high = np.full(len(self.columns), np.inf)
         for at in (self.index(FOCAL_LENGTH), self.index(F_NUMBER)):
-            low[at], high[at] = 0.5 * self.centre[at], 2 * self.centre[at]
+            low[at], high[at] = 0.25 * self.centre[at], 4 * self.centre[at]
         at = self.index(MAGNIFICATION)
         low[at], high[at] = np.log(SETTINGS.magnification_bounds)
         low[self.index(FOCUS)] = 1.05 * self.centre[self.index(FOCAL_LENGTH)]
@@ -223,7 +224,10 @@ class LensModel:
         return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
 
     def true(self, theta: Floats, local: Floats) -> Floats:
-        """Return values (n, values) in light of the stated wavelength. theta: (columns,); local: (groups, local columns)."""
+        """Return values (n, values) for theta (columns,) and local (groups, local columns).
+
+        Errors of stated wavelengths and of the stated pixel pitch change what is measured, not these values.
+        """
         layout = self._layout
         own = local[self.groups]
         true = layout.linear @ theta + np.einsum("nvl,nl->nv", layout.local, own)
@@ -234,10 +238,16 @@ class LensModel:
         """Predict the measurements (n, values), for parameters as in `true`.
 
         Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
-        ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink.
+        ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink. If the
+        stated pitch is too large, so are N and the scale, by the same ratio.
         """
-        true = self.true(theta, local)
-        return np.asarray(true + self._by_wavelength(true) * theta[self._wavelengths, None])
+        seen = self.true(theta, local)
+        longer = theta[self._wavelengths]
+        seen[:, : len(self.noll)] *= np.exp(-longer)[:, None]
+        seen[:, -2] += longer
+        if self._pitch_mistaken:
+            seen[:, -2:] += theta[-1]
+        return seen
 
     def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
         """Return derivatives of `predicted`: (n, values, columns), and (n, values, local columns)."""
@@ -249,18 +259,25 @@ class LensModel:
         own[:, self._law_rows] += np.einsum(
             "lan,anc->nlc", by_argument, layout.local_arguments
         )
-        shrunk = 1 - theta[self._wavelengths, None, None]
+        shrunk = np.exp(-theta[self._wavelengths, None, None])
         modes = slice(0, len(self.noll))
         whole[:, modes] *= shrunk
         own[:, modes] *= shrunk
         n = np.arange(len(self.readings))
-        whole[n, :, self._wavelengths] = self._by_wavelength(self.true(theta, local))
+        if self._pitch_mistaken:
+            whole[:, -2:, -1] = 1.0
+        by_wavelength = np.zeros((len(n), self.values))
+        by_wavelength[:, modes] = -self.predicted(theta, local)[:, modes]
+        by_wavelength[:, -2] = 1.0
+        whole[n, :, self._wavelengths] = by_wavelength
         return whole, own
 
-    def in_stated_light(self, slopes: Floats) -> Floats:
-        """Return slopes (n, values, columns) without the derivatives by the wavelengths: slopes of `true`."""
+    def true_slopes(self, slopes: Floats) -> Floats:
+        """Return slopes (n, values, columns) of `true` from those of `predicted`."""
         slopes = slopes.copy()
         slopes[np.arange(len(slopes)), :, self._wavelengths] = 0.0
+        if self._pitch_mistaken:
+            slopes[:, :, -1] = 0.0
         return slopes
 
     @property
@@ -279,12 +296,21 @@ class LensModel:
             [self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp
         )
 
-    def _by_wavelength(self, true: Floats) -> Floats:
-        """Return derivatives (n, values) by the relative error of the light's wavelength."""
-        slope = np.zeros_like(true)
-        slope[:, : len(self.noll)] = -true[:, : len(self.noll)]
-        slope[:, -2] = 1.0
-        return slope
+    @property
+    def _pitch_mistaken(self) -> bool:
+        """Whether the pitch is a parameter: the last column. A stated pitch that is no mistake is exact."""
+        return self.laws.mistaken == (PITCH, ())
+
+    def _widened(self, column: Column) -> Column:
+        """Return the column, with the error of a mistake if the laws call its number mistaken."""
+        if (column.kind, column.name) != self.laws.mistaken:
+            return column
+        unit = {
+            FOCAL_LENGTH: column.value,
+            F_NUMBER: column.value,
+            RANGE_ZERO: max(reading.range_mm for reading in self.readings),
+        }
+        return replace(column, std=SETTINGS.mistake * unit.get(column.kind, 1.0))
 
     def _columns(self) -> Iterator[Column]:
         stated = self.stated
@@ -315,6 +341,8 @@ class LensModel:
         for name in dict.fromkeys(names):
             yield Column(PART, name, 0.0, SETTINGS.unknown, 1e-3)
         yield from () if self.tiled else self._mode_columns()
+        if self._pitch_mistaken:  # last, so that the other columns keep their places
+            yield Column(PITCH, (), 0.0, 0.0, 1e-4)
 
     def _mode_columns(self) -> Iterator[Column]:
         for j in self._upper_modes:

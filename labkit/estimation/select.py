@@ -23,6 +23,7 @@ from labkit.estimation.lens_fit import (
     focus_slope,
 )
 from labkit.estimation.lens_model import LensModel
+from labkit.estimation.mistakes import possible_mistakes, with_mistakes
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.key import Key
@@ -150,11 +151,16 @@ class _Choices:
         return lens, gained - 0.5 * lens.chi2 - float(self.options.cost[left_out].sum())
 
     def occam(self, choice: Indices, members: Bools) -> float:
-        """Return the Occam factor: log-likelihood that members lose because the laws are looser than the strictest."""
+        """Return the Occam factor: log-likelihood that members lose because the laws are looser than the strictest.
+
+        The rarity of mistakes is included.
+        """
         noise = self.options.covariance[np.flatnonzero(members), choice[members]]
         strict = replace(self.model, laws=Laws().rough()).scatter()
         spread = np.linalg.slogdet(noise + np.diag(self.model.scatter()))[1]
-        return 0.5 * float(np.sum(spread - np.linalg.slogdet(noise + np.diag(strict))[1]))
+        scattered = float(np.sum(spread - np.linalg.slogdet(noise + np.diag(strict))[1]))
+        rare = -np.log(SETTINGS.mistake_odds) if self.model.laws.mistaken else 0.0
+        return 0.5 * scattered + float(rare)
 
     def ascend(
         self, choice: Indices, members: Bools, start: Point | None = None
@@ -259,7 +265,8 @@ def select(
     ends = [(strict, *strict.ascend(*start))]
     left_out = options.fitted & ~ends[0][2]
     if np.count_nonzero(left_out) > SETTINGS.few * np.count_nonzero(options.fitted):
-        for laws in _looser(observed):
+        mistakes = possible_mistakes(model.channels)
+        for laws in [*_looser(observed), *(Laws(mistaken=one) for one in mistakes)]:
             one = replace(strict, model=replace(model, laws=laws.rough()))
             ends.append((one, *one.ascend(*start)))
     choices, choice, members, _, value = max(
@@ -309,7 +316,10 @@ def exact_lens(
         fit_lens(replace(model, laws=one), measured, lens.solved.point)
         for one in Laws.looser()
     ]
-    return max([lens, *fits], key=lambda fit: fit.log_evidence)
+    likeliest = max([lens, *fits], key=lambda fit: fit.log_evidence)
+    mistaken = max(with_mistakes(lens), key=lambda fit: fit.log_evidence)
+    gain = mistaken.log_evidence - likeliest.log_evidence
+    return mistaken if gain > -np.log(SETTINGS.mistake_odds) else likeliest
 
 
 def _measurements(

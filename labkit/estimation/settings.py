@@ -79,6 +79,13 @@ class Settings:
     """Standard error above which a combination of modes (waves), or the variance of the noise (relative), is undetermined."""
 
     # lens_model: what is known of every lens, camera and rail before a session
+    mistake: float = 0.1
+    """Relative standard error of a stated number that is a mistake. Larger mistakes are plain whatever is expected of them."""
+    mistake_odds: float = 0.1
+    """Odds, before any photograph, that a stated number is a mistake. With lower odds a pitch that is 5 % off at close range,
+    which photographs hardly tell, would be more than four errors away."""
+    mistake_sure: float = 0.9
+    """Probability above which the results assume a mistake and report it; below, only the errors allow for it."""
     magnification_bounds: tuple[float, float] = (0.05, 20.0)
     """Bounds of the pupil magnification: no lens is outside."""
     defocus_floor_waves: float = 2e-4

@@ -191,6 +191,8 @@ def _checks(m: Results) -> list[dict[str, Any]]:
         rest = np.array([r for values in m.focus.residual_waves.values() for r in values])
         text = f"focus fit leaves {fixed(1e3 * float(np.sqrt(np.mean(rest**2))), 1)} milliwaves RMS"
         checks.append({"good": True, "text": text})
+    told = [f.text for f in m.findings if f.code in CONTRADICTIONS]
+    checks += [{"good": False, "text": text} for text in told]
     return [*checks, *_joint_check(m)]
 
 
@@ -208,6 +210,13 @@ def _no_sign(count: int) -> str:
 
 
 CHI2_USUAL = (0.9, 1.5)
+
+CONTRADICTIONS = (
+    "plan-contradicted",
+    "cones-contradict-one-lens",
+    "pupil-magnification-at-bound",
+)
+"""Codes of findings that doubt what the plan states."""
 
 
 def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+import labkit
 from benchmarks.claims import CLAIMS, limit
 from labkit.cli import run
 from labkit.plan import Plan
@@ -26,6 +27,7 @@ from labkit.types import Floats
 from tests.golden.measure import errors, import_and_fit
 from tests.golden.simulate import (
     ACTIVE,
+    COLOURS,
     ENGRAVED,
     FINER,
     ORDER,
@@ -146,6 +148,27 @@ def test_a_climb_over_all_frames_at_once_finds_what_two_levels_did(engraved: Pat
     ]
     assert len(joint) > 20
     assert max(joint.values()) < 0.04  # standard errors: 0.021 measured
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_wrong_wavelength_is_named_and_costs_no_accuracy(engraved: Path) -> None:
+    session = engraved / "session"
+    plan = Plan.load(session / "plan.toml")
+    stated = [{"name": "G", "wavelength_nm": 450.0}]
+    results = labkit.fit(
+        session, plan=plan.replace(channel=stated), channels="G", workers=1, name="450"
+    )
+    (finding,) = (f for f in results.findings if f.code == "plan-contradicted")
+    numbers: dict[str, Any] = finding.as_json()["numbers"]  # type: ignore[assignment]
+    assert abs(numbers["agrees"]["value"] - COLOURS["G"]) < 4  # 0.7 % of it
+    assert numbers["key"] == "channel.wavelength_nm of G"
+    for key in ("sensor.pixel_pitch_um", "target.size_mm", "lens.f_number"):
+        assert key in finding.text
+    true = json.loads((engraved / "truth.json").read_text())["wavefronts"]
+    waves = {one["range_mm"]: one["waves"] for one in true if one["channel"] == "G"}
+    z = [(w.waves - waves[w.range_mm]) / w.std for w in results]
+    assert np.abs(z).max() < 4
 
 
 @pytest.mark.parametrize(

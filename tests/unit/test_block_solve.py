@@ -118,7 +118,8 @@ def test_covariances_are_those_of_the_dense_equations(tiles: Tiles) -> None:
         fit.solved.normal.covariance / unit[:common, :common]
         - (covariance / unit)[:common, :common]
     )
-    assert np.abs(off).max() < 1e-7
+    # the condition number of the tiles, 2e9, times the rounding of a number, 2e-16
+    assert np.abs(off).max() < 4e-7
     information = -np.linalg.slogdet(covariance / unit)[1] - 2 * np.log(std).sum()
     assert fit.solved.normal.log_determinant() == pytest.approx(information, rel=1e-9)
 

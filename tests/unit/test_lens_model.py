@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Reading
-from labkit.estimation.columns import FOCUS, LATERAL_COLOUR, WAVELENGTH
+from labkit.estimation.columns import FOCUS, LATERAL_COLOUR, PITCH, WAVELENGTH
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_model import LensModel
 from labkit.key import Key
@@ -68,8 +68,9 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
     )
     upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
     wavelength = at("wavelength", channel)
-    modes = [mode * (1 - wavelength) for mode in (waves, *upper)]
-    return np.array([*modes, cone + at("cone") + wavelength, scale])
+    modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
+    pitch = at("pixel pitch") if model.laws.mistaken else 0.0
+    return np.array([*modes, cone + at("cone") + wavelength + pitch, scale + pitch])
 
 
 def near_focus(model: LensModel) -> tuple[Floats, Floats]:
@@ -83,7 +84,14 @@ def near_focus(model: LensModel) -> tuple[Floats, Floats]:
     return theta, own
 
 
-@pytest.mark.parametrize("model", [sampled(), tiled()], ids=["frames", "tiles"])
+def of_another_pitch() -> LensModel:
+    """As `sampled`, with a pixel pitch that is a mistake."""
+    return replace(sampled(), laws=Laws(mistaken=(PITCH, ())))
+
+
+@pytest.mark.parametrize(
+    "model", [sampled(), tiled(), of_another_pitch()], ids=["frames", "tiles", "pitch"]
+)
 def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
     theta, own = near_focus(model)
     slopes, own_slopes = model.slopes(theta, own)
@@ -117,7 +125,7 @@ def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
     assert np.all(slopes[np.arange(9), 0, at] != 0)
     others = slopes.copy()
     others[np.arange(9), :, at] = 0.0
-    np.testing.assert_array_equal(model.in_stated_light(slopes), others)
+    np.testing.assert_array_equal(model.true_slopes(slopes), others)
 
 
 def test_sums_over_groups_are_those_of_each_channel_and_tile() -> None:

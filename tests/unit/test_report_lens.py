@@ -7,11 +7,14 @@ import pytest
 
 from labkit.optics.lens import ThinLens
 from labkit.report.budget_chart import budget_chart, variance_shares
+from labkit.report.contents import contents
 from labkit.report.focus_charts import defocus_chart, residual_chart
 from labkit.report.lens_table import budget_table, lens_table, working_f_number
+from labkit.report.photographs import Photographs
 from labkit.results import Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import BUDGET, LENS, a_wavefront, some_results
+from tests.unit.test_findings import SAMPLES
 
 
 def row(name: str) -> tuple[str, str]:
@@ -39,6 +42,16 @@ def test_what_is_measured_stands_beside_what_the_plan_states(
     name: str, measured: str, stated: str
 ) -> None:
     assert row(name) == (measured, stated)
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["plan-contradicted", "cones-contradict-one-lens", "pupil-magnification-at-bound"],
+)
+def test_what_contradicts_the_plan_is_a_red_check(code: str) -> None:
+    (finding,) = (one for one in SAMPLES if one.code == code)
+    page = contents(some_results(findings=(finding,)), [], Photographs(), set())
+    assert {"good": False, "text": finding.text} in page["checks"]
 
 
 def test_results_without_a_lens_have_no_rows() -> None:

@@ -1,0 +1,79 @@
+"""Mistakes in a plan: stated numbers that may be far off, and errors that allow for them.
+
+A mistake is a stated number that is wrong beyond its standard error: another stop, another colour, another target. The
+photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
+blur over range. So a mistake contradicts the other numbers. Each number that may be mistaken is a model of its own. The
+evidence of the models gives their probabilities, and the errors contain the spread among the models: J. A. Hoeting et al.,
+Stat. Sci. 14, 382 (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labkit.estimation.columns import (
+    F_NUMBER,
+    FOCAL_LENGTH,
+    PITCH,
+    RANGE_ZERO,
+    SIZE,
+    WAVELENGTH,
+    Place,
+)
+from labkit.estimation.lens_fit import LensFit, fit_lens
+from labkit.estimation.settings import SETTINGS
+
+
+def possible_mistakes(channels: Sequence[str]) -> Iterator[Place]:
+    """Yield the column of each number that may be a mistake."""
+    for kind in (F_NUMBER, FOCAL_LENGTH, SIZE, PITCH, RANGE_ZERO):
+        yield kind, ()
+    for channel in channels:
+        yield WAVELENGTH, (channel,)
+
+
+def with_mistakes(lens: LensFit) -> Iterator[LensFit]:
+    """Yield the estimate under each possible mistake, and otherwise the same laws."""
+    for column in possible_mistakes(lens.model.channels):
+        yield under(lens, column)
+
+
+def under(lens: LensFit, column: Place | None) -> LensFit:
+    """Return the estimate from the same measurements if the number of `column` is mistaken."""
+    laws = replace(lens.model.laws, mistaken=column)
+    if laws == lens.model.laws:
+        return lens
+    return fit_lens(replace(lens.model, laws=laws), lens.measured)
+
+
+def models(lens: LensFit) -> list[tuple[float, LensFit]]:
+    """Return probability and estimate of all models, with and without a mistake, the most probable first.
+
+    Differences of evidence are divided by the square of the Birge ratio: misfits of all models do not count as evidence.
+    """
+    plain = under(lens, None)
+    fits = [plain, *with_mistakes(plain)]
+    evidence = np.array([fit.log_evidence for fit in fits])
+    best = fits[int(np.argmax(evidence))]
+    weights = np.exp((evidence - evidence.max()) / best.birge_ratio**2)
+    weights[1:] *= SETTINGS.mistake_odds
+    found = zip((weights / weights.sum()).tolist(), fits, strict=True)
+    return sorted(found, key=lambda one: -one[0])
+
+
+def with_doubts(lens: LensFit) -> LensFit:
+    """Return the estimate with a mistake if one is nearly sure, else without, with errors that allow for all others.
+
+    The fits of a field's tiles keep the plan's numbers.
+    """
+    if lens.model.tiled:
+        return lens
+    every = models(lens)
+    (probability, likeliest), *_ = every
+    if probability < SETTINGS.mistake_sure:
+        (likeliest,) = (fit for _, fit in every if fit.model.laws.mistaken is None)
+    others = tuple(one for one in every if one[1] is not likeliest)
+    return replace(likeliest, others=others)
