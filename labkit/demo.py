@@ -27,6 +27,11 @@ PLAN = """\
 # A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.
 # For your own bench change the numbers and the three addresses; `labkit devices` says what is connected.
 
+[about]                # on the report's title and in print on every page; may be left out
+title = "A simulated lens"
+lens = "70 mm f/2.8"
+operator = "labkit demo"
+
 [lens]
 focal_length_mm = 70.0
 f_number = 2.8
@@ -185,7 +190,9 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
         compare(results, bench.truth),
         compare_wavefronts(results, bench.truth),
     )
-    return Comparison(tuple(compared), tuple(wavefronts), write_report(results))
+    with progress("reporting") as report:
+        made = write_report(results, progress=report)
+    return Comparison(tuple(compared), tuple(wavefronts), made)
 
 
 def compare(results: Results, truth: Any) -> Iterator[Compared]:

@@ -350,6 +350,12 @@ def report(
     name: Annotated[
         str, typer.Option(metavar="NAME", help="Name of the results to report.")
     ] = "latest",
+    pdf: Annotated[
+        bool,
+        typer.Option(
+            "--pdf", help="Print it as report.pdf too: needs Chromium, Chrome or Edge."
+        ),
+    ] = False,
 ) -> None:
     """Write the report as one HTML page. It needs nothing beside it; figures also lie in the folder."""
     from labkit.report.html import write_report
@@ -360,9 +366,13 @@ def report(
     opened = Session.open(session)
     _ = opened.plan  # one that was altered is named before anything is reported
     opened.results_folder(name)  # and so are links
-    made = write_report(Results.load(session, name))
+    with console.progress("reporting") as progress:
+        made = write_report(Results.load(session, name), pdf=pdf, progress=progress)
     console.say(f"report: {made}")
-    console.answer({"report": str(made)})
+    printed = made.with_suffix(".pdf") if pdf else None
+    if printed is not None:
+        console.say(f"PDF: {printed}")
+    console.answer({"report": str(made), "pdf": printed and str(printed)})
 
 
 @app.command()

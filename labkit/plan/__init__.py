@@ -4,6 +4,7 @@ from labkit.plan.plan import Plan, leading_channel
 from labkit.plan.sensor import MeasuredTone, Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
+    About,
     CameraSettings,
     Channel,
     DisplaySettings,
@@ -15,6 +16,7 @@ from labkit.plan.tables import (
 )
 
 __all__ = [
+    "About",
     "CameraSettings",
     "Channel",
     "DisplaySettings",

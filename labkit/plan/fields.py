@@ -114,6 +114,12 @@ Corner = tuple[Number, Number]
 Length = Annotated[Number, AfterValidator(Allowed(1e-3, 1e6))]
 Name = Annotated[str, matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters and digits")]
 Line = Annotated[str, matches(r".+", "printable text")]
+Short = Annotated[
+    str, matches(r"(?=.*\S).{1,80}", "printable text of 1 to 80 characters on one line")
+]
+Note = Annotated[
+    str, matches(r"(?=.*\S).{1,200}", "printable text of 1 to 200 characters on one line")
+]
 Address = Annotated[
     str,
     matches(

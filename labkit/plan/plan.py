@@ -13,6 +13,7 @@ from labkit.plan.fields import Takes, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
+    About,
     CameraSettings,
     Channel,
     DisplaySettings,
@@ -56,6 +57,7 @@ class Plan(Table):
     ]
     target: TargetSpec
     fit: FitSettings = FitSettings()
+    about: About = About()
     camera: CameraSettings | None = None
     rail: RailSettings | None = None
     display: DisplaySettings | None = None

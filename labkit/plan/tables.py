@@ -24,7 +24,9 @@ from labkit.plan.fields import (
     Length,
     Line,
     Name,
+    Note,
     Number,
+    Short,
     Takes,
     matches,
     not_allowed,
@@ -311,6 +313,21 @@ class FitSettings(Table):
         return tuple(
             group.name for group in GROUPS.values() if group.last <= self.most_noll
         )
+
+
+class About(Table):
+    """What the report's title and every page of its PDF say of the measurement. No number depends on it."""
+
+    title: Short | None = None
+    """Title of the report. Default: the session's name."""
+    lens: Short | None = None
+    """Name of the lens."""
+    serial: Short | None = None
+    """Serial number of the lens."""
+    operator: Short | None = None
+    """Name of the person who measured it."""
+    note: Note | None = None
+    """Anything else that belongs on every page."""
 
 
 class CameraSettings(Table):

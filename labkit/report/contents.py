@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.plan import Plan
+from labkit.plan import About, Plan
 from labkit.report.best_focus import ChannelFocus
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
 from labkit.report.curves import Curves
@@ -67,7 +67,10 @@ def contents(
         "m": m,
         "inks": channel_inks(m.channels),
         "sections": sections,
-        "title": _title(m),
+        "title": plan.about.title or session_name(m),
+        "session": session_name(m) if plan.about.title else "",
+        "lens_line": _lens_line(plan.about),
+        "about": plan.about,
         "lede": _lede(m, plan, photographs),
         "reference": f"{reference_nm:g} nm",
         "best_focus": _best_focus(m),
@@ -110,7 +113,8 @@ def _tables(
     }
 
 
-def _title(m: Results) -> str:
+def session_name(m: Results) -> str:
+    """Return the name of the session, and of the results where it is not "latest"."""
     if m.folder is None:
         return "Lens measurement"
     session = m.folder.resolve()
@@ -118,6 +122,12 @@ def _title(m: Results) -> str:
         return session.name
     name = session.parent.parent.name
     return name if session.name == "latest" else f"{name}, {session.name}"
+
+
+def _lens_line(about: About) -> str:
+    """Return the lens and its serial number as the plan states them; empty where it does not."""
+    serial = about.serial and f"serial number {about.serial}"
+    return ", ".join(filter(None, (about.lens, serial)))
 
 
 def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:

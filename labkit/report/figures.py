@@ -1,6 +1,6 @@
 """Every figure of a report: drawn, encoded, and put into words."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -23,29 +23,56 @@ from labkit.types import Floats
 
 
 def draw_figures(
-    results: Results, curves: Sequence[Curves], photographs: Photographs
+    results: Results,
+    curves: Sequence[Curves],
+    photographs: Photographs,
+    begin: Callable[[str], None] = lambda words: None,
 ) -> dict[str, list[Plate]]:
-    """All plates, by the section of the report they belong to; a section without any is left out."""
-    focused = [c.focus for c in curves]
+    """Draw all plates, by the section of the report they belong to; a section without any is left out.
+
+    begin: called with what is drawn next, `DRAWINGS` times.
+    """
+    drawn = dict[str, list[Plate]]()
     with styled():
-        sections = {
-            "best-focus": [
-                _mtfs(results, curves),
-                _psfs(focused),
-                _energy(results, curves),
-            ],
-            "focus": [*_focus(results)],
-            "depth": [_through(results, curves)],
-            "maps": [_maps(results, focused), _maps_photographed(results)],
-            "modes": [*_modes(results, focused)],
-            "camera": [*_camera(results)],
-            "budget": [*_budget(results)],
-            "place": [*_place(results, photographs)],
-            "psf": [_psfs_photographed(results)],
-            "fits": [*_fits(results)],
-            "residuals": [*_quantiles(results)],
-        }
-    return {name: plates for name, plates in sections.items() if plates}
+        for section, (words, draw) in _sections(results, curves, photographs).items():
+            begin(f"drawing {words}")
+            drawn[section] = list(draw())
+    return {section: plates for section, plates in drawn.items() if plates}
+
+
+def _sections(
+    results: Results, curves: Sequence[Curves], photographs: Photographs
+) -> dict[str, tuple[str, Callable[[], Iterable[Plate]]]]:
+    """Return what is drawn in each section, in words, and what draws it."""
+    focused = [c.focus for c in curves]
+    return {
+        "best-focus": ("best focus", lambda: _at_best_focus(results, curves)),
+        "focus": ("focus", lambda: _focus(results)),
+        "depth": ("through focus", lambda: [_through(results, curves)]),
+        "maps": ("wavefronts", lambda: _wavefronts(results, focused)),
+        "modes": ("modes", lambda: _modes(results, focused)),
+        "camera": ("camera", lambda: _camera(results)),
+        "budget": ("errors", lambda: _budget(results)),
+        "place": ("target", lambda: _place(results, photographs)),
+        "psf": ("PSFs as photographed", lambda: [_psfs_photographed(results)]),
+        "fits": ("data and residuals", lambda: _fits(results)),
+        "residuals": ("residuals' quantiles", lambda: _quantiles(results)),
+    }
+
+
+DRAWINGS = 11
+"""Number of sections that are drawn."""
+
+
+def _at_best_focus(results: Results, curves: Sequence[Curves]) -> Iterator[Plate]:
+    yield _mtfs(results, curves)
+    yield _psfs([c.focus for c in curves])
+    yield _energy(results, curves)
+
+
+def _wavefronts(results: Results, focused: Sequence[ChannelFocus]) -> Iterator[Plate]:
+    yield _maps(results, focused)
+    yield _maps_photographed(results)
 
 
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from labkit.uncertain import Uncertain
 
 TEST = "what a test of the fit found: it has a distribution, not an error"
 NUISANCE = "fitted along with the wavefront; its error is not kept"
+NOT_KEPT = "these results do not keep their errors: fit again"
 
 
 def fit_table(results: Results) -> Table:
@@ -82,6 +84,7 @@ def residual_table(results: Results, focus: Focus) -> Table:
             "defocus residual, by range",
             "milliwaves",
             text=True,
+            why="" if focus.residual_std_waves else NOT_KEPT,
         ),
     )
     rows = [
@@ -98,7 +101,11 @@ def residual_table(results: Results, focus: Focus) -> Table:
 
 
 def _residuals(waves: Sequence[Uncertain]) -> str:
-    return ", ".join(estimated(each, 1e3, least=1) for each in waves) or UNKNOWN
+    words = (
+        estimated(each, 1e3, least=1) if isfinite(each.std) else fixed(1e3 * each.value, 2)
+        for each in waves
+    )
+    return ", ".join(words) or UNKNOWN
 
 
 def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:

@@ -25,7 +25,7 @@ from labkit.results.best_focus import SHARE
 from labkit.types import Floats
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
-HEIGHT_IN, LEGEND_IN = 3.5, 0.18
+HEIGHT_IN, LEGEND_IN = 3.0, 0.18
 """Of a chart without its legend, and of a line of the legend above it."""
 
 
@@ -93,6 +93,9 @@ def _focus_axes(results: Results, right: float = 0.12) -> tuple[Figure, Axes]:
 
 def _legend_above(axes: Axes) -> None:
     """Put the legend above the axes, where no line crosses it."""
+    handles, _ = axes.get_legend_handles_labels()
+    if not handles:  # residuals are kept of none of these fits
+        return
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1),

@@ -2,6 +2,7 @@
 
 from base64 import b64encode
 from hashlib import sha256
+from itertools import count
 from pathlib import Path
 from re import sub
 from typing import Any
@@ -9,28 +10,52 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import InputError
-from labkit.files import refuse_links, write_atomically
+from labkit.files import refuse_links, write_atomically, writing
 from labkit.report.best_focus import at_best_focus
 from labkit.report.contents import contents
 from labkit.report.curves import curves_of
 from labkit.report.downloads import Download, downloads_of
-from labkit.report.figures import draw_figures
+from labkit.report.figures import DRAWINGS, draw_figures
+from labkit.report.pdf import write_pdf
 from labkit.report.photographs import photographs_of
 from labkit.report.plates import Panel, Plate
 from labkit.report.quantities import PLUS_MINUS
 from labkit.results import Results, Wavefront
+from labkit.types import Progress, no_progress
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def write_report(results: Results | Path | str) -> Path:
-    """Write report.html and figures/ beside results; returns the report's path.
+def write_report(
+    results: Results | Path | str, *, pdf: bool = False, progress: Progress = no_progress
+) -> Path:
+    """Write report.html and figures/ beside results, and report.pdf where it is asked for.
 
-    results: of a fit or loaded, or the folder of a session or of results. Raises DataError where there are none,
-    InputError where their folder cannot be written to, and SessionError where it is a link.
+    Parameters
+    ----------
+    results : of a fit or loaded, or the folder of a session or of results
+    pdf : whether to print the page as report.pdf too; one of an earlier report is removed in any case
+    progress : called as the work goes on
 
-    >>> labkit.write_report("night-3")
+    Returns
+    -------
+    path of report.html
+
+    Raises
+    ------
+    DataError : there are no results
+    InputError : their folder cannot be written to
+    SessionError : their folder is a link
+    LabkitError : no browser is there to print the PDF, or it failed; report.html is written
+
+    >>> labkit.write_report("night-3", pdf=True)
     """
+    total, steps = DRAWINGS + 2 + pdf, count()
+
+    def begin(words: str) -> None:
+        progress(next(steps), total, words)
+
+    begin("computing curves")
     if not isinstance(results, Results):
         results = Results.load(results)
     if results.folder is None:
@@ -41,7 +66,8 @@ def write_report(results: Results | Path | str) -> Path:
     photographs = photographs_of(
         results, min((c.focus.photographed for c in curves), key=_defocus)
     )
-    drawn = draw_figures(results, curves, photographs)
+    drawn = draw_figures(results, curves, photographs, begin)
+    begin("writing the page")
     _write_figures(results.folder, drawn)
     words = contents(results, curves, photographs, set(drawn))
     html = _render(words, drawn, downloads_of(results, curves))
@@ -49,6 +75,12 @@ def write_report(results: Results | Path | str) -> Path:
     write_atomically(
         path, html.encode(errors="replace")
     )  # the folder may have a name of any bytes
+    with writing(path.with_suffix(".pdf")):
+        path.with_suffix(".pdf").unlink(missing_ok=True)
+    if pdf:
+        begin("printing the PDF")
+        write_pdf(path)
+    progress(total, total, "")
     return path
 
 
@@ -87,6 +119,7 @@ def _render(
         lstrip_blocks=True,
     )
     environment.filters["uri"] = _data_uri
+    environment.filters["css"] = _css_string
     script = (TEMPLATES / "report.js").read_text(encoding="utf-8")
     # the one script that the page may run: nothing that a file's name smuggles in
     allowed = b64encode(sha256(script.encode()).digest()).decode()
@@ -95,6 +128,12 @@ def _render(
     )
     # warnings come with plain spaces: a number is never parted from its error
     return sub(r"(?<=[\d)]) ± (?=\d)", PLUS_MINUS, html)
+
+
+def _css_string(text: str) -> str:
+    """Return a text as a string of CSS, in which no character can end it or the style sheet."""
+    letters = (c if c.isascii() and c.isalnum() else f"\\{ord(c):06x}" for c in text)
+    return f'"{"".join(letters)}"'
 
 
 def _data_uri(panel: Panel) -> str:

@@ -10,7 +10,7 @@ from labkit.optics import metrics
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.zernike import mode_name
 from labkit.report.best_focus import ChannelFocus
-from labkit.report.quantities import estimated
+from labkit.report.quantities import MINUS, estimated
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results, Wavefront
 from labkit.uncertain import Uncertain
@@ -109,7 +109,7 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
             where,
             f"{j}, {mode_name(j)}",
             estimated(difference, least=4),
-            f"{ratio:+.1f}",
+            f"{ratio:+.1f}".replace("-", MINUS),
         )
         rows.append(Row(cells, first=not rows))
     return rows

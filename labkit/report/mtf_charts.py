@@ -45,6 +45,6 @@ def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
         borderaxespad=0,
         labelspacing=0.3,
     )
-    axes.set_title(curves.channel)
+    figure.text(0.02, 0.985, curves.channel, fontweight="bold", fontsize=9, va="top")
     axes.set(xlim=(0, x[-1]), ylim=(0, 1.0), xlabel="cycles/mm on the sensor", ylabel="MTF")
     return figure

@@ -193,7 +193,7 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
     rows, cols = photographs.size_px or np.max(
         [np.add(p.origin_px, p.shape_px) for _, p in placed], axis=0
     )
-    height = float(np.clip((HALF_IN - 0.2) * rows / cols, 1.5, 5.0))
+    height = float(np.clip((HALF_IN - 0.2) * rows / cols, 1.5, 3.4))
     figure = Figure(figsize=(HALF_IN, height + 0.2))
     axes = figure.add_axes(
         (0.1 / HALF_IN, 0.1 / (height + 0.2), 1 - 0.2 / HALF_IN, height / (height + 0.2))
@@ -204,6 +204,7 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
         xlim=(-0.5, cols - 0.5),
         ylim=(rows - 0.5, -0.5),
         aspect="equal",
+        anchor="W",
     )
     axes.grid(False)
     for spine in axes.spines.values():

@@ -64,6 +64,16 @@ class Table:
         return {why: ascii_lowercase[k] for k, why in enumerate(reasons)}
 
     @property
+    def groups(self) -> list[list[Row]]:
+        """Rows in groups that stay together on paper: each begins with a `first` row; without any, each row is one."""
+        groups = list[list[Row]]()
+        for row in self.rows:
+            if row.first or not groups or not any(each.first for each in self.rows):
+                groups.append([])
+            groups[-1].append(row)
+        return groups
+
+    @property
     def units(self) -> bool:
         """Whether any column has a unit."""
         return any(column.unit for column in self.columns)
