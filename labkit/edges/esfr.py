@@ -7,9 +7,10 @@ opto-electronic conversion to invert.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labkit.arrays import positive
 from labkit.errors import DataError
@@ -26,7 +27,15 @@ LEAST_LINES, LEAST_CHANGE = (
     0.2,
 )  # that cross the edge; and how much of the greatest change counts as that
 MOST_CORRECTION = 10.0  # of the derivative's own response
+ABOUT = 2 * OVERSAMPLING  # bins on either side of the edge, none of which may be empty
 HIGHEST = 2.0  # cycles a sample, up to which curves are given
+MOST_RISE = 0.2  # of a response beyond the samples' Nyquist frequency; lobes of a defocused lens have 0.13
+MOST_UNSURE = 1 / 3  # of the frequency of a crossing: its standard error
+UNSURE = (
+    "where the response falls to a half is not known to a third: noise, lines that cross the edge at too few places between "
+    "pixels, light that changes along it, or an edge that is not straight; take a longer box, or turn the edge to about "
+    "5 degrees"
+)
 
 
 @dataclass(frozen=True)
@@ -41,10 +50,11 @@ class Plane:
 
 @dataclass(frozen=True)
 class Esfr:
-    """A response: (n,) frequency_per_mm on the sensor along the edge's normal, value, and std, by the scatter within the bins.
+    """A response: (n,) frequency_per_mm on the sensor along the edge's normal, value, and std.
 
-    mtf50, mtf10: where it first falls to 0.5 and to 0.1, cycles/mm; nan where it does not within the curve. slant_deg: of the
-    edge against the nearest axis of the lattice.
+    std: by the scatter within the bins, and by what repeats from sample to sample across the edge (`_repeating`).
+    mtf50, mtf10: where it first falls to 0.5 and to 0.1, cycles/mm; nan where it does not, or where that is not known to a
+    third. slant_deg: of the edge against the nearest axis of the lattice. problem: why mtf50 is nan.
     """
 
     frequency_per_mm: Floats
@@ -53,6 +63,16 @@ class Esfr:
     mtf50: Uncertain
     mtf10: Uncertain
     slant_deg: float
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Samples of an edge, (n,) each: distance from it along a line in samples, row of the raw, value."""
+
+    distance: Floats
+    row: Floats
+    values: Floats
 
 
 def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
@@ -68,16 +88,21 @@ def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
     turned = [_transposed(plane) if sideways else plane for plane in planes]
     slope, offset = _line(turned)
     slant = float(np.degrees(np.arctan(slope)))
+    passages = abs(slope) * sum(plane.values.shape[0] for plane in turned)
     if not LEAST_SLANT <= abs(slant) <= MOST_SLANT:
         raise DataError(
             f"the edge is slanted by {abs(slant):.1f} degrees against the pixels: the method of ISO 12233 needs "
             f"{LEAST_SLANT:g} to {MOST_SLANT:g}"
         )
-    distance, values = _projected(turned, slope, offset)
+    if passages < 1:
+        raise DataError(
+            f"the edge passes {passages:.1f} of a sample within the box: the method of ISO 12233 needs a longer edge"
+        )
+    samples = _projected(turned, slope, offset)
     across_mm = (
         step * pitch_um * 1e-3 * np.cos(np.arctan(slope))
     )  # of one sample along a line, across the edge
-    return _response(distance / step, values, turned[0].values.shape[1], across_mm, slant)
+    return _response(samples, turned[0].values.shape[1], across_mm, slant)
 
 
 def _rise(values: Floats, axis: int) -> float:
@@ -131,39 +156,36 @@ def _hamming(off: Floats, width: float) -> Floats:
     )
 
 
-def _projected(
-    planes: Sequence[Plane], slope: float, offset: float
-) -> tuple[Floats, Floats]:
-    """(n,) each: distance from the line along rows, in pixels of the raw, and value, of all samples.
+def _projected(planes: Sequence[Plane], slope: float, offset: float) -> _Samples:
+    """Project the samples along the line.
 
     Of the lines only a whole number of the edge's passages from column to column, so that all phases have equal parts.
     """
-    distances, values = [], []
+    distances, rows, values = [], [], []
     for plane in planes:
         count, width = plane.values.shape
         passages = int(count * abs(slope))
         kept = round(passages / abs(slope)) if passages else count
         row = plane.first[0] + plane.step * np.arange(kept)
         column = plane.first[1] + plane.step * np.arange(width)
-        distances.append((column - offset - slope * row[:, None]).ravel())
+        distances.append((column - offset - slope * row[:, None]).ravel() / plane.step)
+        rows.append(np.repeat(row, width))
         values.append(plane.values[:kept].ravel())
-    return np.concatenate(distances), np.concatenate(values)
+    return _Samples(*map(np.concatenate, (distances, rows, values)))
 
 
-def _response(
-    distance: Floats, values: Floats, width: int, across_mm: float, slant: float
-) -> Esfr:
-    """From samples (n,) at distances, in samples along a line, of which there are `width`. across_mm: what one of them is
-    across the edge."""
-    low, high = np.percentile(distance, (2, 98))
+def _response(samples: _Samples, width: int, across_mm: float, slant: float) -> Esfr:
+    """The curve of samples. width: of a line; across_mm: what one of its samples is across the edge."""
+    low, high = np.percentile(samples.distance, (2, 98))
     if min(-low, high) < 4:
         raise DataError(
             f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs 4"
         )
     half = width * OVERSAMPLING // 2  # as wide as the box, about the edge
-    bins = np.floor(distance * OVERSAMPLING).astype(int) + half
+    bins = np.floor(samples.distance * OVERSAMPLING).astype(int) + half
     inside: Bools = (bins >= 0) & (bins < 2 * half)
-    mean, variance = _binned(bins[inside], values[inside], 2 * half)
+    bins, samples = bins[inside], _Samples(*(each[inside] for each in astuple(samples)))
+    mean, variance = _binned(bins, samples.values, 2 * half)
     # the three-point derivative, zero at both ends, and the window about its peak
     derivative = np.zeros((2 * half, 2 * half))
     k = np.arange(1, 2 * half - 1)
@@ -182,10 +204,74 @@ def _response(
     by_bin -= value[:, None] * (
         transform[0].real * np.sign(spectrum[0].real) / np.abs(spectrum[0])
     )
-    std = np.sqrt(by_bin**2 @ variance)
+    repeating = transform @ _repeating(samples, bins, mean, line)
+    systematic = np.abs(repeating) / np.abs(spectrum[0]) * correction
+    std = np.hypot(np.sqrt(by_bin**2 @ variance), systematic)
     frequency = cycles * OVERSAMPLING / across_mm
-    mtf50, mtf10 = (crossing(frequency, value, std, level) for level in (0.5, 0.1))
-    return Esfr(frequency, value, std, mtf50, mtf10, abs(slant))
+    known = _rise_again(cycles * OVERSAMPLING, value)
+    curve = frequency[:known], value[:known], std[:known]
+    mtf50, mtf10 = (_fall(*curve, level) for level in (0.5, 0.1))
+    problem = "" if np.isfinite(mtf50.value) else UNSURE
+    return Esfr(frequency, value, std, mtf50, mtf10, abs(slant), problem)
+
+
+def _repeating(
+    samples: _Samples, bins: NDArray[np.int_], mean: Floats, line: Floats
+) -> Floats:
+    """How far the means of bins are off in a way that repeats from sample to sample across the edge, (count,).
+
+    Every fourth bin is filled by the same lines. Where lines cross at few places between samples, as at slopes near 1/3, their
+    samples are not in the middle of the bins; and where light changes along the edge, the bins of one phase are brighter.
+    Either looks like a response at one cycle a sample.
+    """
+    far = np.abs(samples.distance) > np.abs(samples.distance).max() / 2
+    row = samples.row - samples.row.mean()
+    slopes = []
+    for side in (samples.distance < 0, samples.distance > 0):
+        at, seen = row[far & side], samples.values[far & side]
+        slopes.append(
+            (at - at.mean()) @ (seen - seen.mean()) / ((at - at.mean()) ** 2).sum()
+        )
+    share = np.clip((mean[bins] - mean[0]) / (mean[-1] - mean[0]), 0, 1)
+    brighter = row * (slopes[0] + share * (slopes[1] - slopes[0]))
+    aside = (
+        samples.distance * OVERSAMPLING - np.floor(samples.distance * OVERSAMPLING) - 0.5
+    )
+    many = np.bincount(bins, minlength=mean.size)
+    total = np.bincount(bins, brighter + line[bins] * aside, minlength=mean.size)
+    filled = many > 0
+    return np.interp(
+        np.arange(mean.size), np.flatnonzero(filled), total[filled] / many[filled]
+    )
+
+
+def _rise_again(cycles: Floats, value: Floats) -> int:
+    """Count the values up to where the curve begins to rise again, beyond the samples' Nyquist frequency; all where it does
+    not. cycles: a sample.
+
+    No lens's response does so: it is a copy of the curve about one cycle a sample, which lines at even places would cancel.
+    """
+    beyond = int(np.searchsorted(cycles, 0.5))
+    lowest = np.minimum.accumulate(value[beyond:])
+    risen = np.flatnonzero(value[beyond:] > lowest + MOST_RISE)
+    if not risen.size:
+        return value.size
+    return beyond + int(np.argmin(value[beyond : beyond + risen[0]])) + 1
+
+
+def _fall(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
+    """Where the curve first falls to a level; its error reaches from where the curve does less its standard error to where
+    it does with that, or to the curve's end. Nan where the error is more than MOST_UNSURE of the number."""
+    at = crossing(frequency, value, std, level)
+    earliest, latest = (
+        crossing(frequency, value + sign * std, std, level).value for sign in (-1, 1)
+    )
+    if np.isnan(latest):
+        latest = float(frequency[-1])
+    error = max(at.std, (latest - earliest) / 2)
+    if not error <= MOST_UNSURE * at.value:
+        return Uncertain(np.nan, np.nan, at.unit)
+    return Uncertain(at.value, error, at.unit)
 
 
 def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
@@ -193,9 +279,11 @@ def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
     bins = bins.astype(int)
     many = np.bincount(bins, minlength=count)
     filled = many > 0
-    if filled.mean() < 0.75:
+    about = filled[count // 2 - ABOUT : count // 2 + ABOUT]
+    if not about.all():
         raise DataError(
-            f"{1 - filled.mean():.0%} of the quarter-pixel bins are empty: the method of ISO 12233 needs a longer edge"
+            f"{1 - about.mean():.0%} of the quarter-pixel bins about the edge are empty: the method of ISO 12233 needs a "
+            "longer edge, or another slant"
         )
     total = np.bincount(bins, values, minlength=count)
     mean = np.interp(np.arange(count), np.flatnonzero(filled), total[filled] / many[filled])

@@ -112,13 +112,14 @@ def fit_box(task: BoxTask) -> BoxFit:
 
 
 def _by_the_standard(task: BoxTask) -> tuple[Esfr | None, str]:
-    """The response by ISO 12233, or why there is none."""
+    """The response by ISO 12233, and why it or its MTF50 is lacking."""
     if not task.planes:
         return None, task.iso_problem
     try:
-        return esfr(task.planes, task.camera.optics.pitch_um), ""
+        found = esfr(task.planes, task.camera.optics.pitch_um)
     except DataError as error:
         return None, str(error)
+    return found, found.problem
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:

@@ -18,7 +18,13 @@ from labkit.execute import Workers, default_workers
 from labkit.fiducials.box_fit import BoxFit, BoxTask, box_task, fit_box
 from labkit.fiducials.camera import Camera, camera_of, focus_law
 from labkit.fiducials.one_range import contradicting
-from labkit.fiducials.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
+from labkit.fiducials.outcome import (
+    ChannelEdge,
+    EdgesOutcome,
+    MeasuredEdge,
+    RejectedEdge,
+    box_words,
+)
 from labkit.fiducials.photographs import (
     Photograph,
     Place,
@@ -82,8 +88,21 @@ def measure_edges(
         _measured(place, fits[place], standing, law) for place in places if place in fits
     ]
     return EdgesOutcome(
-        tuple(edges), tuple(rejected), warnings, _wavefront(standing, scene.results)
+        tuple(edges),
+        tuple(rejected),
+        (*warnings, *_disagreements(edges)),
+        _wavefront(standing, scene.results),
     )
+
+
+def _disagreements(edges: Sequence[MeasuredEdge]) -> list[str]:
+    """Say where the two methods contradict each other, a line for each box and channel."""
+    return [
+        f"box {box_words(edge.box)}, {channel.disagreement}"
+        for edge in edges
+        for channel in edge.channels
+        if channel.disagreement
+    ]
 
 
 def _law(

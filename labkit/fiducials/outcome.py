@@ -18,12 +18,17 @@ from labkit.uncertain import Uncertain
 
 CURVE_POINTS = 40
 DIGITS = 6
+FAR = 4.0
+"""Standard errors of a difference, beyond which two methods disagree."""
+
+METHOD_SHARE = 0.12
+"""Of MTF50: what the window of ISO 12233 adds to a strongly blurred edge's in a box of 36 pixels."""
 
 
 @dataclass(frozen=True)
 class ChannelEdge:
     """An edge in one colour. defocus: waves RMS at the reference; other_defocus: on the other side of best focus, where the
-    picture alone does not exclude it. iso: by ISO 12233; iso_problem: why there is none."""
+    picture alone does not exclude it. iso: by ISO 12233; iso_problem: why it or its MTF50 is lacking."""
 
     channel: str
     defocus: Uncertain
@@ -36,6 +41,21 @@ class ChannelEdge:
     fitted: FittedResponse
     iso: Esfr | None
     iso_problem: str = ""
+
+    @property
+    def disagreement(self) -> str:
+        """How far MTF50 by ISO 12233 is from that of the fit, in words; empty where their errors allow it."""
+        fit = self.fitted.mtf50
+        iso = None if self.iso is None else self.iso.mtf50
+        if iso is None or not math.isfinite(iso.value - fit.value):
+            return ""
+        allowed = FAR * math.hypot(fit.std, iso.std) + METHOD_SHARE * fit.value
+        if abs(iso.value - fit.value) <= allowed:
+            return ""
+        return (
+            f"channel {self.channel}: MTF50 is {fit} by the fit and {iso} by ISO 12233, more apart than their errors allow: "
+            "see whether the box holds one straight edge between even sides"
+        )
 
     def as_json(self) -> dict[str, Any]:
         """One entry of "channels"."""

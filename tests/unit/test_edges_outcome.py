@@ -1,0 +1,50 @@
+"""What `labkit edges` says where its two methods contradict each other."""
+
+import numpy as np
+import pytest
+
+from labkit.edges.esfr import Esfr
+from labkit.edges.response import FittedResponse
+from labkit.fiducials.outcome import ChannelEdge
+from labkit.uncertain import Uncertain
+
+NOTHING = Uncertain(0.0, 0.0)
+
+
+def edge(fit: Uncertain, iso: Uncertain | None) -> ChannelEdge:
+    curve = np.zeros(2), np.ones(2), np.zeros(2)
+    by_the_standard = None if iso is None else Esfr(*curve, iso, NOTHING, 5.0)
+    return ChannelEdge(
+        channel="G",
+        defocus=NOTHING,
+        other_defocus=None,
+        angle_deg=NOTHING,
+        near=NOTHING,
+        far=NOTHING,
+        chi2_per_pixel=1.0,
+        pixels=400,
+        fitted=FittedResponse(*curve, fit, NOTHING),
+        iso=by_the_standard,
+    )
+
+
+@pytest.mark.parametrize(
+    ("iso", "told"),
+    [
+        ((87.4, 1.7), True),
+        ((40.0, 1.0), True),
+        ((61.0, 0.5), False),  # the method's own 12 %
+        ((87.4, 9.0), False),
+        ((float("nan"), float("nan")), False),
+        (None, False),
+    ],
+)
+def test_two_methods_that_contradict_each_other_are_told(
+    iso: tuple[float, float] | None, told: bool
+) -> None:
+    fit = Uncertain(55.3, 1.0, "cycles/mm")
+    words = edge(fit, iso and Uncertain(*iso, "cycles/mm")).disagreement
+    assert bool(words) == told
+    if told:
+        assert words.startswith("channel G: MTF50 is 55.3 ± 1.0 cycles/mm by the fit and ")
+        assert "more apart than their errors allow" in words
