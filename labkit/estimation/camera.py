@@ -54,14 +54,14 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
 
     Parameters
     ----------
-    fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test. Modes are
-        summed over the fits that were tested for them, parts only if all fits were.
+    fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test. Modes and
+        parts of the rim are summed over the fits that were tested for them, other parts only if all fits were.
     """
     tests = [one.scores for _, one in fits]
     names = [
         name
         for name in dict.fromkeys(chain(*tests))
-        if name in GROUPS or all(name in of for of in tests)
+        if name in GROUPS or KNOWN[name].of_rim or all(name in of for of in tests)
     ]
     whole = {
         name: reduce(ScoreTest.__add__, (of[name] for of in tests if name in of))
@@ -127,6 +127,11 @@ def _least_gain(fits: Sequence[Optimum]) -> float:
     return SETTINGS.few * sum(fit.unexplained for fit in fits if not fit.verdict.accepted)
 
 
+def _far(name: str) -> bool:
+    """Whether a fit tells what a part gains, not its score."""
+    return name in KNOWN and KNOWN[name].far
+
+
 @dataclass
 class CameraChoice:
     """The search for a session's camera parts.
@@ -184,7 +189,7 @@ class CameraChoice:
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)
             for name, test in tests.items()
-            if test.gain > least and name not in self.wanted
+            if (test.gain > least or _far(name)) and name not in self.wanted
         }
         for name in sorted(net, key=lambda one: -net[one]):
             if net[name] > 0:

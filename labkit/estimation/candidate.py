@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.estimation.settings import SETTINGS
+from labkit.imaging.parts import KNOWN
 from labkit.key import Key
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
@@ -29,6 +30,13 @@ class Reading:
     range_mm: float
     station: float
     homings: tuple[int, ...] = ()
+
+
+def _twin_sign(label: str) -> float:
+    """Return the factor of a part's number in the twin."""
+    name, number = label.split(".")
+    part = KNOWN.get(name)
+    return 1.0 if part is None else part.twin_signs[part.labels.index(number)]
 
 
 @dataclass(frozen=True)
@@ -62,10 +70,10 @@ class Measured:
 
     @property
     def signs(self) -> Floats:
-        """(values,) -1 for even modes, which change sign in the twin, +1 for all other values (thesis §3.6)."""
-        signs = np.ones(len(self.values))
-        signs[: len(self.noll)] = twin_signs(self.noll)
-        return signs
+        """(values,) -1 for even modes and for odd numbers of the rim, which change sign in the twin, +1 for all other values
+        (thesis §3.6)."""
+        of_parts = [_twin_sign(label) for label in self.parts]
+        return np.array([*twin_signs(self.noll), *of_parts, 1.0, 1.0])
 
     def labelled(self, parts: tuple[str, ...]) -> Measured:
         """Add unmeasured numbers of further parts: channels with a known spectrum, for example, do not measure its width."""

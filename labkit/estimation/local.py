@@ -93,6 +93,7 @@ class Optimum:
         return replace(
             self,
             state=replace(self.state, waves=self.waves * signs),
+            optics=self.optics.twin(),
             covariance=self.covariance * np.outer(signs, signs),
             measured=self.measured.twin(),
             sandwich=self.sandwich.twin(),

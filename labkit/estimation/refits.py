@@ -12,6 +12,7 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated_optics import optics_of
 from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
 from labkit.mode_groups import GROUPS
 from labkit.plan import Plan
 
@@ -52,7 +53,7 @@ class Refits:
         for k, end in ends.items():
             begin = self._most_similar(k, end, parts, choice)
             optics = optics_of(self.plan, self.search.observations[k].channel)
-            optics = optics.with_parts(choice).with_named(
+            optics = optics.with_parts(choice).begun.with_named(
                 begin.optics.camera_labels, begin.optics.camera_parameters
             )
             state = with_modes(begin.state, begin.optics, optics)
@@ -75,10 +76,12 @@ class Refits:
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
     """Return a guess that requests score tests for all that the optics lack and the plan leaves open.
 
-    Tests for modes take longer than those for parts. Predicted fits are tested for modes only if they are not explained.
+    Tests for modes and for the pupil's rim take longer than those for other parts. Predicted fits are tested for them only if
+    they are not explained.
     """
     modes = tuple(n for n in plan.fit.mode_groups if GROUPS[n].last not in optics.noll)
-    parts = tuple(optics.lacking)
+    rims = tuple(name for name in optics.lacking if KNOWN[name].of_rim)
+    parts = tuple(name for name in optics.lacking if name not in rims)
     if guess.starts or guess.modes:
-        return replace(guess, score=parts, score_unexplained=modes)
-    return replace(guess, score=(*parts, *modes))
+        return replace(guess, score=parts, score_unexplained=(*rims, *modes))
+    return replace(guess, score=(*parts, *rims, *modes))

@@ -74,7 +74,7 @@ def twin_scores(scores: Mapping[str, ScoreTest]) -> dict[str, ScoreTest]:
 
 def _signs(name: str, test: ScoreTest) -> Floats:
     if name not in GROUPS:
-        return np.ones(test.slope.size)
+        return np.array(KNOWN[name].twin_signs)
     modes = [j for group in GROUPS.values() for j in group.noll if j <= GROUPS[name].last]
     return twin_signs(modes[-test.slope.size :])
 

@@ -3,20 +3,24 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
 
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import perfect_lens, perfect_lens_slope
-from labkit.imaging.parts import Part
+from labkit.imaging.parts import Part, rim_of
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
+from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats, Floats32
 
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
+
+STEP = 1e-5  # of a rim's number, in its differences: 1e-3 samples of a pupil
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,8 @@ class Blur:
     Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
     transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
     and compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) Towards its window's borders the difference
-    is faded out: rings that a border cuts would enter and leave as cone or wavelength change.
+    is faded out: rings that a border cuts would enter and leave as cone or wavelength change. The perfect lens of a pupil
+    that is no disc is the disc with the same halo.
     """
 
     torus: Torus
@@ -72,7 +77,8 @@ class Blur:
             for part in (*self.given, *self.parts)
             if not part.idle
         ]
-        airy_um = pupil.wavelength_um * pupil.f_number
+        halo = pupil.halo
+        airy_um = halo.wavelength_um * halo.f_number
         perfect = sum(
             share * perfect_lens(torus, node * airy_um)
             for share, node in self.spectrum.shares
@@ -87,7 +93,7 @@ class Blur:
             ),
             ("_camera", math.prod(parts) if parts else None),
             ("_perfect", perfect),
-            ("_perfect_psf", self.psf(np.zeros(len(pupil.noll)))),
+            ("_perfect_psf", self._psf(halo, np.zeros(len(pupil.noll)))),
         ):
             object.__setattr__(self, name, value)
         _times(self._perfect, *self._pixel)
@@ -116,12 +122,14 @@ class Blur:
 
     def psf(self, waves: Floats) -> Floats:
         """(size, size) the lens's PSF as `Pupil.psf` gives it, in all light. waves: (modes,) waves RMS at the reference."""
-        psf = np.zeros((self.pupil.size, self.pupil.size))
+        return self._psf(self.pupil, waves)
+
+    def _psf(self, pupil: Pupil, waves: Floats) -> Floats:
+        """The same of any pupil."""
+        psf = np.zeros((pupil.size, pupil.size))
         for share, node in self.spectrum.shares:
             psf += share * (
-                self.pupil.psf(waves)
-                if node == 1
-                else self.pupil.stretched(waves / node, node)
+                pupil.psf(waves) if node == 1 else pupil.stretched(waves / node, node)
             )
         return psf
 
@@ -178,12 +186,11 @@ class Blur:
             np.zeros((self.pupil.size, self.pupil.size)),
             np.zeros(self._perfect.shape),
         )
-        airy_um = self.pupil.wavelength_um * self.pupil.f_number
+        halo = self.pupil.halo
+        airy_um = halo.wavelength_um * halo.f_number
         for share, node in self.spectrum.shares:
-            for sign, at in ((1, waves), (-1, 0 * waves)):
-                departure += (
-                    sign * share * self.pupil.stretched(at / node, node, slope=True)
-                )
+            for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, 0 * waves)):
+                departure += sign * share * pupil.stretched(at / node, node, slope=True)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
@@ -195,16 +202,52 @@ class Blur:
             np.zeros((self.pupil.size, self.pupil.size)),
             np.zeros(self._perfect.shape),
         )
-        airy_um = self.pupil.wavelength_um * self.pupil.f_number
+        halo = self.pupil.halo
+        airy_um = halo.wavelength_um * halo.f_number
         for node, slope in slopes.items():
             departure += slope * (
-                self.pupil.stretched(waves / node, node)
-                - self.pupil.stretched(0 * waves, node)
+                self.pupil.stretched(waves / node, node) - halo.stretched(0 * waves, node)
             )
             perfect += slope * perfect_lens(self.torus, node * airy_um)
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
         )
+
+    def _by_rims(self, waves: Floats, first: int) -> Iterator[Complexes64]:
+        """Half planes of its derivatives by the numbers of the rim, of the parts from one on; the halo is held."""
+        nearby = [
+            rims
+            for k, part in enumerate(self.parts[first:], first)
+            if part.of_rim
+            for rims in self._rims(k)
+        ]
+        if not nearby:
+            return
+        shares = [np.float32(share) for share in self.spectrum.weights]
+        every = zip(
+            *(
+                self._in_light(node).psf_rim_slopes(waves, nearby)
+                for node in self.spectrum.nodes
+            ),
+            strict=True,
+        )
+        for slopes in every:
+            slope = sum(share * one for share, one in zip(shares, slopes, strict=True))
+            spectrum = self._spectrum_of_window(np.asarray(slope))
+            yield self._through_camera(_times(spectrum, *self._centred))
+
+    def _rims(self, k: int) -> Iterator[tuple[Rim, Rim, float]]:
+        """Rims above and below this one along each number of a part, within the part's bounds, and their distance."""
+        part, values = self.parts[k], np.array(self.parts[k].values)
+        rest = (*self.given, *self.parts[:k]), self.parts[k + 1 :]
+        for step in STEP * np.eye(len(values)):
+            above, below = part.at(values + step), part.at(values - step)
+            apart = np.linalg.norm(np.subtract(above.values, below.values))
+            yield (
+                rim_of((*rest[0], above, *rest[1])),
+                rim_of((*rest[0], below, *rest[1])),
+                float(apart),
+            )
 
     def by_parts(self, waves: Floats, first: int = 0) -> Iterator[Complexes64]:
         """Half planes of its derivatives by the numbers of each part, from one on, in single precision."""
@@ -216,9 +259,12 @@ class Blur:
         }
         given = [part.transfer(*places) for part in self.given if not part.idle]
         bare = _times(self._bare(waves, np.float32), *given)
+        by_rims = self._by_rims(waves, first)
         for k, part in enumerate(self.parts[first:], first):
             for light in part.light_slopes():
                 yield self.by_light(waves, light)
+            if part.of_rim:
+                yield from islice(by_rims, len(part.labels))
             slopes = part.slopes(*places)
             others = (
                 _times(bare.copy(), *(transfer for i, transfer in active.items() if i != k))

@@ -25,6 +25,9 @@ from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch
 ROUGH_BAND = 1.0
 
+# relative change of a halo, up to which the light that comes around the torus is the same
+HALO_MARGIN = 0.02
+
 # -w, and by how much w grows from row to row and from column to column: signs and places, in pixels, that it is taken at
 GROWTH = (
     ((-1, 0.0, 0.0),),
@@ -108,7 +111,7 @@ class ForwardModel:
         shine : brightness of the target from place to place
         """
         window_um = window_airy * optics.airy_um
-        cutoff = 1 / (optics.airy_um * (1 - cone_margin) * optics.shortest)
+        cutoff = optics.rim.reach / (optics.airy_um * (1 - cone_margin) * optics.shortest)
         reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
         guard_px = guards(
             frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0)
@@ -126,8 +129,10 @@ class ForwardModel:
             spacing_um,
             size,
             optics.noll,
+            optics.rim,
         )
-        wrapped = wrapped_light(torus, target, reference, optics.airy_um, optics.active_um)
+        halo_um = optics.airy_um * optics.rim.halo
+        wrapped = wrapped_light(torus, target, reference, halo_um, optics.active_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
         fewer = replace(
             torus,
@@ -154,9 +159,22 @@ class ForwardModel:
 
         Raises
         ------
-        ValueError : the cone is wider than the margin allows, at some wavelength of the light
+        ValueError : the cone is wider than the margin allows, at some wavelength of the light, or the rim has another halo
         """
-        pupil = replace(self.blur.pupil, f_number=optics.f_number, noll=optics.noll)
+        rim = optics.rim
+        highest = rim.reach / (optics.airy_um * min(optics.light.nodes))
+        if not rim.is_round and highest > self.scene.torus.band_limit_per_um:
+            raise ValueError(
+                f"light passes up to {highest:g} cycles/um, beyond the model's "
+                f"{self.scene.torus.band_limit_per_um:g}"
+            )
+        if abs(rim.halo / self.optics.rim.halo - 1) > HALO_MARGIN:
+            raise ValueError(
+                f"the rim's halo is {rim.halo:g}, the model's {self.optics.rim.halo:g}"
+            )
+        pupil = replace(
+            self.blur.pupil, f_number=optics.f_number, noll=optics.noll, rim=rim
+        )
         blur = replace(self.blur, pupil=pupil, spectrum=optics.light, parts=optics.parts)
         target = _lit(self.scene.target, optics)
         scene = (

@@ -12,9 +12,10 @@ import numpy as np
 from labkit.arrays import positive
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import Estimated
-from labkit.imaging.parts import KNOWN, Part, SpectrumWidth
+from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
 from labkit.mode_groups import GROUPS, ModeGroup
+from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
 
@@ -33,7 +34,7 @@ class Optics:
     ----------
     wavelength_um : of the light
     reference_um : of the waves that wavefronts are counted in
-    f_number : of the beam that reaches the sensor
+    f_number : of the beam that reaches the sensor, by its clear area
     pitch_um : of the pixels, whatever their colours
     active_um : width of a pixel's active square
     noll : modes of the wavefront
@@ -70,6 +71,11 @@ class Optics:
     def airy_um(self) -> float:
         """lambda N, the unit of length of diffraction."""
         return self.wavelength_um * self.f_number
+
+    @property
+    def rim(self) -> Rim:
+        """Rim of the pupil."""
+        return rim_of((*self.given, *self.parts))
 
     @property
     def light(self) -> Spectrum:
@@ -126,11 +132,17 @@ class Optics:
 
     @property
     def lacking(self) -> list[str]:
-        """Names of known parts that these optics do not have, the commonest first."""
-        have = {part.name for part in (*self.parts, *self.given)}
+        """Names of known parts that these optics do not have and may have, the commonest first."""
+        every = (*self.parts, *self.given)
+        have = {part.name for part in every}
+        kinds = {part.kind for part in every if part.kind}
         if self.spectrum is not None:
             have.add(SpectrumWidth.name)
-        return [name for name in KNOWN if name not in have]
+        return [
+            name
+            for name, part in KNOWN.items()
+            if name not in have and part.kind not in kinds and part.sought
+        ]
 
     def with_parts(self, names: Collection[str]) -> Optics:
         """Return the optics with further known parts, which do nothing yet, and with further groups of modes."""
@@ -141,6 +153,20 @@ class Optics:
             parts=(*self.parts, *parts),
             noll=(*self.noll, *chain.from_iterable(modes)),
         )
+
+    @property
+    def begun(self) -> Optics:
+        """The same optics, parts that do nothing yet as fits begin with them."""
+        parts = (part.begun if part.idle else part for part in self.parts)
+        return replace(self, parts=tuple(parts))
+
+    def twin(self) -> Optics:
+        """Return the optics of the twin, whose pupil is turned by 180 degrees (thesis §3.6)."""
+        parts = (
+            part.at(np.multiply(part.values, part.twin_signs)) if part.of_rim else part
+            for part in self.parts
+        )
+        return replace(self, parts=tuple(parts))
 
     def with_named(self, labels: Sequence[str], values: Floats) -> Optics:
         """Return the same optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""
@@ -178,4 +204,6 @@ class Optics:
 
     def window_airy(self, waves: Floats) -> float:
         """Return the width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
-        return window_for(self.noll, waves * (self.reference_um / self.wavelength_um))
+        return window_for(
+            self.noll, waves * (self.reference_um / self.wavelength_um), self.rim.longest
+        )

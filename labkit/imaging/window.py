@@ -15,19 +15,20 @@ RAYS, STEP = 128, 1e-4
 FADING = 0.2  # of the window, both borders together, along rows and columns
 
 
-def window_for(noll: Sequence[int], waves: Floats) -> float:
+def window_for(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> float:
     """Width of a window, in lambda N, beyond which a PSF differs from a perfect lens's by STRAYED of all light.
 
-    noll: modes; waves: (modes,) RMS, of the light's own length. Light far out comes from the pupil's rim and lies around the
+    noll: modes; waves: (modes,) RMS, of the light's own length. longest: radius of the pupil's rim.
+    Light far out comes from the pupil's rim and lies around the
     places to which rays from there go, as lambda N / (pi r)^3 about each: the mean of that over places e away from the centre
     is larger than for e = 0 by (e / r)^2 and a factor, which leaves OF_HALO e^2 / r^3 beyond r.
     """
-    distance = rim_rays_airy(noll, waves)
+    distance = rim_rays_airy(noll, waves, longest)
     reach = np.cbrt(OF_HALO * np.mean(distance**2) / STRAYED)
     return float(min(2 * reach, WIDEST))
 
 
-def rim_rays_airy(noll: Sequence[int], waves: Floats) -> Floats:
+def rim_rays_airy(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> Floats:
     """(RAYS,) distance from the PSF's centre, lambda N, at which rays from the pupil's rim arrive: twice the path's slope."""
     theta = np.linspace(0, 2 * np.pi, RAYS, endpoint=False)
 
@@ -38,8 +39,8 @@ def rim_rays_airy(noll: Sequence[int], waves: Floats) -> Floats:
             np.zeros(RAYS),
         )
 
-    by_rho = (path(1.0, 0.0) - path(1.0 - STEP, 0.0)) / STEP
-    by_theta = (path(1.0, STEP) - path(1.0, -STEP)) / (2 * STEP)
+    by_rho = (path(longest, 0.0) - path(longest - STEP, 0.0)) / STEP
+    by_theta = (path(longest, STEP) - path(longest, -STEP)) / (2 * STEP * longest)
     return np.asarray(2 * np.hypot(by_rho, by_theta))
 
 

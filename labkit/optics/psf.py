@@ -1,4 +1,4 @@
-"""The point-spread function of a circular pupil with a Zernike wavefront, and its derivatives (thesis, Appendix H).
+"""The point-spread function of a pupil with a Zernike wavefront, and its derivatives (thesis, Appendix H).
 
 Orientation: pupil coordinates point as the sensor's do, x to the right (columns), y down (rows); theta = atan2(y, x). A
 path difference that grows to the right throws the light to the right: the field is the forward transform of the pupil
@@ -6,15 +6,16 @@ function, as in the diffraction integral. The thesis writes the inverse transfor
 which changes the sign of every odd mode.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
 import scipy.fft
 
 from labkit.arrays import positive, real_array
-from labkit.optics.pupil import REACH, smooth_disc
+from labkit.optics.pupil import APART, OUTLINE_REACH, REACH, smooth_disc, smooth_outline
+from labkit.optics.rim import DISC, ROUND, Rim
 from labkit.optics.zernike import zernike
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
@@ -28,7 +29,7 @@ class Pupil:
 
     wavelength_um, reference_um: of the light, and the one that wavefronts are counted in.
     f_number: of the beam that reaches the sensor. spacing_um: of the PSF. size: samples along a side of the PSF's window.
-    noll: the modes of the wavefront.
+    noll: the modes of the wavefront, over the circle of equal clear area, as the f-number is. rim: of the clear area.
     amplitude: (n, n) aperture with a smooth edge, its centre in the middle. modes: (modes, n, n) Zernike polynomials there.
 
     Sampling the pupil folds what lies beyond the window back into it; `Blur` mends that.
@@ -40,6 +41,7 @@ class Pupil:
     spacing_um: float
     size: int
     noll: tuple[int, ...]
+    rim: Rim = ROUND
     amplitude: Floats = field(init=False, repr=False, compare=False)
     modes: Floats = field(init=False, repr=False, compare=False)
     _offsets: Floats = field(init=False, repr=False, compare=False)
@@ -52,14 +54,18 @@ class Pupil:
             positive(name, getattr(self, name), "um")
         positive("f_number", self.f_number, "unitless")
         self.check_sampling()
-        half = int(np.ceil(self.radius)) + REACH
+        half = (
+            int(np.ceil(self.radius)) + REACH
+            if self.rim.is_round
+            else int(np.ceil(self.radius * self.rim.longest)) + OUTLINE_REACH
+        )
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
         rho, theta = np.hypot(x, y), np.arctan2(y, x)
         tilt = np.exp(2j * np.pi * (self.size // 2) / self.size * offsets)
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
-        object.__setattr__(self, "amplitude", smooth_disc(offsets, self.radius))
+        object.__setattr__(self, "amplitude", self._amplitude(self.rim))
         object.__setattr__(
             self,
             "modes",
@@ -68,7 +74,7 @@ class Pupil:
 
     def check_sampling(self, stretch: float = 1.0) -> None:
         """Raises ValueError where the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
-        nyquist_um = stretch * self.wavelength_um * self.f_number / 2
+        nyquist_um = stretch * self.wavelength_um * self.f_number / (2 * self.rim.reach)
         if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
             raise ValueError(
                 f"spacing {self.spacing_um:g} um undersamples a PSF whose Nyquist spacing is {nyquist_um:g} um"
@@ -78,6 +84,15 @@ class Pupil:
     def radius(self) -> float:
         """Of the pupil, in samples."""
         return self.size * self.spacing_um / (2 * self.wavelength_um * self.f_number)
+
+    def _amplitude(self, rim: Rim) -> Floats:
+        """(n, n) the aperture with a rim of its area, on this pupil's grid."""
+        if rim.is_round:
+            return smooth_disc(self._offsets, self.radius)
+        vertices = int(np.ceil(2 * np.pi * self.radius / APART))
+        return smooth_outline(
+            self._offsets, [self.radius * edge for edge in rim.edges(vertices)]
+        )
 
     def _to_image(self, pupil: Field) -> Field:
         """Transform onto the PSF's window, its centre in the middle; the scale is left to the normalisation.
@@ -89,6 +104,10 @@ class Pupil:
         return np.asarray(scipy.fft.fft(columns, self.size, axis=1))
 
     def _pupil_function(self, waves: Floats) -> Complexes:
+        return np.asarray(self.amplitude * self._turn(waves))
+
+    def _turn(self, waves: Floats) -> Complexes:
+        """(n, n) the wavefront's phase factor."""
         waves = real_array(
             "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
         )
@@ -99,7 +118,7 @@ class Pupil:
             / self.wavelength_um
             * np.tensordot(waves, self.modes, 1)
         )
-        return np.asarray(self.amplitude * np.exp(1j * phase))
+        return np.asarray(np.exp(1j * phase))
 
     @property
     def _light(self) -> float:
@@ -150,6 +169,35 @@ class Pupil:
             product = self._to_image(pupil * mode.astype(pupil.real.dtype))
             product *= turned
             yield product
+
+    def psf_rim_slopes(
+        self, waves: Floats, nearby: Sequence[tuple[Rim, Rim, float]]
+    ) -> Iterator[Floats32]:
+        """The PSF's derivatives by numbers of the rim, (size, size) each, in single precision.
+
+        nearby: for each number two rims next to this one, and how far apart they are in this number.
+        """
+        pupil = self.outlined
+        turn = pupil._turn(waves).astype(np.complex64)
+        field = pupil._to_image(pupil.amplitude.astype(np.float32) * turn)
+        turned = np.conj(field) * np.float32(2 / self._light)
+        for above, below, apart in nearby:
+            change = (pupil._amplitude(above) - pupil._amplitude(below)) / apart
+            product = pupil._to_image(change.astype(np.float32) * turn)
+            product *= turned
+            yield product.real
+
+    @property
+    def outlined(self) -> "Pupil":
+        """The same pupil, its amplitude by `smooth_outline` even where it is a disc."""
+        return replace(self, rim=DISC) if self.rim.is_round else self
+
+    @property
+    def halo(self) -> "Pupil":
+        """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc."""
+        if self.rim.is_round:
+            return self
+        return replace(self, f_number=self.f_number * self.rim.halo, rim=DISC)
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

@@ -82,7 +82,7 @@ class Lens(Table):
     focal_length_mm: Annotated[Number, AfterValidator(Allowed(0.1, 10_000))]
     """Focal length as engraved."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
-    """F-number as engraved: at infinity, at the aperture that was set."""
+    """F-number as engraved: at infinity, at the aperture that was set, of the circle as large as the pupil's clear area."""
     veil: Annotated[
         float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')
     ] = None
@@ -90,6 +90,14 @@ class Lens(Table):
     it."""
     veil_scale_px: Annotated[Number, AfterValidator(Allowed(3, 100))] = 15.0
     """Distance over which that light falls to 1/e, pixels. A veil that is fitted begins with it and has its own."""
+    blades: Annotated[Count, AfterValidator(Allowed(3, 20, whole=True))] | None = None
+    """Number of blades of the diaphragm, which shape the pupil; their direction and roundness are estimated. Default:
+    `labkit fit` looks for 5 to 11 blades."""
+    obstruction: Annotated[
+        float | Literal["fit"] | None, or_fit(0, 0.89), Takes('0 to 0.89, or "fit"')
+    ] = None
+    """Diameter of the obstructed middle of the pupil over that of the pupil, such as a mirror lens's; `"fit"` estimates it.
+    Default: none, and `labkit fit` looks for it."""
     focal_length_std_mm: Error | None = None
     """Standard error of the engraved focal length. Default: 2 % of it."""
     f_number_std: Error | None = None

@@ -18,7 +18,19 @@ from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import root
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import ESTIMATED
-from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
+from labkit.imaging.parts import (
+    KNOWN,
+    Blades,
+    Diffusion,
+    LowPass,
+    Obstruction,
+    Part,
+    Smear,
+    SpectrumWidth,
+    UnevenRim,
+    Veil,
+)
+from labkit.imaging.parts.obstruction import USUAL_SHARE
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.report.camera_table import part_table
@@ -38,6 +50,11 @@ EVERY = (
     Veil(0.03, 20.0),
     SpectrumWidth(0.03**2),
 )
+RIMS = (
+    Blades(7, 0.3, -0.2),
+    Obstruction(0.42**2),
+    UnevenRim(0.05, -0.02, 0.03, 0.01),
+)
 WIDTH = SpectrumWidth(0.02**2)
 
 
@@ -49,7 +66,7 @@ def named(part: Part) -> str:
     return part.name
 
 
-@pytest.mark.parametrize("part", EVERY, ids=named)
+@pytest.mark.parametrize("part", [*EVERY, *RIMS], ids=named)
 def test_a_part_is_what_its_quantities_say(part: Part) -> None:
     back = KNOWN[part.name].from_quantities(part.quantities(estimated(part), GREEN), GREEN)
     assert back is not None
@@ -57,7 +74,7 @@ def test_a_part_is_what_its_quantities_say(part: Part) -> None:
     assert back.values == pytest.approx(part.values, rel=1e-12)
 
 
-@pytest.mark.parametrize("part", EVERY, ids=named)
+@pytest.mark.parametrize("part", [*EVERY, *RIMS], ids=named)
 def test_quantities_begin_with_the_part_and_each_has_a_meaning(part: Part) -> None:
     keys = [key.split(".") for key in part.quantities(estimated(part), GREEN)]
     assert {key[0] for key in keys} == {part.name}
@@ -90,6 +107,32 @@ def test_one_channel_may_want_its_width_fitted_alone() -> None:
     assert wanted_parts(plan) == ["spectrum"]
     assert optics_of(plan, "G").parts == (SpectrumWidth(),)
     assert optics_of(plan, "R").parts == ()
+
+
+def test_a_lens_has_one_diaphragm() -> None:
+    sought = [name for name in OPTICS.lacking if name.startswith("blades")]
+    assert sought == [f"blades_{number}" for number in range(5, 12)]
+    with_blades = replace(OPTICS, given=(Blades(7, 0.3, 0.1),))
+    assert not [name for name in with_blades.lacking if name.startswith("blades")]
+    assert "obstruction" in with_blades.lacking
+
+
+def test_a_rim_of_nothing_is_round() -> None:
+    assert replace(OPTICS, parts=(Blades(7), Obstruction(), UnevenRim())).rim.is_round
+    assert not replace(OPTICS, parts=(Blades(7, 0.1),)).rim.is_round
+    assert replace(OPTICS, given=(Obstruction(0.2),)).rim.obstructed == 0.2
+
+
+def test_a_rim_stays_a_closed_curve_and_a_blade_no_more_than_straight() -> None:
+    assert np.hypot(*Blades(6).at((3.0, 4.0)).values) == pytest.approx(1)
+    assert Obstruction().at((2.0,)).share == pytest.approx(0.81)
+    rim = replace(OPTICS, parts=(UnevenRim().at((0.9, 0.9, -3.0, 0.0)),)).rim
+    assert min(np.linalg.norm(rim.edges(64)[0], axis=1)) > 0.1
+
+
+def test_fits_look_for_an_obstruction_from_a_share_that_shows() -> None:
+    assert OPTICS.with_parts(["obstruction"]).parts == (Obstruction(USUAL_SHARE),)
+    assert OPTICS.with_part("obstruction").parts == (Obstruction(),)
 
 
 def test_a_part_of_the_light_goes_before_a_spectrum() -> None:

@@ -7,7 +7,15 @@ import pytest
 
 from labkit.errors import PlanError
 from labkit.estimation.stated_optics import optics_of
-from labkit.imaging.parts import Diffusion, Smear, SpectrumWidth, Veil
+from labkit.imaging.parts import (
+    Blades,
+    Diffusion,
+    Obstruction,
+    Smear,
+    SpectrumWidth,
+    Veil,
+)
+from labkit.imaging.parts.obstruction import USUAL_SHARE
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
 from labkit.optics.spectrum import WIDEST, Spectrum
 from labkit.plan import About, Plan
@@ -239,6 +247,32 @@ def test_parts_of_the_camera_are_stated_or_to_be_fitted() -> None:
     assert wanted.given == ()
     assert wanted.parts == (Diffusion(), Veil(), Smear())
     assert "smear_px = 4" in refusal("= 4.78", "= 4.78\nsmear_px = 4")
+
+
+def test_a_rim_is_stated_or_to_be_fitted() -> None:
+    plan = Plan.parse(LEAST.replace("= 2.8", "= 2.8\nblades = 7\nobstruction = 0.38"))
+    optics = optics_of(plan, "G")
+    assert optics.given == (Obstruction(0.38**2),)
+    assert optics.parts == (Blades(7),)  # turn and roundness are always fitted
+    assert Plan.parse(plan.to_toml()) == plan
+    wanted = Plan.parse(LEAST.replace("= 2.8", '= 2.8\nobstruction = "fit"'))
+    assert optics_of(wanted, "G").parts == (Obstruction(USUAL_SHARE),)
+
+
+@pytest.mark.parametrize("blades", ["2", "21", "7.5", '"fit"'])
+def test_a_diaphragm_has_three_to_twenty_blades(blades: str) -> None:
+    told = refusal("= 2.8", f"= 2.8\nblades = {blades}")
+    assert "lens.blades" in told
+    assert "a whole number" in told
+    assert "\n" not in told.strip()
+
+
+@pytest.mark.parametrize("diameter", ["0.9", "1", "-0.1", "'some'"])
+def test_an_obstruction_leaves_a_pupil(diameter: str) -> None:
+    told = refusal("= 2.8", f"= 2.8\nobstruction = {diameter}")
+    assert f"lens.obstruction = {diameter}" in told
+    assert '0 to 0.89, or "fit"' in told
+    assert "\n" not in told.strip()
 
 
 def test_a_veil_has_a_scale() -> None:

@@ -20,7 +20,7 @@ from labkit.mode_groups import GROUPS
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
-EVERY = [*KNOWN]
+EVERY = [name for name, part in KNOWN.items() if part.sought]
 SPECTRUM = SpectrumWidth.name
 
 
@@ -70,8 +70,18 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
     ours, plain = asked(shown), asked(frames)
     assert ours.keys() == plain.keys()
     for name, test in plain.items():
-        np.testing.assert_allclose(ours[name].information, test.information, rtol=1e-6)
-        np.testing.assert_allclose(ours[name].slope, test.slope, rtol=1e-6)
+        np.testing.assert_allclose(
+            ours[name].information,
+            test.information,
+            rtol=1e-6,
+            atol=1e-6 * np.abs(test.information).max(),
+        )
+        np.testing.assert_allclose(
+            ours[name].slope,
+            test.slope,
+            rtol=1e-6,
+            atol=5e-6 * np.sqrt(np.abs(test.information).max()),
+        )
 
 
 def test_a_veil_is_climbed_to_with_its_width() -> None:

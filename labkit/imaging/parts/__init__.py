@@ -1,13 +1,28 @@
-"""Parts of the camera that blur, one a file. A new part is a file and a place in `KNOWN`."""
+"""Parts of camera and lens that blur, one a file. A new part is a file and a place in `KNOWN`."""
 
+from labkit.imaging.parts.blades import Blades
 from labkit.imaging.parts.diffusion import Diffusion
 from labkit.imaging.parts.low_pass import LowPass
-from labkit.imaging.parts.part import Part
+from labkit.imaging.parts.obstruction import Obstruction
+from labkit.imaging.parts.part import Part, rim_of
 from labkit.imaging.parts.smear import Smear
 from labkit.imaging.parts.spectrum import SpectrumWidth
+from labkit.imaging.parts.uneven_rim import UnevenRim
 from labkit.imaging.parts.veil import Veil
 
-__all__ = ["KNOWN", "Diffusion", "LowPass", "Part", "Smear", "SpectrumWidth", "Veil"]
+__all__ = [
+    "KNOWN",
+    "Blades",
+    "Diffusion",
+    "LowPass",
+    "Obstruction",
+    "Part",
+    "Smear",
+    "SpectrumWidth",
+    "UnevenRim",
+    "Veil",
+    "rim_of",
+]
 
 KNOWN: dict[str, Part] = {
     part.name: part
@@ -18,6 +33,9 @@ KNOWN: dict[str, Part] = {
         Smear(),
         LowPass(turned=True),
         SpectrumWidth(),
+        *(Blades(number) for number in range(3, 21)),
+        Obstruction(),
+        UnevenRim(),
     )
 }
-"""Parts that a camera may have, by name, the commonest first; each does nothing yet."""
+"""Parts that camera and lens may have, by name, the commonest first; each does nothing yet."""

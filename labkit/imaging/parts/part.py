@@ -1,45 +1,66 @@
-"""The protocol of a part of the camera: a transfer function, or a spectrum, of a few numbers."""
+"""The protocol of a part of camera or lens: a transfer function, a spectrum, or a rim of a few numbers."""
 
 from __future__ import annotations
 
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import reduce
 from typing import ClassVar, Self
 
 import numpy as np
 
 from labkit.imaging.estimated import Estimated
+from labkit.optics.rim import ROUND, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.types import AnyFloats
 from labkit.uncertain import Uncertain
 
-UNIT = re.compile(r"_(px2?|nm)$")
+UNIT = re.compile(r"_(px2?|nm|deg)$")
 
 
 class Part(Estimated):
-    """A part of the camera that blurs. Its numbers are variances, not widths; with all of them 0 it does nothing.
+    """A part of the camera that blurs, or of the lens. With all of its numbers 0 it does nothing; those of a blur are
+    variances, not widths.
 
     Most parts multiply the transfer function of lens and pixel: `transfer` and `slopes`. A part of the light adds up the
-    PSFs of several wavelengths instead: `light` and `light_slopes`.
+    PSFs of several wavelengths instead: `light` and `light_slopes`. A part of the pupil shapes its rim: `onto`.
 
     Attributes
     ----------
     reach_px : distance from a point's image within which a model must keep its light, pixels
     broadest : the broadest spectrum that an estimate may reach; None for a part that is not of the light
+    of_rim : whether the part shapes the pupil's rim
+    sought : whether fits look for the part by a score test where a plan does not state it
+    far : whether numbers are so far from 0 that a score test there tells too little of what the part gains
+    kind : parts of one kind other than "" exclude each other: a lens has one diaphragm
     """
 
     __slots__ = ()
 
     reach_px: ClassVar[float] = 0.0
     broadest: ClassVar[Spectrum | None] = None
+    of_rim: ClassVar[bool] = False
+    sought: bool = True
+    far: ClassVar[bool] = False
+    kind: ClassVar[str] = ""
 
     @property
     @abstractmethod
     def words(self) -> str:
         """Name for a sentence, with its article."""
+
+    @property
+    def twin_signs(self) -> tuple[float, ...]:
+        """Factor of each number in the twin, whose pupil is turned by 180 degrees (thesis §3.6): -1 for odd numbers."""
+        return (1.0,) * len(self.labels)
+
+    @property
+    def begun(self) -> Self:
+        """The part with the numbers that a fit begins with, where another part does not tell them."""
+        return self
 
     @property
     def idle(self) -> bool:
@@ -72,6 +93,10 @@ class Part(Estimated):
         """Return the derivatives of `light` by each number: of each node's weight, by node."""
         return ()
 
+    def onto(self, rim: Rim) -> Rim:
+        """Return the pupil's rim with this part; most parts leave it as it is."""
+        return rim
+
     @abstractmethod
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
         """Return the part as a plan states it for a channel, and whether fits estimate it; None where it does not."""
@@ -88,6 +113,11 @@ class Part(Estimated):
             f"{UNIT.sub('', key)} {value}" for key, value in self.own(found).items()
         )
         return f"the photographs call for {self.words}, which the plan does not state: {numbers}"
+
+
+def rim_of(parts: Iterable[Part]) -> Rim:
+    """Return the pupil's rim with all of its parts."""
+    return reduce(lambda rim, part: part.onto(rim), parts, ROUND)
 
 
 def finite(found: Mapping[str, Uncertain], *keys: str) -> list[float] | None:

@@ -1,0 +1,242 @@
+"""The rim of a pupil that is no round clear disc: blades, unevenness, a cat's eye, and an obstructed centre.
+
+Lengths are in units of the radius of the circle of equal clear area, angles in radians from x (right) towards y (down), as
+the pupil's are in `labkit.optics.psf`. The f-number is that of this circle: ISO 517 defines an f-number by area.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+
+from labkit.types import Floats
+
+FULL_TURN = 2 * np.pi
+ARCS = 512  # of an outline, for its extent and its length
+HALVINGS = 45  # of an interval of angles, to an intersection
+
+
+class Cut(Protocol):
+    """An edge that limits the pupil; it stands once around the pupil's centre."""
+
+    def radius(self, theta: Floats) -> Floats:
+        """Distance of the edge from the centre, relative to the full pupil's radius."""
+        ...
+
+    @property
+    def corners(self) -> Sequence[float]:
+        """Angles of the edge's corners."""
+        ...
+
+
+@dataclass(frozen=True)
+class Diaphragm:
+    """A diaphragm whose corners lie on the full pupil's circle.
+
+    Attributes
+    ----------
+    blades : number of blades, each an arc of a circle from corner to corner
+    turn : direction of the middle of a blade
+    roundness : curvature of the blades, 0 where they are straight, 1 where they make up the circle
+    """
+
+    blades: int
+    turn: float = 0.0
+    roundness: float = 0.0
+
+    @property
+    def corners(self) -> Sequence[float]:
+        """Angles of the corners, half a blade from its middle."""
+        return [self.turn + FULL_TURN * (k + 0.5) / self.blades for k in range(self.blades)]
+
+    def radius(self, theta: Floats) -> Floats:
+        """Distance of the blades from the centre.
+
+        Points p of an arc have c + b x + r |p|^2 / 2 = 0, x along the blade's direction and r the curvature; b and c follow
+        from the corners and from the radius of 1 / r.
+        """
+        half = np.pi / self.blades
+        along = np.cos((theta - self.turn + half) % (2 * half) - half)
+        cosine, curved = np.cos(half), self.roundness
+        b = np.sqrt(1 - (curved * np.sin(half)) ** 2) - curved * cosine
+        c = -0.5 * curved - b * cosine
+        return np.asarray(-2 * c / (b * along + np.sqrt((b * along) ** 2 - 2 * c * curved)))
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle that may stand off the pupil's centre, such as the edge of a lens element seen obliquely.
+
+    Attributes
+    ----------
+    shift : distance of its centre from the pupil's, less than the radius
+    size : radius, relative to the full pupil's radius
+    direction : of the shift
+    """
+
+    shift: float = 0.0
+    size: float = 1.0
+    direction: float = 0.0
+
+    @property
+    def corners(self) -> Sequence[float]:
+        """A circle has no corners."""
+        return ()
+
+    def radius(self, theta: Floats) -> Floats:
+        """Distance of the circle from the pupil's centre."""
+        away = theta - self.direction
+        across = self.shift * np.sin(away)
+        return np.asarray(self.shift * np.cos(away) + np.sqrt(self.size**2 - across**2))
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The clear part of a pupil: a star-shaped outline less an obstructed disc in its middle.
+
+    Attributes
+    ----------
+    cuts : edges that limit the pupil, the innermost at every angle; none for the full circle
+    uneven : (4,) the outline's relative departures along cos 2t, sin 2t, cos 3t and sin 3t; first harmonics shift the pupil
+        as a whole, which no picture shows
+    obstructed : share of the outline's area that is obstructed; below 0, on the way to an estimate, the centre is brighter
+    """
+
+    cuts: tuple[Cut, ...] = ()
+    uneven: tuple[float, ...] = ()
+    obstructed: float = 0.0
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the pupil is a clear disc."""
+        return not (self.cuts or any(self.uneven) or self.obstructed)
+
+    def edges(self, arcs: int) -> list[Floats]:
+        """Closed chains of parabolic arcs about a clear area of exactly pi; the obstruction's runs the other way round.
+
+        Parameters
+        ----------
+        arcs : number around the outline; its corners lie between arcs and add to them
+
+        Returns
+        -------
+        (points, 2) x and y of the end of an arc, its middle, the end of the next and so on
+        """
+        ends = np.linspace(0.0, FULL_TURN, arcs, endpoint=False)
+        circle = _chain(ends, np.ones_like)
+        outline = _chain(np.unique([*ends, *(self._kinks() % FULL_TURN)]), self._radius)
+        clear = 1 - self.obstructed
+        outer = outline * np.sqrt(np.pi / (clear * _area(outline)))
+        if not self.obstructed:
+            return [outer]
+        share = self.obstructed / clear
+        inner = circle * np.sqrt(np.pi * abs(share) / _area(circle))
+        return [outer, np.roll(inner[::-1], 1, axis=0) if share > 0 else inner]
+
+    def _radius(self, theta: Floats) -> Floats:
+        """Return the outline's distance from the centre, in any unit."""
+        cuts = [cut.radius(theta) for cut in self.cuts]
+        radius = np.min(cuts, axis=0) if cuts else np.ones_like(theta)
+        for place, share in enumerate(self.uneven):
+            wave = np.sin if place % 2 else np.cos
+            radius = radius + share * wave((2 + place // 2) * theta)
+        return np.asarray(radius)
+
+    def _kinks(self) -> Floats:
+        """Return the angles of corners, and of the intersections of cuts."""
+        kinks = [angle for cut in self.cuts for angle in cut.corners]
+        theta = np.linspace(0.0, FULL_TURN, ARCS, endpoint=False)
+        for one, other in combinations(self.cuts, 2):
+
+            def inside(at: Floats, one: Cut = one, other: Cut = other) -> Floats:
+                return one.radius(at) - other.radius(at)
+
+            low, high = theta, theta + theta[1]
+            cross = inside(low) * inside(high) < 0
+            low, high = low[cross], high[cross]
+            first = np.sign(inside(low))
+            for _ in range(HALVINGS):
+                middle = 0.5 * (low + high)
+                same = np.sign(inside(middle)) == first
+                low, high = np.where(same, middle, low), np.where(same, high, middle)
+            kinks.extend(low)
+        return np.array(kinks)
+
+    @cached_property
+    def _extent(self) -> tuple[float, float, float]:
+        """Return the longest radius, half the largest width, and the edge's length over a circle's."""
+        if self.is_round:
+            return 1.0, 1.0, 1.0
+        edges = self.edges(ARCS)
+        theta = np.linspace(0.0, FULL_TURN, ARCS, endpoint=False)
+        reach = np.max(
+            np.stack([np.cos(theta), np.sin(theta)], axis=1) @ edges[0].T, axis=1
+        )
+        width = 0.5 * np.max(reach + np.roll(reach, ARCS // 2))
+        length = sum(
+            np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum() for edge in edges
+        )
+        longest = np.max(np.linalg.norm(edges[0], axis=1))
+        return float(longest), float(width), float(length / FULL_TURN)
+
+    @property
+    def longest(self) -> float:
+        """Distance of the farthest point of the rim from the centre."""
+        return self._extent[0]
+
+    @property
+    def reach(self) -> float:
+        """Half the pupil's largest width: light passes up to this many times the incoherent cutoff 1/(lambda N)."""
+        return self._extent[1]
+
+    @property
+    def halo(self) -> float:
+        """Length of all edges over that of the circle of equal area, which is the share of light in the diffraction halo.
+
+        P. J. Clark, J. W. Howard and E. R. Freniere, Appl. Opt. 23, 353 (1984).
+        """
+        return self._extent[2]
+
+    @property
+    def outer(self) -> float:
+        """Radius of the circle whose area is the outline's, the obstruction included."""
+        return float((1 - self.obstructed) ** -0.5)
+
+
+ROUND = Rim()
+"""A clear disc."""
+
+DISC = Rim((Circle(),))
+"""A clear disc too, as one of the outlines that a pupil may have."""
+
+
+def _chain(ends: Floats, radius: Callable[[Floats], Floats]) -> Floats:
+    """Return a chain of arcs, as of `Rim.edges`, along a curve with a radius at every angle."""
+    after = np.append(ends[1:], ends[0] + FULL_TURN)
+    angles = np.stack([ends, 0.5 * (ends + after)], axis=1).ravel()
+    return np.asarray(
+        radius(angles)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    )
+
+
+def along(edge: Floats, at: float) -> tuple[Floats, Floats]:
+    """Return places (arcs, 2) on each arc of a chain, and their derivatives by `at`, which runs from 0 to 1."""
+    first, middle = edge[::2], edge[1::2]
+    last = np.roll(first, -1, axis=0)
+    rise, bend = last - first, 2 * (first - 2 * middle + last)
+    place = first + at * rise + at * (at - 1) * bend
+    return place, rise + (2 * at - 1) * bend
+
+
+def _area(edge: Floats) -> float:
+    """Return the area within a chain that runs from x towards y."""
+    area = 0.0
+    for at in (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)):
+        place, slope = along(edge, at)
+        area += 0.25 * float(np.sum(place[:, 0] * slope[:, 1] - place[:, 1] * slope[:, 0]))
+    return area

@@ -1,0 +1,282 @@
+"""Pupils that are no round clear discs: against closed forms, poppy's apertures and finite differences."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import poppy
+import pytest
+from scipy.special import j1
+
+from labkit.imaging.blur import Blur
+from labkit.imaging.grid import Torus
+from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
+from labkit.optics.psf import Pupil, diffraction_mtf
+from labkit.optics.pupil import OUTLINE_REACH, smooth_outline
+from labkit.optics.rim import DISC, ROUND, Circle, Diaphragm, Rim
+from labkit.types import Complexes, Floats
+
+RADIUS = 60.3  # samples
+HEXAGON = Rim((Diaphragm(6, 0.4),))
+NOLL = (4, 5, 6, 7, 8, 11)
+WAVES = np.array([0.3, 0.05, -0.04, 0.03, 0.06, -0.02])
+CAT = Rim((Circle(), Circle(0.3, 0.95, 0.7)))
+
+
+def corners(blades: int, turn: float, obstructed: float = 0.0) -> Floats:
+    """Of a polygon whose area, less the obstructed share, is pi."""
+    angle = turn + 2 * np.pi * (np.arange(blades) + 0.5) / blades
+    area = blades / 2 * np.sin(2 * np.pi / blades) * (1 - obstructed)
+    return np.asarray(
+        np.sqrt(np.pi / area) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    )
+
+
+def fraunhofer(polygon: Floats, frequency: Floats) -> complex:
+    """Transform of a polygon at a frequency (2,): a sum over its sides, by Green's theorem."""
+    k, field = 2 * np.pi * frequency, 0j
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        side = end - start
+        across = k[0] * side[1] - k[1] * side[0]
+        field += (
+            1j
+            * across
+            / (k @ k)
+            * np.sinc(k @ side / (2 * np.pi))
+            * np.exp(-0.5j * k @ (start + end))
+        )
+    return field
+
+
+def disc(radius: float, frequency: Floats) -> float:
+    """Transform of a disc."""
+    rho = float(np.hypot(*frequency))
+    return float(radius * j1(2 * np.pi * rho * radius) / rho)
+
+
+def amplitude(rim: Rim) -> tuple[Floats, Floats]:
+    half = int(np.ceil(RADIUS * rim.longest)) + OUTLINE_REACH
+    offsets = np.arange(-half, half + 1.0)
+    edges = [RADIUS * edge for edge in rim.edges(760)]
+    return offsets, smooth_outline(offsets, edges)
+
+
+def transformed(rim: Rim, frequency: Floats) -> complex:
+    """Transform of the smooth amplitude, over the clear area."""
+    offsets, clear = amplitude(rim)
+    x, y = np.exp(-2j * np.pi * np.outer(frequency, offsets))
+    return complex(y @ clear @ x / (np.pi * RADIUS**2))
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.7])
+@pytest.mark.parametrize(
+    ("cycles", "limit"), [(0.01, 1e-12), (0.05, 4e-9), (0.1, 3e-7), (0.2, 1.2e-5)]
+)
+def test_amplitudes_have_the_transforms_of_their_outlines(
+    cycles: float, limit: float, direction: float
+) -> None:
+    f = cycles * np.array([np.cos(direction), np.sin(direction)])
+    within = RADIUS * np.sqrt(0.15 / 0.85)
+    for rim, exact in (
+        (DISC, disc(RADIUS, f)),
+        (HEXAGON, fraunhofer(RADIUS * corners(6, 0.4), f)),
+        (
+            Rim((Diaphragm(5, -0.2),), obstructed=0.15),
+            fraunhofer(RADIUS * corners(5, -0.2, 0.15), f) - disc(within, f),
+        ),
+        (Rim(obstructed=0.15), disc(RADIUS / np.sqrt(0.85), f) - disc(within, f)),
+    ):
+        assert abs(transformed(rim, f) - exact / (np.pi * RADIUS**2)) < limit
+
+
+@pytest.mark.parametrize(
+    "rim",
+    [HEXAGON, CAT, Rim((Diaphragm(9, 0.1, 0.6),), (0.05, -0.03, 0.02, 0.01), 0.2)],
+)
+def test_the_clear_area_is_that_of_the_circle(rim: Rim) -> None:
+    _, clear = amplitude(rim)
+    assert clear.sum() == pytest.approx(np.pi * RADIUS**2, rel=1e-12)
+
+
+def test_blades_are_arcs_between_corners_on_the_circle() -> None:
+    theta = np.linspace(0, 2 * np.pi, 721)
+    for roundness in (0.0, 0.35, 0.8):
+        blades = Diaphragm(7, 0.3, roundness)
+        assert blades.radius(np.array(blades.corners)) == pytest.approx(1)
+        points = blades.radius(theta) * np.stack([np.cos(theta - 0.3), np.sin(theta - 0.3)])
+        x, y = points[:, np.cos(theta - 0.3) > np.cos(np.pi / 7)]
+        middle = np.sqrt(1 - (roundness * np.sin(np.pi / 7)) ** 2)
+        centre = np.cos(np.pi / 7) * roundness - middle  # of the arc, over its radius
+        assert (roundness * x - centre) ** 2 + (roundness * y) ** 2 == pytest.approx(1)
+    assert Diaphragm(7, 0.3, 1.0).radius(theta) == pytest.approx(1, abs=1e-14)
+
+
+def test_almost_round_blades_are_a_harmonic_of_their_order() -> None:
+    theta, straight = 2 * np.pi * np.arange(7000) / 7000, 1e-4
+    departure = Diaphragm(7, 0.3, 1 - straight).radius(theta) - 1
+    departure -= departure.mean()
+    harmonic = 2 * np.mean(departure * np.cos(7 * (theta - 0.3)))
+    assert harmonic / straight == pytest.approx(
+        -(14 / np.pi) * np.tan(np.pi / 7) / 48, rel=2e-4
+    )
+    rest = departure - harmonic * np.cos(7 * (theta - 0.3))
+    assert np.std(rest) < 0.3 * np.std(departure)
+
+
+def test_a_cats_eye_has_the_area_that_two_circles_share() -> None:
+    apart, size = 0.3, 0.95
+    first = (apart**2 + 1 - size**2) / (2 * apart)
+    second = (apart**2 + size**2 - 1) / (2 * apart * size)
+    lens = np.arccos(first) + size**2 * np.arccos(second) - apart * np.sqrt(1 - first**2)
+    theta = np.linspace(0, 2 * np.pi, 200001)[:-1]
+    own = 0.5 * np.mean(CAT._radius(theta) ** 2) * 2 * np.pi
+    assert own == pytest.approx(lens, rel=1e-8)
+    # the circle of equal area is smaller than the full pupil
+    assert CAT.longest == pytest.approx(np.sqrt(np.pi / lens), rel=1e-4)
+
+
+def test_extents_are_those_of_polygons_and_rings() -> None:
+    assert HEXAGON.longest == pytest.approx(np.linalg.norm(corners(6, 0.4)[0]), rel=1e-6)
+    assert HEXAGON.reach == pytest.approx(HEXAGON.longest, rel=2e-5)
+    side = np.linalg.norm(corners(6, 0.4)[0] - corners(6, 0.4)[1])
+    assert HEXAGON.halo == pytest.approx(6 * side / (2 * np.pi), rel=1e-5)
+    ring = Rim(obstructed=0.16)
+    assert ring.outer == pytest.approx(0.84**-0.5)
+    assert ring.longest == pytest.approx(0.84**-0.5, rel=1e-4)
+    assert ring.halo == pytest.approx((1 + 0.4) * 0.84**-0.5, rel=1e-4)
+    assert ROUND.longest == ROUND.reach == ROUND.halo == ROUND.outer == 1
+
+
+def over_the_full_pupil(waves: dict[int, float], wider: float) -> list[float]:
+    """Noll's coefficients, from 1 on, of a path over a circle wider by a factor."""
+    one, two, three, four = wider ** np.arange(1, 5)
+    tilt, given = np.sqrt(8) * (three - one), defaultdict(float, waves)
+    return [
+        0.0,
+        tilt * given[8],
+        tilt * given[7],
+        two * given[4] + np.sqrt(15) * (four - two) * given[11],
+        *(two * given[j] for j in (5, 6)),
+        *(three * given[j] for j in (7, 8, 9, 10)),
+        four * given[11],
+    ]
+
+
+def polygon(blades: int, turn: float) -> poppy.NgonAperture:
+    """Of poppy, which turns its polygons by twice the angle given: once the grid, once the corners."""
+    corner = np.degrees(turn + np.pi / blades)
+    return poppy.NgonAperture(nsides=blades, radius=1.0, rotation=corner / 2)
+
+
+@pytest.mark.parametrize(
+    ("rim", "element"),
+    [
+        (
+            Rim((Diaphragm(6, 0.4),)),
+            polygon(6, 0.4),
+        ),
+        (
+            Rim((Diaphragm(5, 0.4),)),
+            polygon(5, 0.4),
+        ),
+        (
+            Rim(obstructed=0.42**2),
+            poppy.CompoundAnalyticOptic(
+                [
+                    poppy.CircularAperture(radius=1.0),
+                    poppy.SecondaryObscuration(secondary_radius=0.42, n_supports=0),
+                ]
+            ),
+        ),
+    ],
+    ids=["hexagon", "pentagon", "ring"],
+)
+def test_a_psf_is_poppys(rim: Rim, element: poppy.AnalyticOpticalElement) -> None:
+    waves = {4: 0.4, 5: 0.05, 7: 0.08, 8: -0.05, 9: 0.04, 11: 0.03}
+    pupil = Pupil(0.6, 0.45, 2.8, 0.6, 800, tuple(waves), rim)
+    ours = pupil.psf(np.array(list(waves.values())))[340:461, 340:461]
+    full = over_the_full_pupil(waves, rim.longest)
+    system = poppy.OpticalSystem(npix=1024, oversample=1, pupil_diameter=2.0 * u.m)
+    system.add_pupil(element)
+    system.add_pupil(
+        poppy.ZernikeWFE(radius=1.0, coefficients=[450e-9 * each for each in full])
+    )
+    scale = np.degrees(0.6e-6 / (2.8 * 2.0 / rim.longest)) * 3600
+    system.add_detector(pixelscale=scale * u.arcsec / u.pixel, fov_pixels=121, oversample=1)
+    theirs = system.calc_psf(wavelength=600e-9)[0].data[::-1, ::-1]
+    difference = np.abs(ours / ours.sum() - theirs / theirs.sum()).sum()
+    assert difference < 3e-3
+
+
+def nearby(parts: Sequence[Part], k: int, step: float) -> list[tuple[Rim, Rim, float]]:
+    rims = []
+    for one in step * np.eye(len(parts[k].values)):
+        above, below = (
+            rim_of(
+                (*parts[:k], parts[k].at(np.array(parts[k].values) + each), *parts[k + 1 :])
+            )
+            for each in (one, -one)
+        )
+        rims.append((above, below, 2 * step))
+    return rims
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (Blades(6, 0.5, 0.3),),
+        (Obstruction(0.2),),
+        (UnevenRim(0.05, -0.03, 0.02, 0.04),),
+        (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04)),
+    ],
+)
+def test_slopes_of_a_psf_are_its_differences(parts: tuple[Part, ...]) -> None:
+    pupil = Pupil(0.55, 0.45, 4.0, 0.9, 200, NOLL, rim_of(parts))
+    for k in range(len(parts)):
+        slopes = pupil.psf_rim_slopes(WAVES, nearby(parts, k, 1e-5))
+        for slope, (above, below, apart) in zip(
+            slopes, nearby(parts, k, 1e-4), strict=True
+        ):
+            difference = (
+                replace(pupil, rim=above).psf(WAVES) - replace(pupil, rim=below).psf(WAVES)
+            ) / apart
+            error = np.abs(slope - difference).max()
+            assert error < 1e-6 * np.abs(difference).max()
+
+
+def overlap(nu: Floats, first: float, second: float) -> Floats:
+    """Area that two circles of some radii share, their centres some way apart."""
+    apart = np.clip(nu, abs(first - second) + 1e-12, first + second)
+    one = np.arccos(np.clip((apart**2 + first**2 - second**2) / (2 * apart * first), -1, 1))
+    other = np.arccos(
+        np.clip((apart**2 + second**2 - first**2) / (2 * apart * second), -1, 1)
+    )
+    kite = apart * first * np.sin(one)
+    return np.asarray(first**2 * one + second**2 * other - kite)
+
+
+def blurred(rim: Rim) -> tuple[Blur, Complexes]:
+    torus = Torus((320, 320), (60, 60), (200, 200), 4, 5.0, 0.38)
+    pupil = Pupil(0.55, 0.45, 6.4, 5.0 / 4, 480, (4,), rim)
+    blur = Blur(torus, pupil, 0.0)
+    return blur, np.asarray(blur.transfer(np.zeros(1)), complex)
+
+
+def test_the_blur_of_a_perfect_ring_is_the_closed_form() -> None:
+    ring = Rim(obstructed=0.16)
+    blur, transfer = blurred(ring)
+    outer, inner = 0.84**-0.5, 0.4 * 0.84**-0.5
+    frequency = np.hypot(blur.torus.row_frequency, blur.torus.column_frequency)
+    apart = 2 * frequency * 0.55 * 6.4
+    exact = (
+        overlap(apart, outer, outer)
+        + overlap(apart, inner, inner)
+        - 2 * overlap(apart, outer, inner)
+    ) / np.pi
+    departure = np.abs(transfer - exact)
+    assert departure.max() < 2e-4
+    assert departure.mean() < 2.5e-6
+    # a disc in its place is far from it
+    assert np.abs(diffraction_mtf(frequency * 0.55 * 6.4) - exact).max() > 0.1
