@@ -163,7 +163,7 @@ class Optics:
     def twin(self) -> Optics:
         """Return the optics of the twin, whose pupil is turned by 180 degrees (thesis §3.6)."""
         parts = (
-            part.at(np.multiply(part.values, part.twin_signs)) if part.of_rim else part
+            part.at([v * s for v, s in zip(part.values, part.twin_signs, strict=True)])
             for part in self.parts
         )
         return replace(self, parts=tuple(parts))

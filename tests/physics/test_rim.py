@@ -12,10 +12,12 @@ from scipy.special import j1
 
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
+from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
 from labkit.optics.psf import Pupil, diffraction_mtf
 from labkit.optics.pupil import OUTLINE_REACH, smooth_outline
 from labkit.optics.rim import DISC, ROUND, Circle, Diaphragm, Rim
+from labkit.optics.zernike import twin_signs
 from labkit.types import Complexes, Floats
 
 RADIUS = 60.3  # samples
@@ -244,6 +246,24 @@ def test_slopes_of_a_psf_are_its_differences(parts: tuple[Part, ...]) -> None:
             ) / apart
             error = np.abs(slope - difference).max()
             assert error < 1e-6 * np.abs(difference).max()
+
+
+def test_a_twin_has_the_rim_turned_by_half_a_turn() -> None:
+    parts = (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04))
+    optics = Optics(
+        wavelength_um=0.55,
+        reference_um=0.45,
+        f_number=4.0,
+        pitch_um=4.0,
+        active_um=4.0,
+        parts=parts,
+    )
+    pupil = Pupil(0.55, 0.45, 4.0, 0.9, 200, NOLL, optics.rim)
+    twin = replace(pupil, rim=optics.twin().rim)
+    psf = pupil.psf(WAVES)
+    assert np.abs(twin.psf(WAVES * twin_signs(NOLL)) - psf).max() < 1e-6 * psf.max()
+    assert np.abs(pupil.psf(WAVES * twin_signs(NOLL)) - psf).max() > 0.05 * psf.max()
+    assert optics.twin().twin() == optics
 
 
 def overlap(nu: Floats, first: float, second: float) -> Floats:

@@ -124,15 +124,19 @@ def test_a_rim_of_nothing_is_round() -> None:
 
 
 def test_a_rim_stays_a_closed_curve_and_a_blade_no_more_than_straight() -> None:
-    assert np.hypot(*Blades(6).at((3.0, 4.0)).values) == pytest.approx(1)
+    cosine, sine = Blades(6).at((3.0, 4.0)).values
+    assert cosine**2 + sine**2 == pytest.approx(1)
     assert Obstruction().at((2.0,)).share == pytest.approx(0.81)
     rim = replace(OPTICS, parts=(UnevenRim().at((0.9, 0.9, -3.0, 0.0)),)).rim
     assert min(np.linalg.norm(rim.edges(64)[0], axis=1)) > 0.1
 
 
 def test_fits_look_for_an_obstruction_from_a_share_that_shows() -> None:
-    assert OPTICS.with_parts(["obstruction"]).parts == (Obstruction(USUAL_SHARE),)
-    assert OPTICS.with_part("obstruction").parts == (Obstruction(),)
+    idle = OPTICS.with_parts(["obstruction", "diffusion"])
+    assert idle.parts == (Diffusion(), Obstruction())
+    assert idle.begun.parts == (Diffusion(), Obstruction(USUAL_SHARE))
+    found = replace(OPTICS, parts=(Obstruction(0.2),))
+    assert found.begun == found
 
 
 def test_a_part_of_the_light_goes_before_a_spectrum() -> None:
