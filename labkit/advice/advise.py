@@ -65,7 +65,8 @@ class Advice:
 
     channel: the one that the errors of wavefronts are of; ranges: one for each of the plan; session: what all of them together
     will determine of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
-    magnification where the plan's do not, with proposed_std; nearest_mm: the range where a pixel of the display is an Airy
+    magnification where the plan's do not, with proposed_std; told_noll: the last Zernike mode up to which the photographs of
+    the nearest range determine each mode to 0.01 waves, or 0; nearest_mm: the range where a pixel of the display is an Airy
     radius, if there is a display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
     """
 
@@ -75,6 +76,7 @@ class Advice:
     session: Outlook | None
     proposed_ranges_mm: tuple[float, ...]
     proposed_std: Errors
+    told_noll: int
     nearest_mm: float | None
     frames: int | None
     notes: tuple[str, ...]
@@ -157,6 +159,7 @@ def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> 
         session=session,
         proposed_ranges_mm=proposal.ranges_mm,
         proposed_std=proposal.std,
+        told_noll=setup.told_noll(channel, min(ranges)),
         nearest_mm=_nearest_mm(setup.plan),
         frames=frames,
         notes=tuple(

@@ -17,6 +17,7 @@ from labkit.estimation.parameter_names import parameter_names
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.mode_groups import GROUPS
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan
@@ -35,6 +36,9 @@ LEAST_DEFOCUS_WAVES = 0.01
 TURN_RAD = 0.02
 SHIFT_PX = 0.3
 """Of the target: no row of pixels is parallel to a row of cells or begins with one."""
+
+TOLD_WAVES = 0.01
+"""Standard error, waves RMS at the reference wavelength, of a mode that photographs determine."""
 
 SURROUND = 1.2
 """Side of the frame, in sides of the target."""
@@ -101,16 +105,43 @@ class Setup:
         reference_nm = self.plan.reference_wavelength_nm
         return float(defocus_waves(self.lens, range_mm, self.focus_mm, reference_nm))
 
-    def fit(self, channel: Channel, range_mm: float, defocus: float) -> ExpectedFit:
-        """The fit to all photographs of one range and channel. defocus: waves RMS; errors of flats are not included."""
+    def fit(
+        self,
+        channel: Channel,
+        range_mm: float,
+        defocus: float,
+        noll: tuple[int, ...] | None = None,
+    ) -> ExpectedFit:
+        """Return the fit to all photographs of one range and channel; errors of flats are not included.
+
+        Parameters
+        ----------
+        channel, range_mm : of the photographs
+        defocus : waves RMS
+        noll : modes in place of the plan's
+        """
         side_px = self.side_px(range_mm)
-        one = self._of_one_photograph(channel, min(side_px, WIDEST_PX), defocus)
+        optics = self._optics(channel, noll or self.plan.fit.noll)
+        one = self._of_one_photograph(optics, channel, min(side_px, WIDEST_PX), defocus)
         return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
 
+    def told_noll(self, channel: Channel, range_mm: float) -> int:
+        """Return the last mode up to which photographs of one range determine each mode to `TOLD_WAVES`, all of them free.
+
+        Modes are counted in the session's groups, from Noll 45 downwards; 0 if not even the plan's modes are determined.
+        """
+        first, usual = self.plan.fit.noll[0], self.plan.fit.noll[-1]
+        lasts = [group.last for group in GROUPS.values() if group.last > usual]
+        for last in (*reversed(lasts), usual):
+            noll = tuple(range(first, last + 1))
+            bound = self.fit(channel, range_mm, self.defocus(range_mm), noll).bound
+            if max(bound.std[: len(noll)]) <= TOLD_WAVES:
+                return last
+        return 0
+
     def _of_one_photograph(
-        self, channel: Channel, side_px: float, defocus: float
+        self, optics: Optics, channel: Channel, side_px: float, defocus: float
     ) -> ExpectedFit:
-        optics = self._optics(channel)
         side = ceil(SURROUND * side_px / 2) * 2
         shape = (side, side)
         light = np.ones(shape)
@@ -128,7 +159,7 @@ class Setup:
         )
         return ExpectedFit(bound, expansion.measured())
 
-    def _optics(self, channel: Channel) -> Optics:
+    def _optics(self, channel: Channel, noll: tuple[int, ...]) -> Optics:
         plan = self.plan
         return Optics(
             wavelength_um=channel.wavelength_nm * 1e-3,
@@ -136,7 +167,7 @@ class Setup:
             f_number=float(self.lens.working_f_number(self.focus_mm)),
             pitch_um=plan.sensor.pixel_pitch_um,
             active_um=plan.sensor.active_um,
-            noll=plan.fit.noll,
+            noll=noll,
         )
 
 

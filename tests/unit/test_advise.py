@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.advice.advise import Advice, advise, best_order
+from labkit.advice.advise import Advice, advise, best_order, shortest
+from labkit.advice.expected_fit import Setup
 from labkit.advice.tables import session_rows
 from labkit.cli import run
 from labkit.demo import PLAN
@@ -15,6 +16,7 @@ from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.mode_groups import GROUPS
 from labkit.optics.lens import TELLING_STD
 from labkit.panel.stripe_contrast import stripe_contrast
 from labkit.plan import Plan
@@ -342,3 +344,21 @@ def test_a_filter_array_that_is_assumed_is_noted(name: str, assumed: str) -> Non
         "assumed" in note
         for note in advise(portrait(name, "mono"), ranges_mm=[3000.0]).notes
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("electrons", "last"),
+    [(2e4, 36), (6e3, 15), (1e3, 0)],
+)
+def test_modes_are_told_as_far_as_the_light_reaches(
+    plan: Plan, electrons: float, last: int
+) -> None:
+    """The bound of all modes up to the last one keeps to 0.01 waves, that of the next group does not."""
+    advice = advise(plan, ranges_mm=[3200.0], electrons=electrons)
+    assert advice.told_noll == last
+    setup = Setup.of(plan, [3200.0], electrons)
+    for end in (15, *(group.last for group in GROUPS.values())):
+        noll = tuple(range(4, end + 1))
+        fit = setup.fit(shortest(plan), 3200.0, setup.defocus(3200.0), noll)
+        assert (max(fit.bound.std[: len(noll)]) <= 0.01) == (end <= last)
