@@ -15,17 +15,16 @@ class Pace:
 
     def __init__(self) -> None:
         self.done = self.total = 0
-        self._first: tuple[float, int] | None = None
-        self._latest_s = 0.0
+        self._ends: list[tuple[float, int]] = []
         self._held_since_s: float | None = None
         self._held_s = 0.0
 
     def at(self, done: int, total: int, now_s: float) -> None:
-        """So many steps are done of so many, now. Fewer than before, or none yet, begin anew."""
-        if self._first is None or done < self.done:
-            self._first, self._latest_s = (now_s - self._held_s, done), now_s - self._held_s
-        elif done > self.done:
-            self._latest_s = now_s - self._held_s
+        """So many steps are done of so many, now. Fewer than before, none yet, or of an unknown number, begin anew."""
+        if done < self.done or not (total and self.total):
+            self._ends = []
+        if not self._ends or done > self.done:
+            self._ends.append((now_s - self._held_s, done))
         self.done, self.total = done, total
 
     def hold(self, now_s: float) -> None:
@@ -45,26 +44,26 @@ class Pace:
         return self._held_since_s is not None
 
     def left_s(self, now_s: float) -> float | None:
-        """Seconds left at the mean pace of the steps that are done; None before one is, on hold, and at the end.
+        """Seconds left at the mean pace of the later half of the steps that are done.
 
-        A step is expected to take as long as the mean of those before it. One that takes longer is about to end for as long as
-        that takes: what is left of it falls by exp(-t), so that the sum falls all the time and reaches 0 with the last step.
+        None before one is, on hold, at the end, and where the last step takes longer than that: nobody knows how much longer.
+        A step is expected to take as long as the mean. One that takes longer is about to end for as long as that takes: what is
+        left of it falls by exp(-t), so that the sum falls all the time.
         """
-        if (
-            self._first is None
-            or self.on_hold
-            or self.done <= self._first[1]
-            or self.done >= self.total
-        ):
+        first, latest = self._ends[:1], self._ends[-1:]
+        if self.on_hold or first == latest or self.done >= self.total:
             return None
-        since_s, already = self._first
-        mean_s = (self._latest_s - since_s) / (self.done - already)
+        ((latest_s, done),) = latest
+        half = done - (done - first[0][1] + 1) // 2
+        since_s, already = [end for end in self._ends if end[1] <= half][-1]
+        mean_s = (latest_s - since_s) / (done - already)
         if mean_s <= 0:
             return 0.0
-        current_s = mean_s * math.exp(
-            -max(0.0, now_s - self._held_s - self._latest_s) / mean_s
-        )
-        return mean_s * (self.total - self.done - 1) + current_s
+        now_s -= self._held_s + latest_s
+        more = self.total - self.done - 1
+        if more == 0 and now_s > mean_s:
+            return None
+        return mean_s * (more + math.exp(-max(0.0, now_s) / mean_s))
 
 
 def in_words(seconds: float) -> str:

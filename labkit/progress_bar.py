@@ -54,7 +54,7 @@ class Bar(Progress):
     def report(self, done: int, total: int, step: str) -> None:
         """Move to a step, as a `Progress`."""
         self._work.report(done, total, step)
-        self.update(self._task, completed=done, total=total)
+        self.update(self._task, completed=done, total=total or None)
 
     def get_renderables(self) -> Iterable[RenderableType]:
         yield self.make_tasks_table(self.tasks)

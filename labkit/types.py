@@ -31,7 +31,7 @@ FrameKind = Literal["target", "flat", "dark", "bias"]
 FRAME_KINDS: tuple[FrameKind, ...] = ("target", "flat", "dark", "bias")
 
 Progress = Callable[[int, int, str], None]
-"""Called with (steps done, steps in all, the step that begins) as work goes on."""
+"""Called with (steps done, steps in all, the step that begins) as work goes on; 0 in all where that is not known yet."""
 
 
 def no_progress(done: int, total: int, step: str) -> None:

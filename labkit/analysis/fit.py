@@ -161,7 +161,12 @@ def _fitted(
         _running(run, min(workers or default_workers(), most), steps) as mapped,
     ):
         observations, assumed = observe(
-            session, plan, target, range_mm=ranges_mm, channel=channels, progress=progress
+            session,
+            plan,
+            target,
+            range_mm=ranges_mm,
+            channel=channels,
+            progress=steps.before,
         )
         assumed += _panel_findings(plan, target, observations)
         kept = KeptFits(mapped, folder / FOLDER)
@@ -171,10 +176,10 @@ def _fitted(
             estimate(observations, plan, targets, kept, steps, patience_s, plain),
             targets,
             stated,
-            kept,
+            steps.counted(kept),
         )
         together = (
-            refit_jointly(fits, targets, stated, kept, steps)
+            refit_jointly(fits, targets, stated, kept, steps.before)
             if joint and fits.lens is not None
             else None
         )

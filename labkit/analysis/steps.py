@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from labkit.execute import Result, Run, Task
+from labkit.sharing import Shared, Value, share
 from labkit.types import Progress
 
 
@@ -24,6 +27,14 @@ class Steps:
         self.done, self.total, self.step = done, total, step
         self._report()
 
+    def before(self, done: int, total: int, step: str) -> None:
+        """Report steps of another pace than the fits to come: neither their number nor their time is known yet."""
+        self(0, 0, f"{step}, {done} of {total} done")
+
+    def counted(self, run: Run) -> Counted:
+        """Return a run whose tasks count as steps after those done."""
+        return Counted(run, self)
+
     def heard(self, words: str) -> None:
         """Receive a message "LABEL: STEP" from work under way."""
         label, _, step = words.partition(": ")
@@ -37,3 +48,24 @@ class Steps:
             for label in labels.split(", ")
         )
         self.progress(self.done, self.total, doing + colon + ", ".join(named))
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A `Run` that counts tasks of another run as steps."""
+
+    run: Run
+    steps: Steps
+
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
+        """Map tasks, see `Run`."""
+        for index, result in self.run(function, tasks):
+            done = self.steps.done + 1
+            self.steps(done, max(self.steps.total, done + 1), self.steps.step)
+            yield index, result
+
+    def share(self, value: Value) -> Shared[Value]:
+        """Return the other run's handle to a value."""
+        return share(self.run, value)

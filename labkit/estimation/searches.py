@@ -50,6 +50,7 @@ class Searches:
     fitted : places of observations that have a fit
     lost : by label, the reason why a search was lost
     made : number of completed searches
+    later : number of steps that are known to follow the session's first fits; None if that depends on the searches
     """
 
     observations: Sequence[Observation]
@@ -59,6 +60,7 @@ class Searches:
     fitted: set[int] = field(default_factory=set)
     lost: dict[str, str] = field(default_factory=dict)
     made: int = 0
+    later: int | None = None
 
     def __post_init__(self) -> None:
         self._shown = {
@@ -85,7 +87,8 @@ class Searches:
         order = sorted(wanted, key=lambda k: wanted[k][0].wavelength_um)
         tasks = [self._task(k, *wanted[k]) for k in order]
         under_way = {k: task.label for k, task in zip(order, tasks, strict=True)}
-        total = self.made + max(len(self.observations) - len(self.fitted), len(tasks))
+        left = max(len(self.observations) - len(self.fitted), len(tasks))
+        total = 0 if self.later is None else self.made + left + self.later
         try:
             self.progress(self.made, total, _named(doing, under_way))
             for index, found in self.run(fit_task, tasks):

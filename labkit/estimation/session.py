@@ -295,7 +295,9 @@ class _Loop:
         for k, guess in guesses.items():
             optics = self._optics(k, selection)
             wanted[k] = optics, with_tests(guess, optics, self.plan)
-        doing = "fitting" if self.found else "searching from nothing"
+        blind = not any(guess.starts or guess.modes for guess in guesses.values())
+        doing = "searching from nothing" if blind else "fitting"
+        self.search.later = None if blind else self._to_come()
         for k, found in self.search(wanted, doing).items():
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
@@ -379,7 +381,17 @@ class _Loop:
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Refit from the present optima, with other camera parts and modes."""
+        self.search.later = self._to_come() if parts == self.parts else None
         return self.refits({k: self.chosen(k) for k in places}, self.parts, parts)
+
+    def _to_come(self, *, bare: bool = True) -> int:
+        """Return the number of steps after the fits: refits with the plan's camera, a joint climb's steps, results.
+
+        bare : whether the refits with the plan's camera are yet to come
+        """
+        adopted = bool(self._camera_parts)
+        steps = adopted or bool(self.camera.wanted)
+        return len(self.observations) * ((adopted and bare) + steps) + 1
 
     # the end
 
@@ -389,7 +401,7 @@ class _Loop:
         whole = self._as_estimate()
         self.search.progress(
             self.search.made,
-            self.search.made,
+            self.search.made + self._to_come(),
             "what the fits make of the lens, and its images of points",
         )
         if not self._camera_parts:
@@ -427,6 +439,7 @@ class _Loop:
     def _with_stated_camera(self, whole: Estimate) -> Estimate:
         """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
         places = sorted(self.found)
+        self.search.later = self._to_come(bare=False)
         bare = self.refits(
             {k: self.chosen(k) for k in places},
             self.parts,

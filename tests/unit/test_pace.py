@@ -28,12 +28,17 @@ def test_time_left_falls_all_the_time_and_never_to_nothing() -> None:
     assert min(left) > 70.0  # seven more steps
 
 
-def test_the_last_step_leaves_little_and_the_end_nothing() -> None:
+def test_a_last_step_that_takes_longer_than_others_leaves_a_time_that_nobody_knows() -> (
+    None
+):
     pace = Pace()
     pace.at(0, 2, 0.0)
     pace.at(1, 2, 10.0)
-    assert 0 < (pace.left_s(60.0) or 0) < 0.1
-    assert in_words(0.05) == "1 s"
+    left = [pace.left_s(10.0 + t) for t in range(50)]
+    assert left[0] == 10.0
+    # never "1 s" for 40 s: at exp(-1) of a step it is known no longer
+    assert min(one for one in left if one is not None) == pytest.approx(10 * np.exp(-1))
+    assert left[11:] == [None] * 39
     pace.at(2, 2, 61.0)
     assert pace.left_s(61.0) is None
 
@@ -56,6 +61,27 @@ def test_more_steps_than_thought_are_more_time() -> None:
     pace.at(1, 2, 10.0)
     pace.at(2, 5, 20.0)
     assert pace.left_s(20.0) == 30.0
+
+
+def test_steps_that_took_long_at_first_are_forgotten() -> None:
+    pace = Pace()
+    pace.at(0, 20, 0.0)
+    pace.at(1, 20, 120.0)
+    for done in range(2, 13):
+        pace.at(done, 20, 120.0 + done)
+    # the later half of twelve steps: 1 s each; the mean of all would leave 88 s
+    assert pace.left_s(132.0) == 8.0
+
+
+def test_no_time_is_named_for_steps_whose_number_is_not_known() -> None:
+    pace = Pace()
+    pace.at(0, 0, 0.0)
+    pace.at(1, 0, 60.0)
+    assert pace.left_s(60.0) is None
+    pace.at(2, 9, 100.0)  # what follows takes a pace of its own
+    assert pace.left_s(101.0) is None
+    pace.at(3, 9, 101.0)
+    assert pace.left_s(101.0) == 6.0
 
 
 def test_another_count_begins_anew() -> None:
