@@ -13,6 +13,9 @@ TRIES = 3
 NEAR_MM = 2.0
 """A reading farther than this from the position ordered is a slip of the hand, or of the keyboard."""
 
+TAPE_MM = 10.0
+"""A range measured by hand errs by less."""
+
 SCALE = Travel(-1e6, 1e6)
 
 
@@ -20,19 +23,25 @@ def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
     """The rail of manual:. Raises PlanError."""
     if plan.rail is None or address != "manual:":
         raise PlanError(f'rail.address = "{address}": allowed is manual:')
-    return ManualRail(context.operator.ask, plan.rail.run_up_mm)
+    return ManualRail(context.operator.ask, plan.rail.run_up_mm, plan.rail.range_mm)
 
 
 class ManualRail(ClosesItself):
     """A Rail, moved by a person. Positions are readings of its scale, in mm.
 
     ask: puts a question and returns the answer. run_up_mm: each stop is approached upward over this distance, to remove
-    backlash.
+    backlash. range_mm: the range at a position, which is no reading of the scale.
     """
 
-    def __init__(self, ask: Callable[[str], str], run_up_mm: float = 1.0) -> None:
+    def __init__(
+        self,
+        ask: Callable[[str], str],
+        run_up_mm: float = 1.0,
+        range_mm: Callable[[float], float] | None = None,
+    ) -> None:
         self._ask = ask
         self._run_up_mm = run_up_mm
+        self._range_mm = range_mm
 
     @property
     def travel_mm(self) -> Travel:
@@ -68,10 +77,18 @@ class ManualRail(ClosesItself):
                 continue
             if abs(at_mm - position_mm) <= NEAR_MM:
                 return at_mm
-            question = f"{at_mm:g} mm is more than {NEAR_MM:g} mm away. {request}"
+            question = f"{self._slip(at_mm, position_mm)}. {request}"
         raise RailError(
             f"nobody set the manual rail to {position_mm:.3f} mm: {question.partition('. ')[0]}"
         )
+
+    def _slip(self, at_mm: float, position_mm: float) -> str:
+        """Say what is wrong with a reading."""
+        if self._range_mm is not None:
+            range_mm = self._range_mm(position_mm)
+            if abs(at_mm - range_mm) <= TAPE_MM:
+                return f"{at_mm:g} mm is the range to the target, no reading of the rail's scale"
+        return f"{at_mm:g} mm is more than {NEAR_MM:g} mm away"
 
     def stop(self) -> None:
         """A person stops by themselves."""

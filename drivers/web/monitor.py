@@ -219,6 +219,8 @@ class Monitor:
                 self._phase = event
                 self._doing = str(fields.get("error", ""))
                 self._paused = self._stopping = False
+            case "next":
+                self._doing = f"next: {fields['command']}"
             case "focusing":
                 self._phase, self._doing = "focusing", str(fields["what"])
             case "serving":
@@ -258,6 +260,8 @@ def in_words(event: str, fields: dict[str, Any]) -> str:
             return f"focusing: {what}"
         case "preflight", {"problems": problems}:
             return f"preflight: {'; '.join(problems) or 'all is right'}"
+        case "next", {"command": command}:
+            return f"next: {command}"
         case "stopped", {"error": error}:
             return f"stopped: {error}"
         case "rejected", {"file": file, "reason": reason}:

@@ -116,7 +116,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_raw(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    dark, light = light_problem(mosaic)
+    dark, light = light_problem(mosaic, alone)
     blur, words = (
         (None, "not looked for: there is no light")
         if dark
@@ -149,9 +149,13 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
         return None, str(error)
 
 
-def light_problem(mosaic: Mosaic) -> tuple[bool, str | None]:
-    """Whether a photograph has no light, and what is wrong with its light, if anything is."""
-    light = exposure_problem(mosaic, "target", _names(mosaic))
+def light_problem(mosaic: Mosaic, alone: Alone) -> tuple[bool, str | None]:
+    """Whether a photograph has no light, and what is wrong with its light, if anything is: in the plan's channels."""
+    names = _names(mosaic)
+    wanted = {channel.name for channel in alone.plan.channel}
+    if alone.planned and mosaic.pattern != MONO:
+        names = [name for name in names if name in wanted]
+    light = exposure_problem(mosaic, "target", names)
     if light is None or not light.startswith("is black"):
         return False, light
     return (

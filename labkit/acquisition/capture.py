@@ -18,7 +18,14 @@ from typing import Any
 from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.patient import PatientDevices
 from labkit.acquisition.preflight import preflight
-from labkit.acquisition.sequence import Shot, bench_settings, missing, picture_for, shots
+from labkit.acquisition.sequence import (
+    Shot,
+    bench_settings,
+    fit_command,
+    missing,
+    picture_for,
+    shots,
+)
 from labkit.devices.context import Devices
 from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Picture, RawFrame
@@ -158,6 +165,7 @@ class _Capture:
             self._take("white", [shot for shot in here if shot.kind == "flat"])
             self._take(target.grey, [shot for shot in here if shot.kind == "target"])
         self._log.note("complete")
+        self._log.show("next", command=fit_command(self._session.folder))
 
     def _look_round(
         self,

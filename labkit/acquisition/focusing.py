@@ -88,7 +88,7 @@ def focus(
 
 
 def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReading:
-    dark, note = light_problem(mosaic)
+    dark, note = light_problem(mosaic, alone)
     corners, blur, margin = (
         (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
     )

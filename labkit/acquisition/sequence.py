@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from labkit.devices.context import Devices
+from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.panel_image import PanelPicture, panel_picture
 from labkit.devices.protocols import Display, OnPaper
+from labkit.devices.registry import open_display
 from labkit.errors import PlanError
 from labkit.plan import CameraSettings, Plan, RailSettings
 from labkit.session.session import Session
@@ -76,6 +80,25 @@ def shown_picture(plan: Plan, display: Display) -> PanelPicture:
     if isinstance(display, OnPaper):
         return replace(panel_picture(target, display.panel), size_mm=target.size_mm)
     return panel_picture(target, display.panel)
+
+
+@contextmanager
+def shown_target(plan: Plan, context: DeviceContext) -> Iterator[Display | None]:
+    """The display of a plan, which shows its target until the end of the block; None without one.
+
+    Raises what the driver raises, TargetError.
+    """
+    if plan.display is None:
+        yield None
+        return
+    with open_display(plan.display.address, plan, context) as display:
+        display.show(shown_picture(plan, display).grey)
+        yield display
+
+
+def fit_command(session: Path) -> str:
+    """What to type to fit a session."""
+    return shlex.join(["labkit", "fit", str(session)])
 
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:

@@ -55,7 +55,7 @@ from labkit.session.session import Session
 from labkit.session.shown_size import with_shown_size
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
-from labkit.session.verify import unused
+from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
 
@@ -341,7 +341,7 @@ def _opened(
         else Plan.load(Path(plan))
     )
     if damage := altered_files(session):
-        raise SessionError("; ".join(damage))
+        raise SessionError(as_error(damage))
     chosen = chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
     return session, with_shown_size(session, chosen), _checksum(session, chosen)
 

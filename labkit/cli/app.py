@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from labkit.cli.paths import a_plan, a_session, checked, perhaps_a_plan
 from labkit.version import __version__
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -30,7 +29,6 @@ CameraPlace = Annotated[
     typer.Argument(
         metavar="[PLAN.toml | ADDRESS]",
         help="A plan, or a camera's address.",
-        callback=checked(perhaps_a_plan),
     ),
 ]
 PlanPath = Annotated[
@@ -38,17 +36,11 @@ PlanPath = Annotated[
     typer.Argument(
         metavar="PLAN.toml",
         help="The plan: what to do, and with what.",
-        callback=checked(a_plan),
     ),
 ]
 SessionPath = Annotated[
     Path,
-    typer.Argument(
-        metavar="SESSION", help="The session's folder.", callback=checked(a_session)
-    ),
-]
-NewSession = Annotated[
-    Path, typer.Argument(metavar="SESSION", help="The session's folder.")
+    typer.Argument(metavar="SESSION", help="The session's folder."),
 ]
 
 

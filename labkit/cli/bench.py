@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -14,8 +14,8 @@ import typer
 
 from labkit.cli.app import (
     CameraPlace,
-    NewSession,
     PlanPath,
+    SessionPath,
     app,
     camera_app,
     rail_app,
@@ -23,7 +23,7 @@ from labkit.cli.app import (
 )
 from labkit.cli.complete import panels, targets
 from labkit.cli.device_tables import NONE_OF, device_tables
-from labkit.cli.paths import a_file, checked, perhaps_a_plan
+from labkit.cli.paths import a_file, a_plan, perhaps_a_plan
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError, PlanError
 
@@ -39,7 +39,6 @@ TargetText = Annotated[
         metavar="SPEC",
         help="A plan, or a target such as sierpinski:order=5,size_mm=46.8.",
         autocompletion=targets,
-        callback=checked(perhaps_a_plan),
     ),
 ]
 
@@ -84,6 +83,7 @@ def devices(
 @camera_app.command("settings")
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """List what a camera lets be set or read."""
+    perhaps_a_plan(where)
     from labkit.acquisition.camera_check import offered, open_alone
 
     console: Console = ctx.obj
@@ -104,12 +104,21 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
 
 @camera_app.command("test")
 def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
-    """Take one photograph and judge it. Reports light, clipping, noise, focus and the target; keeps nothing."""
+    """Take one photograph and judge it. Reports light, clipping, noise, focus and the target; keeps nothing.
+
+    With a plan its display shows the target first, and the light is judged in its channels.
+    """
+    perhaps_a_plan(where)
     from labkit.acquisition.camera_check import open_alone, take_test_frame
+    from labkit.acquisition.sequence import shown_target
+    from labkit.devices.context import DeviceContext
 
     console: Console = ctx.obj
-    alone = open_alone(where)
-    with alone.camera:
+    context = DeviceContext(show_link=console.link, warn=console.warn)
+    alone = open_alone(where, context)
+    plan = alone.plan
+    by_hand = plan.display is not None and plan.display.by_hand
+    with alone.camera, nullcontext() if by_hand else shown_target(plan, context):
         found = take_test_frame(alone)
     console.warn(*found.problems)
     console.say(
@@ -148,7 +157,6 @@ def camera_tone(
         typer.Argument(
             metavar="IMAGE",
             help="The photograph of the wedge: JPEG, PNG or TIFF.",
-            callback=checked(a_file),
         ),
     ],
     out: Annotated[
@@ -161,6 +169,7 @@ def camera_tone(
     ] = None,
 ) -> None:
     """Measure a camera's tone curve. From a photograph of labkit target serve wedge:size_mm=100; prints it for the plan."""
+    a_file(photograph)
     from labkit.calibration.tone_wedge import measure_tone
     from labkit.files import write_new
 
@@ -199,6 +208,7 @@ def target_render(
     ] = None,
 ) -> None:
     """Write a target to print, in its true size."""
+    perhaps_a_plan(spec)
     from labkit.target import open_target
     from labkit.target_file import render_file
 
@@ -234,6 +244,7 @@ def target_serve(
     ] = "127.0.0.1:8642",
 ) -> None:
     """Show a target in a browser. On an iPad or any display, until Ctrl-C; the operator's page shows patterns too."""
+    perhaps_a_plan(spec)
     from labkit.devices.context import DeviceContext
     from labkit.devices.registry import open_display
     from labkit.devices.serve_target import panel_plans, serve_target
@@ -279,7 +290,7 @@ Listen = Annotated[
 def capture(
     ctx: typer.Context,
     plan: PlanPath,
-    session: NewSession,
+    session: SessionPath,
     resume: Resume = False,
     simulate: Simulate = False,
     no_preflight: NoPreflight = False,
@@ -287,6 +298,7 @@ def capture(
     listen: Listen = None,
 ) -> None:
     """Photograph what a plan asks for. Flats and target at every range, then darks; Ctrl-C and --resume are safe."""
+    a_plan(plan)
     from labkit.acquisition.capture import run_plan as run_capture
     from labkit.acquisition.sequence import missing, picture_for
     from labkit.plan import Plan
@@ -388,11 +400,11 @@ def _resume_command(ctx: typer.Context) -> str:
 
 def _report_complete(console: Console, session: Session) -> None:
     """Raises LabkitError for photographs that are damaged."""
-    from labkit.session.verify import altered
+    from labkit.session.verify import altered, as_error
 
     if damage := altered(session):
         raise LabkitError(
-            f"{session.folder} has all that the plan asks for, but {'; '.join(damage)}"
+            f"{session.folder} has all that the plan asks for, but {as_error(damage)}"
         )
     _report_capture(
         console, session.folder, len(session.frames), ", all that the plan asks for"
@@ -400,7 +412,9 @@ def _report_complete(console: Console, session: Session) -> None:
 
 
 def _report_capture(console: Console, session: Path, frames: int, remark: str = "") -> None:
-    console.say(f"{session}: {frames} frames{remark}")
+    from labkit.acquisition.sequence import fit_command
+
+    console.say(f"{session}: {frames} frames{remark}; next: {fit_command(session)}")
     console.answer({"session": str(session), "frames": frames})
 
 
@@ -418,6 +432,7 @@ def rail_calibrate(
     ] = None,
 ) -> None:
     """Determine the rail's direction and zero. The rail moves, you measure; prints two lines for the plan."""
+    a_plan(plan)
     from labkit.cli.questions import ask, ask_until, at_terminal
     from labkit.devices.context import DeviceContext
     from labkit.devices.rail_calibration import find_zero, measure, read_range, stops

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import app
-from labkit.cli.paths import a_file_or_plan, a_file_or_session, checked
+from labkit.cli.paths import a_file_or_plan, a_file_or_session
 from labkit.cli.sessions import Workers
 from labkit.console import Console
 from labkit.errors import DataError
@@ -27,7 +27,6 @@ Images = Annotated[
     typer.Argument(
         metavar="IMAGE... PLAN.toml",
         help="Frames of one scene, and their plan.",
-        callback=checked(a_file_or_plan),
     ),
 ]
 Boxes = Annotated[
@@ -45,7 +44,6 @@ Psf = Annotated[
         metavar="SESSION",
         help="Whose wavefront and best focus are taken.",
         show_default="none: fitted along",
-        callback=checked(a_file_or_session),
     ),
 ]
 Focus = Annotated[
@@ -105,6 +103,8 @@ def edges(
     workers: Workers = None,
 ) -> None:
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
+    a_file_or_plan(*images)
+    a_file_or_session(psf)
     from labkit.fiducials.measure import Scene, measure_edges
     from labkit.plan import Plan
     from labkit.results import Results

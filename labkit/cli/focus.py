@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import CameraPlace, camera_app
+from labkit.cli.paths import perhaps_a_plan
 from labkit.console import Console
 from labkit.errors import PlanError
 
@@ -58,6 +59,7 @@ def camera_focus(
     listen: Listen = None,
 ) -> None:
     """Photograph on and on, to focus by. Sharpness, clipping, the target's outline, until Ctrl-C; nothing is kept."""
+    perhaps_a_plan(where)
     from labkit.acquisition.camera_check import open_alone
     from labkit.acquisition.focusing import focus
     from labkit.devices.context import DeviceContext
@@ -89,8 +91,8 @@ def _set_up(
     alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack
 ) -> Sequence[object]:
     """Show the plan's target, and move its rail, as far as it has them; what was opened for that."""
-    from labkit.acquisition.sequence import shown_picture
-    from labkit.devices.registry import open_display, open_rail
+    from labkit.acquisition.sequence import shown_target
+    from labkit.devices.registry import open_rail
 
     plan, opened = alone.plan, list[object]()
     if range_mm is not None:
@@ -111,9 +113,7 @@ def _set_up(
         rail.move_to(plan.rail.position_mm(range_mm))
         opened.append(rail)
     if plan.display is not None:
-        display = stack.enter_context(open_display(plan.display.address, plan, context))
-        opened.append(display)
-        display.show(shown_picture(plan, display).grey)
+        opened.append(stack.enter_context(shown_target(plan, context)))
     return opened
 
 

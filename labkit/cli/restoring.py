@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from labkit.cli.app import app
-from labkit.cli.paths import a_file_or_session, checked
+from labkit.cli.paths import a_file_or_session
 from labkit.cli.sessions import Workers
 from labkit.console import Console
 from labkit.errors import DataError, SessionError
@@ -29,7 +29,6 @@ Photographs = Annotated[
     typer.Argument(
         metavar="IMAGE... | SESSION",
         help="Raw files of one scene, or a session's folder.",
-        callback=checked(a_file_or_session),
     ),
 ]
 Psf = Annotated[
@@ -38,7 +37,6 @@ Psf = Annotated[
         metavar="SESSION",
         help="Whose lens took them.",
         show_default="the session given",
-        callback=checked(a_file_or_session),
     ),
 ]
 Out = Annotated[
@@ -129,6 +127,7 @@ def restore(
     workers: Workers = None,
 ) -> None:
     """Restore the scene behind photographs. By a session's lens, with standard errors."""
+    a_file_or_session(*photographs, psf)
     from labkit.execute import default_workers
     from labkit.restoring.restore import Wanted
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import NewSession, PlanPath, SessionPath, app
+from labkit.cli.app import PlanPath, SessionPath, app
 from labkit.cli.complete import channels, studies
-from labkit.cli.paths import a_file, a_plan, checked
+from labkit.cli.paths import a_file, a_plan, a_session
 from labkit.console import Console
 from labkit.errors import DataError, LabkitError
 
@@ -67,13 +67,14 @@ def import_(
         typer.Argument(
             metavar="FRAMES.csv",
             help="The list of photographs: file, kind, range_mm.",
-            callback=checked(a_file),
         ),
     ],
     plan: PlanPath,
-    session: NewSession,
+    session: SessionPath,
 ) -> None:
     """Make a session of existing photographs. Each is checked and copied; nothing is made if one cannot be used."""
+    a_file(frames)
+    a_plan(plan)
     from labkit.session.import_frames import import_frames
 
     console: Console = ctx.obj
@@ -100,7 +101,6 @@ def plan_(
         typer.Argument(
             metavar="[IMAGE]",
             help="A photograph: raw, JPEG, TIFF, PNG or PGM.",
-            callback=checked(a_file),
         ),
     ] = None,
     out: Annotated[
@@ -115,6 +115,7 @@ def plan_(
     ] = False,
 ) -> None:
     """Draft a plan from a photograph, or ask. What its file does not state is left to fill in, with an example."""
+    a_file(image)
     from labkit.session.draft_plan import draft_plan, write_draft
 
     console: Console = ctx.obj
@@ -150,8 +151,9 @@ def _ask_for_plan(console: Console, image: Path | None, out: Path) -> None:
 @app.command()
 def verify(ctx: typer.Context, session: SessionPath) -> None:
     """Check a session against its checksums. Every frame, the plan, and the journal against the folder."""
+    a_session(session)
     from labkit.session.session import Session
-    from labkit.session.verify import remarks
+    from labkit.session.verify import as_error, remarks
     from labkit.session.verify import verify as find_problems
 
     console: Console = ctx.obj
@@ -169,7 +171,7 @@ def verify(ctx: typer.Context, session: SessionPath) -> None:
         }
     )
     if problems:
-        raise LabkitError(f"{session}: {'; '.join(problems)}")
+        raise LabkitError(f"{session}: {as_error(problems)}")
     console.say(f"{session}: {len(opened.frames)} frames, all as they were taken")
 
 
@@ -198,7 +200,6 @@ OtherPlan = Annotated[
         metavar="PLAN.toml",
         help="Plan to fit by.",
         show_default="the session's own",
-        callback=checked(a_plan),
     ),
 ]
 Modes = Annotated[
@@ -267,6 +268,8 @@ def fit(
     diagnose: Diagnose = False,
 ) -> None:
     """Estimate wavefronts, best focus, the lens. Results go to SESSION/results/NAME; a fit that was killed goes on."""
+    a_session(session)
+    a_plan(plan)
     from labkit.analysis.fit import fit as fit_session
     from labkit.session.session import Session
 
@@ -358,6 +361,7 @@ def report(
     ] = False,
 ) -> None:
     """Write the report as one HTML page. It needs nothing beside it; figures also lie in the folder."""
+    a_session(session)
     from labkit.report.html import write_report
     from labkit.results import Results
     from labkit.session.session import Session
@@ -400,6 +404,7 @@ def advise(
     ] = None,
 ) -> None:
     """Predict what a plan will determine. Standard errors at each range and of the lens, and what would reduce them."""
+    a_plan(plan)
     from labkit.advice.advise import advise as advise_on
     from labkit.advice.tables import range_rows, session_rows
     from labkit.plan import Plan

@@ -50,6 +50,10 @@ class Row:
     further: dict[str, str]
 
 
+QUOTED = re.compile(r"""'[^']*'|"[^"]*"|; write .*|of \d+ characters""")
+"""What a message repeats of a cell: messages that differ in it alone are of one kind."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Checked:
     """What a photograph that can be used says; notes: how its numbers came about; altered: what a program has done to it."""
@@ -111,19 +115,22 @@ def import_frames(
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
     """The rows of a CSV, checked against the plan. Raises DataError with every problem in one line."""
     header, lines = _read_cells(csv_path)
-    rows, problems = [], []
+    rows = list[Row]()
+    problems = list[tuple[str, str]]()
     for line, cells in lines:
         try:
             rows.append(_row(csv_path.parent, line, header, cells, plan))
         except InputError as error:
-            problems.append(f"line {line}: {error}")
+            problems.append((f"line {line}: {error}", QUOTED.sub("", str(error))))
     first_line: dict[Path, int] = {}
     for row in rows:
         if (first := first_line.setdefault(row.path, row.line)) != row.line:
-            problems.append(f"line {row.line}: {row.file} stands in line {first} already")
+            words = f"line {row.line}: {row.file} stands in line {first} already"
+            problems.append((words, "already"))
     if not problems and not any(row.kind == "target" for row in rows):
-        problems.append("no photograph of kind target: at least one is needed")
-    _refuse(csv_path, problems)
+        words = "no photograph of kind target: at least one is needed"
+        problems.append((words, words))
+    _refuse(csv_path, _each_once(problems, "lines"))
     return rows
 
 
@@ -249,17 +256,17 @@ def _check_photographs(
         if problem := problem or altered.refusal:
             problems.append((f"{row.file} {problem}", problem))
         checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))
-    _refuse(csv_path, _each_once(problems))
+    _refuse(csv_path, _each_once(problems, "files"))
     return checked
 
 
-def _each_once(problems: Sequence[tuple[str, str]]) -> list[str]:
-    """Of messages, each with what it says apart from its file, the first of those that say the same."""
+def _each_once(problems: Sequence[tuple[str, str]], of: str) -> list[str]:
+    """Of messages, each with what it says apart from its file or its line, the first of those that say the same."""
     times, firsts = Counter(what for _, what in problems), dict[str, str]()
     for words, what in problems:
         firsts.setdefault(what, words)
     return [
-        words + (f" (and {times[what] - 1} more files like it)" if times[what] > 1 else "")
+        words + (f" (and {times[what] - 1} more {of} like it)" if times[what] > 1 else "")
         for what, words in firsts.items()
     ]
 

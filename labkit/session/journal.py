@@ -121,7 +121,8 @@ def _parse(content: bytes, path: Path) -> Journal:
     for number, line in enumerate(lines, start=1):
         if line is None:
             raise SessionError(
-                f"{path}: line {number} does not fit its checksum: it was altered or is damaged"
+                f"{path}: line {number} does not fit its checksum: it was altered or is damaged; "
+                "put back a whole copy of the journal"
             )
         if not _follows(line, whole):
             raise SessionError(

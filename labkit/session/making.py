@@ -34,7 +34,11 @@ def refuse_existing(folder: Path, go_on: str = "") -> None:
         raise SessionError(
             f"{folder} is the folder you are in, and cannot be made anew: give the name of a new one in it"
         )
-    above = next(parent for parent in folder.absolute().parents if parent.exists())
+    above = folder.absolute().parent
+    if not above.exists():
+        raise SessionError(
+            f"{folder} cannot be made: {above} is not there; correct the path, or make that folder first"
+        )
     if not above.is_dir():
         raise SessionError(f"{folder} cannot be made: {above} is no folder")
 
@@ -49,7 +53,6 @@ def made_beside(folder: Path, how: str) -> Iterator[Path]:
     refuse_existing(folder)
     real = folder.resolve()
     with writing(folder):
-        real.parent.mkdir(parents=True, exist_ok=True)
         remove_abandoned(real.parent)
         beside = real.parent / f".{real.name}.{os.getpid()}.{how}"
         beside.mkdir()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from labkit.errors import SessionError
 from labkit.files import checksum_problem, link_problem, links_in
 from labkit.finding import Finding
@@ -9,6 +11,11 @@ from labkit.findings import found
 from labkit.session.frame import FRAMES, pending
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session, leftovers, unlisted
+
+PUT_BACK = (
+    "put back a copy of each, from a backup or the camera's card; without one, import those that are whole as a new "
+    "session"
+)
 
 
 def verify(session: Session) -> list[str]:
@@ -61,6 +68,13 @@ def is_safe(session: Session) -> bool:
         )
     except (SessionError, OSError):
         return False
+
+
+def as_error(problems: Sequence[str]) -> str:
+    """Say what is wrong with a session, and what to do about files that are not as they were."""
+    words = "; ".join(problems)
+    damaged = any("checksum" in problem or "missing" in problem for problem in problems)
+    return f"{words}; {PUT_BACK}" if damaged else words
 
 
 def altered(session: Session) -> list[str]:

@@ -37,6 +37,9 @@ function duration(seconds) {
   return minutes < 90 ? `${minutes} min left` : `${Math.floor(minutes / 60)} h ${minutes % 60} min left`;
 }
 
+// An ISO 8601 time where the reader is, with the zone's name and without the day.
+const clock = (time) => new Date(time).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short" });
+
 // A target counts as shown where its display says so; without photographs there is nothing to say of any.
 function phaseOf(state) {
   return state.phase === "serving" && state.displays.some((display) => display.problem !== null) ? "unshown" : state.phase;
@@ -175,7 +178,7 @@ function renderLog(lines) {
   list.dataset.now = now;
   list.replaceChildren(...lines.slice().reverse().map((line) => {
     const bad = /^(trouble|stopped|put aside)/.test(line.text);
-    const time = make("time", "soft", line.time.slice(11)); // of an ISO 8601 time with its zone, without the day
+    const time = make("time", "soft", clock(line.time));
     time.dateTime = time.title = line.time;
     return make("li", bad ? "trouble" : "", time, make("span", "", line.text));
   }));

@@ -43,6 +43,38 @@ def test_a_slip_of_the_keyboard_is_asked_again(slip: str, words: str) -> None:
     assert asked[1].startswith(words)
 
 
+@pytest.mark.parametrize("typed", ["3200", "3203.5"])
+def test_a_range_that_is_typed_for_the_scale_is_named_as_one(typed: str) -> None:
+    asked: list[str] = []
+    answers = iter([typed, "250"])
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    rail = ManualRail(ask, range_mm=lambda position_mm: 2950 + position_mm)
+    assert rail.move_to(250.0) == 250
+    assert asked[1] == (
+        f"{typed} mm is the range to the target, no reading of the rail's scale. {asked[0]}"
+    )
+
+
+def test_a_plan_tells_the_rail_its_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
+    context, bench = DeviceContext(), plan()
+    assert bench.rail is not None
+    position_mm = bench.rail.position_mm(2100.0)
+    asked: list[str] = []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return "2100" if len(asked) == 1 else f"{position_mm}"
+
+    monkeypatch.setattr(context.operator, "ask", ask)
+    with open_rail("manual:", bench, context) as rail:
+        assert rail.move_to(position_mm) == position_mm
+    assert asked[1].startswith("2100 mm is the range to the target")
+
+
 def test_nobody_who_answers_to_the_point_ends_it_with_one_line() -> None:
     rail, _ = answering("?", "", "15")
     with pytest.raises(

@@ -383,6 +383,23 @@ def test_times_in_the_log_have_their_zone() -> None:
     assert abs(logged - datetime.now(UTC)) < timedelta(minutes=10)
 
 
+def test_times_in_the_log_are_those_of_the_reader_with_their_zone(table: Table) -> None:
+    page = table.operator.page
+    page.context.new_cdp_session(page).send(
+        "Emulation.setTimezoneOverride", {"timezoneId": "Asia/Kathmandu"}
+    )
+    shown = page.evaluate("clock('2026-11-24T21:40:05+00:00')")
+    assert shown == "03:25:05 GMT+5:45"
+
+
+def test_a_capture_that_is_complete_names_the_next_command(table: Table) -> None:
+    table.monitor.noted("began", missing=1, total=1)
+    table.monitor.noted("complete")
+    table.monitor.noted("next", command="labkit fit 'night 3'")
+    table.reads("phase", "Complete")
+    table.reads("doing", "next: labkit fit 'night 3'")
+
+
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:
     monitor = Monitor(DeviceContext().requests, Operator())
     monitor.noted("trouble", device="rail", attempt=1, error="stalled")

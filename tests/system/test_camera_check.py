@@ -101,3 +101,25 @@ def test_without_a_camera_one_line_says_so(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "plug it in, switch it on" in error
+
+
+def test_only_the_plans_channels_are_judged(
+    photograph: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counts = np.random.default_rng(1).normal(4000, 40, (200, 400))
+    counts[::2, ::2] = 16383  # all of red is full
+    lay(photograph, counts)
+    plan = tmp_path / "plan.toml"
+    for name, said in (("R", True), ("G", False)):
+        plan.write_text(PLAN.replace('name = "G"', f'name = "{name}"'))
+        assert run(["camera", "test", str(plan)]) == 0
+        assert ("is overexposed" in capsys.readouterr().err) == said
+
+
+def test_the_plans_display_is_lit_first(
+    plan_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["camera", "test", str(plan_file)]) == 0
+    said = capsys.readouterr()
+    assert "is black" not in said.err
+    assert "focus: the sharpest edges rise over" in said.out

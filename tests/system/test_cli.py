@@ -204,7 +204,11 @@ def test_verify_fails_with_status_1_and_names_the_file(
     (session / "frames" / "target.dng").write_bytes(b"altered")
     capfd.readouterr()
     assert run(["verify", str(session)]) == 1
-    assert "target.dng: does not fit its checksum" in one_line(capfd.readouterr().err)
+    said = one_line(capfd.readouterr().err)
+    assert "target.dng: does not fit its checksum" in said
+    assert (
+        "; put back a copy of each, from a backup or the camera's card; without one" in said
+    )
 
 
 def test_a_torn_journal_is_told_as_a_warning(
@@ -342,7 +346,8 @@ def test_resuming_what_is_complete_needs_no_devices(
         )
         == 0
     )
-    assert capsys.readouterr().out.endswith(": 10 frames, all that the plan asks for\n")
+    last = f": 10 frames, all that the plan asks for; next: labkit fit {session}\n"
+    assert capsys.readouterr().out.endswith(last)
 
 
 def test_a_capture_that_its_camera_ends_says_how_to_go_on(

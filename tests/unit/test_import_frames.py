@@ -46,6 +46,7 @@ class Folder:
         self.rows: list[str] = []
         self.plan = PLAN
         self.session = path / "sessions" / "mine"
+        self.session.parent.mkdir()
         self.add("dark.dng", "dark", None)
         self.add("flat.dng", "flat", 3000.0)
         self.add("target.dng", "target", 3000.0)
@@ -72,10 +73,10 @@ class Folder:
         )
 
     def refusal(self, kind: type[InputError] = InputError, csv: str | None = None) -> str:
-        """The one-line message; nothing has been made, not even the folder above the session."""
+        """The one-line message; nothing has been made."""
         with pytest.raises(kind) as caught:
             self.run(csv)
-        assert not self.session.parent.exists()
+        assert list(self.session.parent.iterdir()) == []
         assert str(caught.value).isprintable()
         return str(caught.value)
 
@@ -122,6 +123,29 @@ def test_a_camera_never_met_is_imported_with_its_own_phase_depth_levels_and_orie
         black,
         SIZE,
     )
+
+
+def test_rows_that_are_wrong_in_one_way_are_named_once(folder: Folder) -> None:
+    rows = [f"a{k}.dng,tgt{k},3000" for k in range(40)]
+    rows += (
+        [f"b{k}.dng,target,{k}" for k in range(30)] + ["c.dng,target"] + ["d.dng,flat,x"]
+    )
+    csv = "file,kind,range_mm\n" + "\n".join(rows)
+    said = folder.refusal(csv=csv)
+    kinds = "allowed is target, flat, dark, bias (and 39 more lines like it)"
+    ranges = "allowed is nothing, or a number above the focal length, 70 mm (and 30 more lines like it)"
+    assert said == (
+        f"{folder.path / 'frames.csv'}: line 2: kind 'tgt0': {kinds}; line 42: range_mm '0': {ranges}"
+    )
+
+
+def test_a_session_in_a_folder_that_is_not_there_is_refused(folder: Folder) -> None:
+    folder.session = folder.path / "sesions" / "mine"
+    with pytest.raises(
+        SessionError, match=r"sesions is not there; correct the path, or make"
+    ):
+        folder.run()
+    assert not folder.session.parent.exists()
 
 
 def test_further_columns_are_kept(folder: Folder) -> None:
@@ -176,10 +200,11 @@ def test_a_row_that_no_spreadsheet_would_write_is_named(
     assert len(message) < 400
 
 
-def test_of_very_many_wrong_rows_the_first_are_named(folder: Folder) -> None:
-    message = folder.refusal(csv="file,kind,range_mm\n" + "x.dng,potato,\n" * 1000)
-    assert message.count("potato") == 20
-    assert message.endswith("; and 980 more problems")
+def test_of_very_many_kinds_of_wrong_rows_the_first_are_named(folder: Folder) -> None:
+    rows = [f"{'x' * k}.dng,target,{k},{','.join('y' * k)}" for k in range(1, 41)]
+    message = folder.refusal(csv="file,kind,range_mm\n" + "\n".join(rows))
+    assert message.count(" cells, but the header has 3") == 20
+    assert message.endswith("; and 20 more problems")
 
 
 def test_names_are_made_safe_and_different(folder: Folder) -> None:
