@@ -101,6 +101,11 @@ class Searches:
         self.fitted |= results.keys()
         return dict(sorted(results.items()))
 
+    def conclude(self, later: int) -> None:
+        """Report that the searches are made, and the number of steps that follow."""
+        doing = "what the fits make of the lens, and its images of points"
+        self.progress(self.made, self.made + later, doing)
+
     @property
     def left_out(self) -> list[str]:
         """Lines about the observations without a fit."""

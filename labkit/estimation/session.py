@@ -106,9 +106,8 @@ class _Loop:
     @property
     def _noll(self) -> tuple[int, ...]:
         """Modes in the model."""
-        return (
-            optics_of(self.plan, self.observations[0].channel).with_parts(self.parts).noll
-        )
+        optics = optics_of(self.plan, self.observations[0].channel)
+        return optics.with_parts(self.parts).noll
 
     @property
     def _camera_parts(self) -> Parts:
@@ -385,25 +384,20 @@ class _Loop:
         return self.refits({k: self.chosen(k) for k in places}, self.parts, parts)
 
     def _to_come(self, *, bare: bool = True) -> int:
-        """Return the number of steps after the fits: refits with the plan's camera, a joint climb's steps, results.
-
-        bare : whether the refits with the plan's camera are yet to come
-        """
+        """Return the number of steps after the fits: refits with the plan's camera (if `bare`), a joint climb's, results."""
         adopted = bool(self._camera_parts)
-        steps = adopted or bool(self.camera.wanted)
-        return len(self.observations) * ((adopted and bare) + steps) + 1
+        each = (adopted and bare) + (adopted or bool(self.camera.wanted))
+        return len(self.observations) * each + 1
 
     # the end
 
     def ended(self, plain: bool) -> Estimate:
         """Return the estimate. Without adopted parts the session is refitted, for comparison or, if `plain`, as the result."""
-        self._refuse_none()
+        if not self.found:
+            left_out = "; ".join(self.search.left_out)
+            raise FitError(f"no wavefront could be fitted: {left_out}")
         whole = self._as_estimate()
-        self.search.progress(
-            self.search.made,
-            self.search.made + self._to_come(),
-            "what the fits make of the lens, and its images of points",
-        )
+        self.search.conclude(self._to_come())
         if not self._camera_parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
         bare = self._with_stated_camera(whole)
@@ -498,11 +492,6 @@ class _Loop:
             selection.open_channels,
             lost=lost,
         )
-
-    def _refuse_none(self) -> None:
-        if not self.found:
-            left_out = "; ".join(self.search.left_out)
-            raise FitError(f"no wavefront could be fitted: {left_out}")
 
 
 def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:
