@@ -7,13 +7,11 @@ after an interruption: it goes on where it stopped. (`labkit demo` leaves a plan
 import sys
 from pathlib import Path
 
-import numpy as np
-
 import labkit
 
 
 def measure(plan_path: Path, folder: Path) -> labkit.Results:
-    """Capture, fit, report; then what a lens test asks of the first channel's sharpest wavefront."""
+    """Capture, fit, report; then what a lens test asks of each channel at best focus."""
     plan = labkit.Plan.load(plan_path).replace(fit={"zernike_noll": (4, 15)})
     with labkit.open_devices(plan) as bench:
         session = labkit.capture(plan, bench, folder, resume=True)
@@ -22,12 +20,14 @@ def measure(plan_path: Path, folder: Path) -> labkit.Results:
     if results.focus is not None:
         for channel, best in results.focus.best_focus_mm.items():
             print(f"best focus {channel}: {best}")
-    w = min(results, key=lambda w: abs(w[4].value))
-    print(f"nearest to focus: {w.range_mm:g} mm, {w.channel}")
-    print("  defocus", w[4], "  Strehl ratio", w.strehl)
-    mtf = w.mtf(np.array([25.0, 50.0, 100.0]))
-    for frequency, value, std in zip(mtf.frequency_per_mm, mtf.value, mtf.std, strict=True):
-        print(f"  MTF at {frequency:g} cycles/mm: {labkit.Uncertain(value, std)}")
+    for shift in results.longitudinal_colour():
+        print(f"longitudinal colour {shift.name}: {shift.range_shift}")
+    print(results.headline)
+    for channel in results.channels:
+        lens = results.nearest_focus(channel).best
+        print(f"{channel}: Strehl ratio {lens.strehl}, RMS {lens.rms_nm}")
+        for frequency in (25.0, 50.0, 100.0):
+            print(f"  MTF at {frequency:g} cycles/mm: {lens.mtf_at(frequency, 'x')}")
     return results
 
 

@@ -102,7 +102,8 @@ TEXTS = {
         "no best focus of {where}: it needs at least 2 ranges: photograph the target at more ranges"
     ),
     "defocus-sign-open": (
-        "{where}: these ranges leave the sign of its defocus open; ranges on both sides of focus would determine it"
+        "{where}: these ranges leave open the sign of defocus and, with it, of all even modes; ranges on both sides of focus "
+        "would determine it"
     ),
     "pupil-magnification-at-bound": (
         "no pupil magnification from {least:g} to {most:g} fits: defocus does not follow a lens's curve; check ranges, "

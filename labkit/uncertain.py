@@ -10,6 +10,7 @@ from typing import Any
 
 LARGE, SMALL = 1e7, 1e-4  # from here on, and below, a power of ten is taken out
 DIGITS = 6  # of a number that has no error to say how many
+SIGN_OPEN = "sign open"
 
 
 def decimals(std: float, most: int = DIGITS) -> int:
@@ -24,15 +25,19 @@ def decimals(std: float, most: int = DIGITS) -> int:
 class Uncertain:
     """A value and its standard error, nan where that is unknown, infinite where the data do not determine the value.
 
-    unit: printed after both, such as "mm". Raises ValueError for a negative standard error.
+    unit: printed after both, such as "mm". sign_open: whether the negative of the value is as likely, as of an even Zernike
+    mode of one range; it is printed without its sign then. Raises ValueError for a negative standard error.
 
     >>> print(Uncertain(3024.0, 0.4, "mm"))
     3024.00 ± 0.40 mm
+    >>> print(Uncertain(-0.579, 0.003, "waves", sign_open=True))
+    ±0.5790 ± 0.0030 waves, sign open
     """
 
     value: float
     std: float = math.nan
     unit: str = ""
+    sign_open: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", float(self.value))
@@ -48,15 +53,17 @@ class Uncertain:
         """For a number's format (".2f", "+.3g") both numbers in it, for any other (">24") the text of `str` in it."""
         if spec[-1:] not in tuple("eEfFgG"):
             return format(str(self), spec)
-        return self._with_unit(
-            f"{self.value:{spec}} ± {_error(self.std, spec.lstrip('+ '))}"
-        )
+        plain = spec.lstrip("+ ")
+        value = f"±{abs(self.value):{plain}}" if self.sign_open else f"{self.value:{spec}}"
+        return self._with_unit(f"{value} ± {_error(self.std, plain)}")
 
     def _repr_html_(self) -> str:
         number, exponent = self._number()
         power = f"({number}) × 10<sup>{exponent}</sup>" if exponent else number
-        return power.replace("-", "\N{MINUS SIGN}") + (
-            f" {html.escape(self.unit)}" if self.unit else ""
+        return (
+            power.replace("-", "\N{MINUS SIGN}")
+            + (f" {html.escape(self.unit)}" if self.unit else "")
+            + self._note()
         )
 
     def as_json(self) -> dict[str, float | None]:
@@ -86,7 +93,10 @@ class Uncertain:
         return cls(value, std, unit)
 
     def _with_unit(self, number: str) -> str:
-        return f"{number} {self.unit}" if self.unit else number
+        return (f"{number} {self.unit}" if self.unit else number) + self._note()
+
+    def _note(self) -> str:
+        return f", {SIGN_OPEN}" if self.sign_open else ""
 
     def _number(self) -> tuple[str, int]:
         """Text of value and error, and the power of ten that is taken out of both."""
@@ -100,11 +110,13 @@ class Uncertain:
             else math.floor(math.log10(largest))
         )
         value, std = self.value / 10.0**exponent, self.std / 10.0**exponent
+        sign = "±" if self.sign_open else ""
+        value = abs(value) if self.sign_open else value
         if not known:
-            return f"{value:.{DIGITS}g} ± {_error(std, 'g')}", exponent
+            return f"{sign}{value:.{DIGITS}g} ± {_error(std, 'g')}", exponent
         places = decimals(std, most=15)
         rounded = round(value, places) + 0.0  # no minus zero
-        return f"{rounded:.{places}f} ± {std:.{places}f}", exponent
+        return f"{sign}{rounded:.{places}f} ± {std:.{places}f}", exponent
 
 
 def _error(std: float, spec: str) -> str:

@@ -38,6 +38,11 @@ MEANINGS = {
     "wavefronts[].waves_rms": (
         "Coefficient of each mode, waves RMS, as the whole session has it where the fit belongs to it."
     ),
+    "wavefronts[].sign_open": (
+        "Whether the twin is as likely, which makes the same photographs: all even modes, defocus too, have the other sign "
+        "there. So it is from one range."
+    ),
+    "wavefronts[].twin_waves_rms": "Coefficients of the twin; null where the sign is determined.",
     "wavefronts[].std": "Standard error of each coefficient.",
     "wavefronts[].covariance": "Covariance of the coefficients.",
     "wavefronts[].pose": "Perspective of the first photograph, eight numbers.",

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.columns import (
     CONE,
     F_NUMBER,
@@ -30,6 +31,7 @@ from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.zernike import is_even
 from labkit.results import (
     Focus,
     Lens,
@@ -54,7 +56,11 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
         wavefront = _judged(wavefront, k, session)
         explained = wavefront.test is None or wavefront.test.explains
         wavefronts.append(
-            wavefront if explained else replace(wavefront, missing=session.missing)
+            replace(
+                wavefront,
+                missing=() if explained else session.missing,
+                sign_open=k not in session.signed,
+            )
         )
     return tuple(wavefronts)
 
@@ -99,12 +105,16 @@ def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
 
 
 def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
-    """Replace the values of member k by the session's."""
+    """Replace the values of member k by the session's.
+
+    Modes that differ between ranges of an incomplete model err by as much: the lens has one set of modes.
+    """
     lens, row = session.lens, session.rows[k]
     assert lens is not None
     assert row is not None
     values, covariance = lens.posterior(row)
     modes = len(w.noll)
+    covariance = covariance + np.diag(_model_scatter(session, lens))
     labels = lens.model.parts
     optics = session.fits[k].optics
     numbers = dict(zip(labels, values[modes:-2], strict=True))
@@ -132,6 +142,15 @@ def _light_nm(w: Wavefront, lens: LensFit) -> float:
     if column != lens.model.laws.mistaken:
         return w.wavelength_nm
     return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, w.channel)))
+
+
+def _model_scatter(session: Estimate, lens: LensFit) -> Floats:
+    """Return variances (values,) of a fit's modes about the lens's, where the model is incomplete for most fits; else 0."""
+    modes = np.zeros(lens.model.values)
+    if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
+        modes[: len(lens.model.noll)] = lens.model.laws.mode_scatter**2
+        modes[lens.model.defocus] = 0.0
+    return modes
 
 
 def as_focus(lens: LensFit) -> Focus | None:
@@ -193,7 +212,7 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     wanted = {
         f"best_focus_mm.{name}": model.best_focus(name)
         for name in model.channels
-        if name in seen
+        if len(seen.get(name, ())) > 1
     }
     wanted["focal_length_mm"] = unit[model.index(FOCAL_LENGTH)]
     wanted["f_number"] = unit[model.index(F_NUMBER)]
@@ -213,13 +232,30 @@ def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
     patience_s : processor time of one search
     """
     lens = session.lens
-    findings = _search_findings(session, patience_s)
+    findings = [*_search_findings(session, patience_s), *_open_signs(session)]
     if lens is None:
         return [*findings, found("no-best-focus", why=_why_no_lens(session))]
-    findings += [
-        found("defocus-sign-open", Key(None, channel)) for channel in session.open_channels
-    ]
     return [*findings, *_lens_findings(lens)]
+
+
+def _open_signs(session: Estimate) -> list[Finding]:
+    """Report wavefronts of open sign: one finding for the session, else one for a channel, else one for each."""
+    is_open = {
+        fit.observation.key: k not in session.signed and k not in session.outliers
+        for k, fit in enumerate(session.fits)
+        if any(map(is_even, fit.optimum.noll))
+    }
+    if is_open and all(is_open.values()):
+        where = "all wavefronts" if len(is_open) > 1 else next(iter(is_open)).label
+        return [found("defocus-sign-open", None, {"where": where})]
+    findings = []
+    for channel in dict.fromkeys(key.channel for key in is_open):
+        keys = [key for key in is_open if key.channel == channel]
+        if all(is_open[key] for key in keys):
+            findings.append(found("defocus-sign-open", Key(None, channel)))
+        else:
+            findings += [found("defocus-sign-open", key) for key in keys if is_open[key]]
+    return findings
 
 
 def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
@@ -329,6 +365,7 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
             np.array([pose.corners_px() for pose in poses]),
         ),
         residuals=_residuals(local),
+        sign_open=True,
     )
 
 

@@ -321,8 +321,14 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
             console.warn(finding.text)
     if diagnose and results.parts_tried:
         console.table(results.part_rows())
-    console.table(results.wavefront_rows())
-    console.table(results.focus_rows())
+    console.say(results.headline)
+    for rows in (
+        results.lens_rows(),
+        results.colour_rows(),
+        results.focus_rows(),
+        results.wavefront_rows(),
+    ):
+        console.table(rows)
     if results.budget:
         console.table(results.budget_rows())
     if results.joint:

@@ -65,7 +65,7 @@ class Estimate:
     members : places of the fits from which the lens is estimated
     outliers : places of fits that contradict the lens
     refitted_members : places of members that were outliers until they were refitted from the session's prediction
-    open_channels : channels whose signs of defocus the ranges leave open
+    signed : places of the fits whose sign the session determines; of all others the twin is as likely
     tried : camera parts that the fits were tested for
     missing : camera parts that the fits show and the model lacks
     with_missing : optima with the missing parts, None where not fitted
@@ -79,7 +79,7 @@ class Estimate:
     members: tuple[int, ...] = ()
     outliers: tuple[int, ...] = ()
     refitted_members: tuple[int, ...] = ()
-    open_channels: tuple[str, ...] = ()
+    signed: tuple[int, ...] = ()
     tried: tuple[PartTried, ...] = ()
     missing: tuple[str, ...] = ()
     with_missing: tuple[Optimum | None, ...] = ()

@@ -96,7 +96,7 @@ class Selection:
     members : (n,) whether the observation belongs to the session
     lens : the session's estimate from the members
     objective : penalised log-likelihood of the choice
-    open_channels : channels whose signs the ranges leave open
+    open_signs : (n,) whether the ranges leave open which of two twins an observation has
     """
 
     observed: tuple[Observed, ...]
@@ -104,7 +104,13 @@ class Selection:
     members: Bools
     lens: LensFit
     objective: float
-    open_channels: tuple[str, ...] = ()
+    open_signs: Bools
+
+    @property
+    def open_channels(self) -> tuple[str, ...]:
+        """Channels with an observation whose sign is open."""
+        keys = [self.observed[k].reading.key for k in np.flatnonzero(self.open_signs)]
+        return tuple(dict.fromkeys(key.channel for key in keys))
 
     @property
     def outliers(self) -> list[Key]:
@@ -273,7 +279,11 @@ def select(
         ends, key=lambda end: end[4] - end[0].occam(end[1], end[2])
     )
     lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
-    is_open = () if everyone else _open_channels(choices, choice, members, value)
+    is_open = (
+        np.zeros(len(observed), bool)
+        if everyone
+        else _open_signs(choices, choice, members, value)
+    )
     return Selection(observed, choice, members, lens, value, is_open)
 
 
@@ -452,33 +462,39 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     return float(numbers * np.sum(np.log1p(cost / numbers)))
 
 
-def _open_channels(
-    choices: _Choices, choice: Indices, members: Bools, value: float
-) -> tuple[str, ...]:
-    """Return channels whose next best signs are hardly less likely. Tiles are not tested: the field determines their signs."""
+def _open_signs(choices: _Choices, choice: Indices, members: Bools, value: float) -> Bools:
+    """Return which observations have the other sign in a choice that is hardly less likely; outliers always count.
+
+    Tiles are not tested: the field determines their signs.
+    """
+    found = choices.options.fitted & ~members
     if choices.model.tiled:
-        return ()
-    found = []
-    for channel in choices.model.channels:
-        of = [
-            k
-            for k in np.flatnonzero(members)
-            if choices.observed[k].reading.key.channel == channel
-        ]
-        stations = {choices.observed[k].reading.station for k in of}
-        if len(stations) < 2:
+        return found
+    for turned in _other_signs(choices, choice, members):
+        if found[turned].all():
             continue
-        of.sort(key=lambda k: choices.observed[k].reading.range_mm)
-        defocus = choices.options.values[of, choice[of], choices.model.defocus]
-        below = defocus < 0
+        other = choice.copy()
+        other[turned] ^= 1
+        if choices.fit(other, members)[1] > value - SETTINGS.clear_gain:
+            found[turned] = True
+    return found
+
+
+def _other_signs(choices: _Choices, choice: Indices, members: Bools) -> Iterator[Indices]:
+    """Yield members to turn together: all, those of one station, and of each channel as many as its law of defocus allows.
+
+    Over range, defocus changes from negative to positive once.
+    """
+    every = np.flatnonzero(members)
+    readings = [one.reading for one in choices.observed]
+    yield every
+    for station in dict.fromkeys(readings[k].station for k in every):
+        yield np.array([k for k in every if readings[k].station == station])
+    for channel in choices.model.channels:
+        of = [k for k in every if readings[k].key.channel == channel]
+        of.sort(key=lambda k: readings[k].range_mm)
+        below = choices.options.values[of, choice[of], choices.model.defocus] < 0
         for negative in range(len(of) + 1):
-            wanted = np.arange(len(of)) < negative
-            if np.array_equal(wanted, below):
-                continue
-            other = choice.copy()
-            turned = np.array(of)[wanted != below]
-            other[turned] ^= 1
-            if choices.fit(other, members)[1] > value - SETTINGS.clear_gain:
-                found.append(channel)
-                break
-    return tuple(found)
+            turned = np.array(of)[(np.arange(len(of)) < negative) != below]
+            if turned.size:
+                yield turned

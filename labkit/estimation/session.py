@@ -481,16 +481,11 @@ class _Loop:
             for i, row in enumerate(rows)
             if row is not None and selection.choice[row] != OUT and i not in members
         )
-        refitted_members = tuple(i for i in members if places[i] in self.again)
+        refitted = tuple(i for i in members if places[i] in self.again)
+        open_rows = np.flatnonzero(selection.open_signs)
+        signed = tuple(i for i in members if rows[i] not in open_rows)
         return Estimate(
-            fits,
-            selection.lens,
-            rows,
-            members,
-            outliers,
-            refitted_members,
-            selection.open_channels,
-            lost=lost,
+            fits, selection.lens, rows, members, outliers, refitted, signed, lost=lost
         )
 
 

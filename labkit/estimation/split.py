@@ -113,6 +113,7 @@ def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
         for fit, choice in zip(fits, selection.choice, strict=True)
     ]
     every = tuple(range(len(turned)))
+    stations = {one.reading.station for one in candidates}
     return replace(
         session,
         fits=tuple(turned),
@@ -121,6 +122,7 @@ def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
         members=every,
         outliers=(),
         refitted_members=(),
+        signed=every if len(stations) > 1 else (),
         with_missing=tuple(session.with_missing[k] for k in places if session.with_missing),
         stated_camera=None,
     )

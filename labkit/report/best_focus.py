@@ -8,6 +8,7 @@ from labkit.optics.mtf import Direction, pixel_mtf
 from labkit.optics.wavefront import FittedWavefront
 from labkit.plan import Sensor
 from labkit.results import BestFocus, Results, Wavefront
+from labkit.results.verdicts import confirmed
 from labkit.uncertain import Uncertain
 
 DIRECTIONS: tuple[Direction, ...] = ("x", "y")
@@ -15,10 +16,14 @@ DIRECTIONS: tuple[Direction, ...] = ("x", "y")
 
 @dataclass(frozen=True, slots=True)
 class ChannelFocus:
-    """A channel's wavefront nearest to focus, and the pixels that it is photographed with."""
+    """A channel's wavefront nearest to focus, and the pixels that it is photographed with.
+
+    errors_known: whether the standard errors hold, as `labkit.results.verdicts.confirmed` has it.
+    """
 
     photographed: Wavefront
     sensor: Sensor
+    errors_known: bool = True
 
     @property
     def channel(self) -> str:
@@ -67,7 +72,8 @@ class ChannelFocus:
 def at_best_focus(results: Results) -> list[ChannelFocus]:
     """For each channel, what its wavefront of least defocus is without it."""
     sensor = results.plan.sensor
-    return [ChannelFocus(results.nearest_focus(c), sensor) for c in results.channels]
+    nearest = [results.nearest_focus(channel) for channel in results.channels]
+    return [ChannelFocus(w, sensor, confirmed(w, results.wavefronts)) for w in nearest]
 
 
 def full_nyquist_per_mm(sensor: Sensor) -> float:

@@ -46,6 +46,9 @@ def zernike_chart(
             color=inks[best.channel].colour,
             label=best.channel,
         )
+        if best.photographed.sign_open:
+            twin = best.photographed.twin.best.fitted.waves[index]
+            axes.barh(at, twin, 0.9 * height, color=inks[best.channel].colour, alpha=0.35)
         error = np.nan_to_num(np.sqrt(np.diag(w.covariance))[index])
         axes.errorbar(
             w.waves[index],

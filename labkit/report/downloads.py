@@ -80,10 +80,14 @@ def _zernike(results: Results) -> Iterable[Sequence[Cell]]:
         "std_waves_rms",
         "nm_rms",
         "std_nm_rms",
+        "sign_open",
+        "twin_waves_rms",
     )
     nm = results.reference_wavelength_nm
     for w in results:
-        for j, value, std in zip(w.noll, w.waves.tolist(), w.std.tolist(), strict=True):
+        for j, value, std, twin in zip(
+            w.noll, w.waves.tolist(), w.std.tolist(), w.twin.waves.tolist(), strict=True
+        ):
             yield (
                 w.range_mm,
                 w.channel,
@@ -94,6 +98,8 @@ def _zernike(results: Results) -> Iterable[Sequence[Cell]]:
                 std,
                 value * nm,
                 std * nm,
+                str(w[j].sign_open).lower(),
+                twin if w.sign_open else None,
             )
 
 

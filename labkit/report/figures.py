@@ -202,7 +202,7 @@ def _through(results: Results, curves: Sequence[Curves]) -> Plate:
         "Strehl ratio through focus, with bars for the depth of focus, in which it is at least 0.8 of its highest, and a mark "
         "at the highest; and MTF of the optics at half of Nyquist's frequency of all pixels, solid along x, dashed "
         "along y. Shaded: one standard error, where it is wider than the line. All modes but defocus are as at best focus."
-    )
+    ) + _if_open(results, " The sign of defocus is open: curves may as well be mirrored.")
     return Plate(panels, caption)
 
 
@@ -222,7 +222,7 @@ def _maps(results: Results, focused: Sequence[ChannelFocus]) -> Plate:
     caption = (
         f"Path difference over the exit pupil without defocus, in waves at {results.reference_wavelength_nm:g} nm and in nm, "
         "one scale for all; x to the right along the sensor's rows, y down."
-    )
+    ) + _if_open(results, " As likely is the twin: turned by half a turn, and negated.")
     return Plate(tuple(panels), caption, 3)
 
 
@@ -256,8 +256,14 @@ def _modes(results: Results, focused: Sequence[ChannelFocus]) -> Iterator[Plate]
         alt = f"Zernike coefficients without defocus. RMS, waves: {rms}."
         caption = (
             "Zernike modes at best focus, by Noll's numbers. Black: one standard error."
+            + _if_open(results, " Pale: the twin, which is as likely.")
         )
         yield Plate((drawing("zernike", figure, alt),), caption)
+
+
+def _if_open(results: Results, words: str) -> str:
+    """Return words for results in which a wavefront's sign is open."""
+    return words if any(w.sign_open for w in results) else ""
 
 
 def _camera(results: Results) -> Iterator[Plate]:

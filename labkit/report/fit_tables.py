@@ -10,6 +10,7 @@ import numpy as np
 from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
 from labkit.report.table import Column, Row, Table
 from labkit.results import Focus, OptimumTest, Results, Wavefront
+from labkit.results.verdicts import model_word, optimum_word
 from labkit.uncertain import Uncertain
 
 TEST = "what a test of the fit found: it has a distribution, not an error"
@@ -26,6 +27,7 @@ def fit_table(results: Results) -> Table:
         *([Column("blur", "µm")] if results.lens else []),
         Column("χ²/pixel", why=TEST),
         Column("optimum", text=True),
+        Column("model", text=True),
     ]
     rows = [
         Row(_fit_cells(w, blur=bool(results.lens)), first=first)
@@ -35,16 +37,10 @@ def fit_table(results: Results) -> Table:
 
 
 def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
-    verdict = (
-        "not tested"
-        if w.test is None
-        else "no sign of a wrong one"
-        if w.test.accepted
-        else "signs of a wrong one"
-    )
     between = [estimated(w.blur, least=2)] if blur else []
     defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
-    return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), verdict)
+    verdicts = optimum_word(w.test), model_word(w.test)
+    return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), *verdicts)
 
 
 def method_table(results: Results) -> Table:

@@ -9,7 +9,7 @@ from labkit.optics.metrics import Directed
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
 from labkit.report.best_focus import ChannelFocus
 from labkit.report.curves import Curves
-from labkit.report.quantities import estimated, fixed, millimetres
+from labkit.report.quantities import estimated, fixed, millimetres, without_error
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results
 from labkit.results.best_focus import SHARE
@@ -27,7 +27,9 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
     within = f"EE{100 * SHARE:.0f}, encircled energy"
 
     def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
-        cells = tuple(cell(best) for best in focused)
+        cells = tuple(
+            cell(b) if b.errors_known else without_error(cell(b)) for b in focused
+        )
         return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
     rows = (

@@ -99,6 +99,8 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
         if j == DEFOCUS or j not in other.noll:
             continue
         one, two = here[j], other[j]
+        if one.sign_open or two.sign_open:
+            continue
         if abs(two.value - one.value) < ALIKE:
             continue
         difference = Uncertain(two.value - one.value, float(np.hypot(one.std, two.std)))

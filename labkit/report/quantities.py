@@ -3,7 +3,7 @@
 from datetime import datetime, timedelta
 from math import isfinite, isinf
 
-from labkit.uncertain import Uncertain, decimals
+from labkit.uncertain import SIGN_OPEN, Uncertain, decimals
 
 MINUS = "\N{MINUS SIGN}"
 NAMES = (
@@ -37,16 +37,26 @@ def plus_minus(value: float, std: float, places: int | None = None) -> str:
 
 
 def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) -> str:
-    """An estimate times a factor, to the decimal places of its error but no fewer than least; a dash where there is none."""
+    """An estimate times a factor, to the decimal places of its error but no fewer than least; a dash where there is none.
+
+    An estimate of open sign has "±" in place of it.
+    """
     if number is None:
         return UNKNOWN
     value, std = number.value * factor, number.std * abs(factor)
     known = isfinite(std) and std > 0
-    return plus_minus(
-        value,
+    text = plus_minus(
+        abs(value) if number.sign_open else value,
         std,
         max(least, decimals(std)) if known else max(least, 1 if abs(value) >= 10 else 3),
     )
+    return f"±{text}, {SIGN_OPEN}" if number.sign_open else text
+
+
+def without_error(text: str) -> str:
+    """Return the text of an estimate whose standard error is not known."""
+    value, mark, _ = text.partition(PLUS_MINUS)
+    return value + NO_ERROR if mark else text
 
 
 def when(iso: str) -> str:

@@ -5,7 +5,7 @@ The same objects are made by a fit and read back from its folder, so that whatev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, nan
 
@@ -19,6 +19,7 @@ from labkit.optics.mtf import Curve, Direction, mtf
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
+from labkit.optics.zernike import is_even, twin_signs
 from labkit.results.best_focus import BestFocus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -140,6 +141,7 @@ class Wavefront:
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
     which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
     wavelength, as the plan states it or the photographs call for it. tile: (row, column), None for the whole frame.
+    sign_open: whether the `twin`, whose even modes have the other sign, is as likely: from one range it always is.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
     >>> w.best.strehl, w.best.rms_nm, w.best.mtf50("x")  # the lens, without defocus
@@ -170,8 +172,14 @@ class Wavefront:
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
     tile: tuple[int, int] | None = None
+    sign_open: bool = False
 
     def __post_init__(self) -> None:
+        if self.sign_open and not any(map(is_even, self.noll)):
+            object.__setattr__(self, "sign_open", False)
+        if self.blur is not None:
+            blur = replace(self.blur, sign_open=self.sign_open)
+            object.__setattr__(self, "blur", blur)
         modes = len(self.noll)
         if self.waves.shape != (modes,) or self.covariance.shape != (modes, modes):
             raise ValueError(
@@ -190,7 +198,21 @@ class Wavefront:
                 f"Noll mode {mode}: estimated are {self.noll[0]} to {self.noll[-1]}"
             )
         index = self.noll.index(mode)
-        return Uncertain(float(self.waves[index]), float(self.std[index]), "waves")
+        sign_open = self.sign_open and is_even(mode)
+        return Uncertain(
+            float(self.waves[index]), float(self.std[index]), "waves", sign_open
+        )
+
+    @property
+    def twin(self) -> Wavefront:
+        """The wavefront turned by half a turn and negated: its even modes have the other sign, its images are the same."""
+        signs = twin_signs(self.noll)
+        return replace(
+            self,
+            waves=self.waves * signs,
+            covariance=self.covariance * np.outer(signs, signs),
+            blur=None if self.blur is None else replace(self.blur, value=-self.blur.value),
+        )
 
     @property
     def key(self) -> Key:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,10 @@ from labkit.finding import Finding
 from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
-from labkit.results import storage, tables
+from labkit.results import storage, tables, verdicts
 from labkit.results.colour import ColourShift, longitudinal_colour
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
+from labkit.results.summary import ChannelSummary, channel_summary
 from labkit.uncertain import Uncertain
 from labkit.version import __version__
 
@@ -170,6 +171,28 @@ class Results:
         """The content of results.json."""
         return storage.entry(self)
 
+    def at_best_focus(self) -> tuple[ChannelSummary, ...]:
+        """The lens at best focus: a summary of each channel."""
+        return tuple(channel_summary(self, channel) for channel in self.channels)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every optimum is found and the model explains all photographs: then all numbers hold."""
+        return all(w.accepted and verdicts.explained(w) for w in self.wavefronts)
+
+    @property
+    def headline(self) -> str:
+        """A sentence that says which numbers hold."""
+        return verdicts.headline(self.wavefronts)
+
+    def lens_rows(self) -> tables.Rows:
+        """A heading, and a row of text for each channel: what the optics do at best focus."""
+        return tables.lens_rows(self.at_best_focus())
+
+    def colour_rows(self) -> tables.Rows:
+        """A heading, and a row of text for each channel but the reference: longitudinal colour. Empty without two channels."""
+        return tables.colour_rows(self.longitudinal_colour())
+
     def wavefront_rows(self) -> tables.Rows:
         """A heading, and a row of text for each wavefront."""
         return tables.wavefront_rows(self.wavefronts, self.reference_wavelength_nm)
@@ -187,22 +210,50 @@ class Results:
         return tables.part_rows(self.parts_tried)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """A pandas table with a row for each coefficient: range_mm, channel, mode, waves, std. Needs the extra "pandas"."""
+        """A pandas table with a row for each coefficient. Needs the extra "pandas".
+
+        Columns: range_mm, channel, noll, waves, std, sign_open, twin_waves, optimum, model. Where sign_open is true, the
+        coefficient may as well be twin_waves, together with those of all other modes of the wavefront.
+        """
         import pandas
 
-        rows = [
-            (w.range_mm, w.channel, mode, float(waves), float(std))
-            for w in self.wavefronts
-            for mode, waves, std in zip(w.noll, w.waves, w.std, strict=True)
-        ]
         return pandas.DataFrame(
-            rows, columns=["range_mm", "channel", "mode", "waves", "std"]
+            {
+                "range_mm": w.range_mm,
+                "channel": w.channel,
+                "noll": noll,
+                "waves": w[noll].value,
+                "std": w[noll].std,
+                "sign_open": w[noll].sign_open,
+                "twin_waves": w.twin[noll].value if w.sign_open else nan,
+                "optimum": verdicts.optimum_word(w.test),
+                "model": verdicts.model_word(w.test),
+            }
+            for w in self.wavefronts
+            for noll in w.noll
         )
+
+    def summary(self) -> pandas.DataFrame:
+        """A pandas table with a row for each channel: the lens at best focus. Needs the extra "pandas".
+
+        Columns: channel, wavelength_nm, range_mm of the wavefront nearest to focus; strehl, rms_nm, rms_waves at the channel's
+        own wavelength, mtf50_x_per_mm, mtf50_y_per_mm, all without defocus; best_focus_mm; colour_mm and colour_um, which are
+        best focus less that of G, by range and on the sensor; each with its standard error, such as strehl_std; optimum, model.
+        """
+        import pandas
+
+        return pandas.DataFrame(one.as_row() for one in self.at_best_focus())
 
     def _repr_html_(self) -> str:
         title = f"{self.folder or 'Results'}: {len(self)} wavefronts"
-        shown = [self.wavefront_rows(), self.focus_rows()]
-        return tables.as_html(title, shown, self.warnings)
+        shown = (
+            self.lens_rows(),
+            self.colour_rows(),
+            self.focus_rows(),
+            self.wavefront_rows(),
+        )
+        notes = [finding.text for finding in self.findings]
+        return tables.as_html(title, self.headline, shown, notes)
 
 
 def _defocus(wavefront: Wavefront) -> float:

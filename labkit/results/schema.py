@@ -172,6 +172,7 @@ class WavefrontEntry(Entry):
     blur_um: NumberEntry | None = None
     noll: Annotated[tuple[Noll, ...], Field(max_length=1000)]
     waves_rms: tuple[Waves, ...]
+    sign_open: bool = False
     std: tuple[Std, ...]
     covariance: tuple[tuple[Maybe, ...], ...] | None = None
     pose: Pose | None = None
@@ -217,6 +218,7 @@ class WavefrontEntry(Entry):
             blur=None if self.blur_um is None else self.blur_um.uncertain("um"),
             noll=self.noll,
             waves=_numbers(self.waves_rms),
+            sign_open=self.sign_open,
             covariance=self._covariance(),
             poses=self._poses(),
             gain=_number(self.gain),

@@ -192,6 +192,8 @@ def _wavefront_json(w: Wavefront) -> Json:
         "blur_um": None if w.blur is None else w.blur.as_json(),
         "noll": list(w.noll),
         "waves_rms": _listed(w.waves),
+        "sign_open": w.sign_open,
+        "twin_waves_rms": _listed(w.twin.waves) if w.sign_open else None,
         "std": _listed(w.std),
         "covariance": _listed(w.covariance),
         "pose": _listed(w.poses[0]),

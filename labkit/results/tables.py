@@ -3,48 +3,99 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from math import sqrt
 
+from labkit.results.colour import ColourShift
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
+from labkit.results.summary import ChannelSummary
+from labkit.results.verdicts import model_word, optimum_word
 from labkit.uncertain import Uncertain, decimals
 
 Rows = list[list[str]]
 
+NOT_FITTED = "not fitted"
+
+
+def lens_rows(channels: Sequence[ChannelSummary]) -> Rows:
+    """A heading, and a row for each channel: what the optics do at best focus."""
+    rows = [
+        [
+            "channel",
+            "Strehl ratio",
+            "RMS/nm",
+            "RMS/λ",
+            "MTF50 x/(cycles/mm)",
+            "MTF50 y/(cycles/mm)",
+            "of range/mm",
+        ]
+    ]
+    for one in channels:
+        numbers = one.strehl, one.rms_nm, one.rms_waves, one.mtf50_x, one.mtf50_y
+        cells = [NOT_FITTED if n is None else _to_error(n) for n in numbers]
+        rows.append([one.channel, *cells, _range(one.wavefront)])
+    return rows
+
+
+def colour_rows(shifts: Sequence[ColourShift]) -> Rows:
+    """A heading, and a row for each channel but the reference; empty with fewer than two channels."""
+    rows = [
+        [
+            shift.name,
+            _signed(shift.range_shift),
+            "" if shift.sensor_shift is None else _signed(shift.sensor_shift),
+        ]
+        for shift in shifts
+    ]
+    heading = ["longitudinal colour", "best focus/mm", "on the sensor/µm"]
+    return [heading, *rows] if rows else []
+
 
 def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: float) -> Rows:
-    """A heading, and a row for each range and channel: defocus, RMS of all modes, how well the model fits."""
+    """A heading, and a row for each range and channel: defocus, RMS of all modes, optimum, how well the model fits."""
     waves = f"waves at {reference_wavelength_nm:g} nm"
     rows = [
-        ["range/mm", "channel", f"defocus/{waves}", "RMS, all modes", "χ²/pixel", "optimum"]
+        [
+            "range/mm",
+            "channel",
+            f"defocus/{waves}",
+            "RMS, all modes",
+            "χ²/pixel",
+            "optimum",
+            "model",
+        ]
     ]
     for w in wavefronts:
-        defocus = "not fitted" if w.defocus is None else _signed(w.defocus)
-        range_mm = "" if w.range_mm is None else f"{w.range_mm:g}"
         rows.append(
             [
-                range_mm,
+                _range(w),
                 w.channel,
-                defocus,
+                NOT_FITTED if w.defocus is None else _signed(w.defocus),
                 _to_error(w.rms()),
                 f"{w.chi2_per_pixel:.3f}",
-                _verdict(w),
+                optimum_word(w.test),
+                model_word(w.test),
             ]
         )
     return rows
 
 
 def focus_rows(focus: Focus | None, lens: Lens | None = None) -> Rows:
-    """A heading, best focus of each channel, and the lens; one row that says so if there is no focus."""
-    if focus is None:
-        return [["best focus: not fitted, see the warnings"]]
+    """A heading, best focus of each channel, and the lens."""
     rows = [["quantity", "estimate"]]
-    rows += [
-        [f"best focus {channel}", str(best)]
-        for channel, best in focus.best_focus_mm.items()
-    ]
-    note = "" if focus.identifiable else " (these ranges do not determine it)"
-    rows.append(["pupil magnification", f"{focus.pupil_magnification}{note}"])
+    pupils = None if lens is None else lens.pupil_magnification
+    note = " (these ranges do not determine it)"
+    if focus is None:
+        rows.append(["best focus", f"{NOT_FITTED}, see the warnings"])
+    else:
+        rows += [
+            [f"best focus {channel}", str(best)]
+            for channel, best in focus.best_focus_mm.items()
+        ]
+        pupils, note = focus.pupil_magnification, "" if focus.identifiable else note
+    if pupils is not None:
+        rows.append(["pupil magnification", f"{pupils}{note}"])
     if lens is not None:
         rows.append(["focal length", str(lens.focal_length)])
         rows.append(["f-number at infinity", str(lens.f_number)])
@@ -78,28 +129,25 @@ def part_rows(tried: Sequence[PartTried]) -> Rows:
     return [["part of the camera", "log-likelihood gained", ""], *rows] if rows else []
 
 
-def as_html(title: str, tables: Sequence[Rows], warnings: Sequence[str]) -> str:
-    """Tables and warnings under a title, for a notebook."""
-    html = f"<p><b>{escape(title)}</b></p>" + "".join(map(_table, tables))
-    if not warnings:
-        return html
-    items = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
-    return f"{html}<p><b>Warnings</b></p><ul>{items}</ul>"
+def as_html(title: str, said: str, tables: Sequence[Rows], notes: Sequence[str]) -> str:
+    """Tables under a title and a sentence, and what there is to know of them, for a notebook."""
+    html = f"<p><b>{escape(title)}</b></p><p>{escape(said)}</p>"
+    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    html += f"<ul>{items}</ul>" if items else ""
+    return html + "".join(_table(rows) for rows in tables if rows)
 
 
 def _signed(value: Uncertain) -> str:
-    """With its sign, to the digits of its error: never ± 0.0000."""
-    return ("" if value.value < 0 else "+") + _to_error(value)
+    """With its sign, if that is determined, to the digits of its error: never ± 0.0000."""
+    return ("" if value.value < 0 or value.sign_open else "+") + _to_error(value)
 
 
 def _to_error(value: Uncertain) -> str:
-    return str(Uncertain(value.value, value.std))  # its unit stands in the heading
+    return str(replace(value, unit=""))  # its unit stands in the heading
 
 
-def _verdict(w: Wavefront) -> str:
-    if w.test is None:
-        return "untested"
-    return "accepted" if w.test.accepted else "REJECTED"
+def _range(w: Wavefront) -> str:
+    return "" if w.range_mm is None else f"{w.range_mm:g}"
 
 
 def _table(rows: Rows) -> str:

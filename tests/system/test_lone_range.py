@@ -8,7 +8,9 @@ import pytest
 from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.devices.registry import open_devices
+from labkit.results import Results
 from labkit.session.session import Session
+from labkit.types import Floats
 from tests.plans import SMALL, plan_text, simulated
 
 PLAN = plan_text(
@@ -21,6 +23,17 @@ PLAN = plan_text(
         "fit": {"zernike_noll": [4, 15]},
     },
 )
+
+
+def assert_the_sign_is_open(results: Results, true: Floats) -> None:
+    """No sign is printed that the photographs do not determine; one of the two twins is the truth."""
+    (wavefront,) = results.wavefronts
+    assert wavefront.sign_open
+    assert "defocus-sign-open" in [finding.code for finding in results.findings]
+    assert results.wavefront_rows()[1][2].startswith("±")
+    assert not any(name.startswith("best_focus_mm") for name in results.budget)
+    near = [np.abs(one.waves[1:] - true).max() for one in (wavefront, wavefront.twin)]
+    assert min(near) < 0.0008 < max(near)
 
 
 @pytest.mark.slow
@@ -38,6 +51,7 @@ def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(
     (wavefront,) = results.wavefronts
     assert results.model_parts == {}
     true = np.array([modes[noll] for noll in range(5, 16)]) * 450 / 550
+    assert_the_sign_is_open(results, true)
     even = np.isin(np.arange(5, 16), (5, 6, 11, 12, 13, 14, 15))
     found = wavefront.waves[1:]
     twin = np.where(even, -found, found)

@@ -7,6 +7,7 @@ import runpy
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,6 +99,15 @@ def test_a_folder_of_photographs_becomes_a_report_by_the_tutorial(
     assert Path("lens/results/latest/report.html").stat().st_size > 10_000
     focus = Results.load("lens").focus
     assert focus is not None
+    guide = (ROOT / "docs" / "guides" / "python.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    for code in re.findall(r"```python\n(.*?)```", guide, re.DOTALL)[:3]:
+        exec(code, names)  # the guide's files are the tutorial's
+    printed = capfd.readouterr().out
+    report = Path("lens/results/latest/report.html").read_text(encoding="utf-8")
+    strehl = str(Results.load("lens").nearest_focus("G").best.strehl)
+    assert f"{strehl} " in printed
+    assert strehl.replace(" ", "\N{NO-BREAK SPACE}") in report
     # four standard errors: the bench's rail scatters by less than one of them
     assert focus["G"].value == pytest.approx(
         practice["bench"]().truth.best_focus_mm["G"], abs=4 * focus["G"].std

@@ -273,19 +273,23 @@ def test_a_table_has_a_row_for_each_coefficient() -> None:
     pandas = pytest.importorskip("pandas")
     table = some_results().to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert list(table.columns) == ["range_mm", "channel", "mode", "waves", "std"]
+    assert list(table.columns)[:5] == ["range_mm", "channel", "noll", "waves", "std"]
     assert len(table) == 12
     coma = table[
-        (table["range_mm"] == 3200) & (table["channel"] == "B") & (table["mode"] == 8)
+        (table["range_mm"] == 3200) & (table["channel"] == "B") & (table["noll"] == 8)
     ]
     assert coma[["waves", "std"]].to_numpy().tolist() == [[-0.04, 0.0013]]
 
 
 def test_a_notebook_shows_tables_and_obeys_no_names() -> None:
     html = some_results(wavefronts=(a_wavefront(channel="<b>"),), focus=None)._repr_html_()
-    assert html.count("<table>") == 2
+    assert html.count("<table>") == 3
     assert "<li>no dark frames: the black level of the files (or the plan)" in html
-    assert "Warnings" not in some_results(findings=())._repr_html_()
+    assert "<ul>" not in some_results(findings=())._repr_html_()
+    (strehl,) = {best.strehl for best in some_results(focus=None).at_best_focus()[:1]}
+    assert "<th>Strehl ratio</th>" in html
+    assert f"<td>{strehl}</td>" in some_results()._repr_html_()
+    assert "all numbers hold" in html
     assert "<td>&lt;b&gt;</td>" in html
 
 
@@ -311,7 +315,8 @@ def test_a_wavefront_is_a_row_with_its_defocus_and_its_rms() -> None:
         "-0.3000 ± 0.0011",
         "0.3041 ± 0.0011",
         "1.018",
-        "REJECTED",
+        "doubtful",
+        "explains the photographs",
     ]
     assert second[:2] == ["", "R"]
 
@@ -330,7 +335,10 @@ def test_a_magnification_that_is_not_determined_is_marked() -> None:
     assert focus == ["best focus R", "2986.84 ± 0.42 mm"]
     assert "do not determine" in magnification[1]
     assert ["focal length", "69.31 ± 0.12 mm"] in lens
-    assert "not fitted" in some_results(focus=None).focus_rows()[0][0]
+    _, focus, magnification, *lens = some_results(focus=None).focus_rows()
+    assert focus == ["best focus", "not fitted, see the warnings"]
+    assert "do not determine" in magnification[1]
+    assert ["focal length", "69.31 ± 0.12 mm"] in lens
 
 
 def test_a_report_of_earlier_results_does_not_stay(tmp_path: Path) -> None:

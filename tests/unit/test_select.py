@@ -113,6 +113,15 @@ def test_all_ranges_on_one_side_of_focus_still_tell_it() -> None:
     assert selection.open_channels == ()
 
 
+def test_one_range_leaves_the_sign_open() -> None:
+    assert select(session("GR", (2100.0,), 2000.0), PLAN).open_signs.all()
+
+
+def test_a_colour_of_one_range_leaves_the_signs_of_others_determined() -> None:
+    every = [*session("R", (2140.0,)), *session("G")]
+    assert not select(every, PLAN).open_signs[1:].any()
+
+
 def test_ranges_too_close_together_leave_the_sign_open() -> None:
     every = session("GR", (30_000.0, 30_001.0), 28_000.0)
     assert select(every, PLAN).open_channels == ("R", "G")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,9 +12,10 @@ import pytest
 from labkit.analysis.session_parts import model_parts, part_findings
 from labkit.analysis.session_results import session_findings
 from labkit.estimation.candidate import Measured, Observed
-from labkit.estimation.estimate import Estimate
+from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.findings import Moves
 from labkit.estimation.select import select
+from labkit.finding import Finding
 from labkit.findings import found
 from labkit.imaging.parts import SpectrumWidth
 from labkit.key import Key
@@ -111,10 +114,32 @@ def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:
     )
 
 
+def fitted(range_mm: float, channel: str) -> LocalFit:
+    """A fit of defocus, of which findings need its key, its modes and its search."""
+    return cast(
+        LocalFit,
+        SimpleNamespace(
+            observation=SimpleNamespace(key=Key(range_mm, channel)),
+            optimum=SimpleNamespace(noll=(4,)),
+            found=SimpleNamespace(cut_short=False),
+        ),
+    )
+
+
 def test_a_session_reports_what_its_lens_leaves_open() -> None:
     fits = session(FILTER, [ROWS, COLUMNS], [0.003, 0.006])
-    findings = session_findings(replace(fits, open_channels=("G",)), PATIENCE_S)
-    assert findings[0] == found("defocus-sign-open", Key(None, "G"))
+    green = [fitted(1000.0 + k, "G") for k in range(3)]
+    red = [fitted(1000.0 + k, "R") for k in range(2)]
+
+    def opened(*signed: int) -> list[Finding]:
+        session = replace(fits, fits=(*green, *red), members=tuple(range(5)), signed=signed)
+        every = session_findings(session, PATIENCE_S)
+        return [one for one in every if one.code == "defocus-sign-open"]
+
+    assert opened(0, 1, 2, 3, 4) == []
+    assert opened(3, 4) == [found("defocus-sign-open", Key(None, "G"))]
+    assert opened(0, 1, 2, 4) == [found("defocus-sign-open", Key(1000.0, "R"))]
+    assert opened() == [found("defocus-sign-open", None, {"where": "all wavefronts"})]
     (without,) = session_findings(replace(fits, lens=None), PATIENCE_S)
     assert (without.code, without.numbers) == (
         "no-best-focus",
