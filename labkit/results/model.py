@@ -360,7 +360,8 @@ def refuse_no_covariance(name: str, matrix: Floats) -> None:
     if matrix.shape != matrix.T.shape or not np.isfinite(matrix).all():
         return
     scale = np.sqrt(np.abs(np.diag(matrix)))
-    scaled = matrix / np.where(scale > 0, np.outer(scale, scale), 1.0)
+    scales = np.outer(scale, scale)
+    scaled = matrix / np.where(scales > 0, scales, 1.0)
     if not np.allclose(scaled, scaled.T, rtol=0, atol=ROUNDING):
         raise ValueError(f"{name} is not symmetric")
     if matrix.size and np.linalg.eigvalsh(scaled).min() < -ROUNDING * len(matrix):

@@ -360,7 +360,7 @@ def test_one_fit_without_range_residuals_or_noise_figures_is_reported(
         ).read_text()
     ).words()
     assert "range not known" in words
-    assert "R: the optimum is untested" in words
+    assert "M: the optimum is untested" in words
     assert not re.search(r"\bnan\b", words, re.IGNORECASE)
 
 

@@ -104,7 +104,9 @@ def test_a_colour_that_focuses_farther_has_its_image_behind_the_sensor() -> None
 
 def test_longitudinal_colour_needs_two_channels() -> None:
     assert longitudinal_colour(None, LENS) == ()
-    one = replace(FOCUS, best_focus_mm={"G": Uncertain(2000.0, 0.4, "mm")})
+    one = replace(
+        FOCUS, best_focus_mm={"G": Uncertain(2000.0, 0.4, "mm")}, covariance=np.eye(2)
+    )
     assert longitudinal_colour(one, LENS) == ()
     assert [shift.name for shift in some_results().longitudinal_colour()] == [
         "B \N{MINUS SIGN} R"
