@@ -118,7 +118,7 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
         for _ in range(10):
             for _ in range(100):
                 stack.enter_context(dial(lab))
-            shows_still(lab, display)
+            assert shows_still(lab, display)
         held = [
             one
             for one in lab.server._server.server_state.connections
@@ -164,7 +164,7 @@ def test_strangers_that_reset_or_never_read_stop_nothing(
         wire.sendall(b"GET / HT")
         wire.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         wire.close()
-    shows_still(lab, display)
+    assert shows_still(lab, display)
     deaf.close()
 
 
@@ -190,7 +190,8 @@ def test_a_page_that_neither_reads_nor_answers_is_let_go(
         while monitor._listeners:
             monitor.noted("camera", model="x" * 10_000, serial="1")
             time.sleep(0.01)
-        shows_still(lab, display)
+        assert wire.recv(12) == b"HTTP/1.1 101"  # it was let in, and is gone
+        assert shows_still(lab, display)
 
 
 def test_what_is_no_text_does_not_silence_the_page(lab: Lab, display: WebDisplay) -> None:
@@ -208,4 +209,4 @@ def test_many_operators_pages_are_too_many(lab: Lab, display: WebDisplay) -> Non
         crowded = stack.enter_context(page(lab, "monitor"))
         with pytest.raises(ConnectionClosed):
             crowded.recv(timeout=WAIT_S)
-        shows_still(lab, display)
+        assert shows_still(lab, display)

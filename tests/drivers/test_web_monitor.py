@@ -257,6 +257,8 @@ def test_the_page_says_when_labkit_is_gone(table: Table, lab: Lab) -> None:
     table.reads("phase", "Ready")
     table.display.close()
     table.reads("phase", "No connection")
+    assert table.operator.page.inner_text("#phase") == "No connection"
+    assert table.operator.page.is_hidden("#actions")
 
 
 def test_a_simulated_camera_sees_what_the_page_was_sent(lab: Lab, glass: OpenGlass) -> None:

@@ -52,8 +52,8 @@ GOOD = (
 )
 
 
-def shows_still(lab: Lab, display: WebDisplay) -> None:
-    """A picture goes through to a page, whose glass is what it fetches, and comes back confirmed."""
+def shows_still(lab: Lab, display: WebDisplay) -> bool:
+    """Whether a picture goes through to a page, whose glass is what it fetches, and comes back confirmed."""
     with page(lab) as wire:
         wire.send(GOOD)
         order = display._screen.want(np.full((60, 80), 77, dtype=np.uint8))
@@ -69,3 +69,4 @@ def shows_still(lab: Lab, display: WebDisplay) -> None:
             )
         )
         display._hold(lambda: display._screen.confirms(order))
+        return display._screen.confirms(order)

@@ -34,7 +34,11 @@ def test_all_that_the_contract_names_are_there() -> None:
 def test_a_study_prints_one_json_object_and_writes_its_files(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quick(name, tmp_path, capsys)
+    summary = quick(name, tmp_path, capsys)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"{name}.{end}" for end in ("csv", "json", "png")
+    }
+    assert any(claim["measured"] is not None for claim in summary["claims"])
 
 
 def test_an_unknown_study_is_told_which_there_are(

@@ -148,7 +148,9 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
 @pytest.mark.parametrize("case", ARRAYS)
 def test_a_good_array_is_taken(case: str) -> None:
     _, good, call = ARRAYS[case]
+    before = np.array(good)
     call(good)
+    np.testing.assert_array_equal(good, before)  # and is left as it was
 
 
 @pytest.mark.parametrize("flaw", ["shape", "dtype", "NaN"])
@@ -272,4 +274,5 @@ def test_a_wrong_value_is_named_with_what_is_allowed(
 
 def test_what_is_not_used_may_be_anything() -> None:
     hole = np.where(np.arange(14) < 3, np.nan, ONE)
-    FrameData(hole, np.isfinite(hole), hole, hole)
+    frame = FrameData(hole, np.isfinite(hole), hole, hole)
+    assert frame.used.sum() == np.isfinite(hole).sum() < hole.size

@@ -63,8 +63,11 @@ class Reader:
 
 
 def test_who_asks_nobody_needs_no_terminal_driver() -> None:
-    code = "import sys; sys.modules['termios'] = None; import labkit.cli.command_line, labkit.devices.registry"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
+    code = "import sys; sys.modules['termios'] = None; import labkit.cli.command_line, labkit.devices.registry; print('ready')"
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=100
+    )
+    assert (ran.stdout, ran.stderr) == ("ready\n", "")
 
 
 def test_without_terminal_or_page_there_is_nobody_to_ask(nobody: None) -> None:
