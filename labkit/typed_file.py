@@ -1,7 +1,7 @@
 """Data classes as files, which are read back by their types alone: whatever a file holds, nothing in it is run.
 
 A file is an NPZ of all arrays, and of a JSON tree of everything else, in which a text names an array. The annotations say
-how a tree is read: data classes, tuples, mappings by text, arrays, numbers, texts, booleans, and each of these or None.
+how a tree is read: data classes, tuples, mappings by text, arrays, numbers, texts, booleans, each of these or None, JSON.
 Where an annotation is a base class, the tree names one of the data classes derived from it.
 """
 
@@ -24,6 +24,13 @@ from labkit.npz import Arrays
 from labkit.types import JSON
 
 TREE = "tree"
+
+KINDS: dict[type, str] = {
+    np.floating: "f",
+    np.signedinteger: "i",
+    np.unsignedinteger: "u",
+}
+"""Of numbers of any size."""
 
 FIELDS = "__dataclass_fields__"
 """What marks a data class."""
@@ -50,7 +57,7 @@ def dump(value: object, kind: Any) -> bytes:
         The value is of another type, or the type is of no use here.
     """
     arrays: Arrays = {}
-    tree = json.dumps(_as_tree(value, kind, arrays)).encode()
+    tree = json.dumps(taken_apart(value, kind, arrays)).encode()
     arrays[TREE] = np.frombuffer(tree, np.uint8)
     return npz.packed(arrays, compressed=False)
 
@@ -59,56 +66,71 @@ def load(content: bytes, kind: Any) -> Any:
     """Return the value in a file. Raises ValueError for a file that is damaged, or of another type."""
     arrays = npz.unpacked(content, lambda _: len(content))  # nothing is compressed
     try:
-        return _as_value(json.loads(arrays.pop(TREE).tobytes()), kind, arrays)
+        return put_together(json.loads(arrays.pop(TREE).tobytes()), kind, arrays)
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"it holds no {kind}: {error}") from error
 
 
-def _as_tree(value: Any, kind: Any, arrays: Arrays) -> JSON:
-    """Return a value as JSON, and add its arrays to `arrays`."""
+def taken_apart(value: Any, kind: Any, arrays: Arrays) -> JSON:
+    """Return a value as JSON, and add its arrays to `arrays`. Raises TypeError."""
+    if _is_json(kind):
+        return typing.cast("JSON", value)
     kind, may_lack = _without_none(kind)
     origin, inner = typing.get_origin(kind) or kind, typing.get_args(kind)
     if value is None and may_lack:
         return None
+    if origin is typing.Literal:
+        return str(value)
     if origin is np.ndarray:
         name = str(len(arrays))
         arrays[name] = _array(value, inner)
         return name
     if origin is tuple:
         each = zip(value, _of_each(inner, len(value)), strict=True)
-        return [_as_tree(one, of, arrays) for one, of in each]
+        return [taken_apart(one, of, arrays) for one, of in each]
     if origin in (dict, Mapping):
-        return {key: _as_tree(one, inner[1], arrays) for key, one in value.items()}
+        return {key: taken_apart(one, inner[1], arrays) for key, one in value.items()}
     if origin in PLAIN:
         return PLAIN[origin](value)
     found = _named(type(value).__name__, origin)
     if not isinstance(value, found):
         raise TypeError(f"{type(value)} is another class than {found}")
-    held = {name: _as_tree(getattr(value, name), of, arrays) for name, of in _fields(found)}
+    held = {
+        name: taken_apart(getattr(value, name), of, arrays) for name, of in _fields(found)
+    }
     return [found.__name__, held]
 
 
-def _as_value(tree: Any, kind: Any, arrays: Arrays) -> Any:
-    """Return the value of a type that JSON stands for."""
+def put_together(tree: Any, kind: Any, arrays: Arrays) -> Any:
+    """Return the value of a type that JSON and arrays stand for. Raises LookupError, TypeError, ValueError."""
+    if _is_json(kind):
+        return tree
     kind, may_lack = _without_none(kind)
     origin, inner = typing.get_origin(kind) or kind, typing.get_args(kind)
     if tree is None and may_lack:
         return None
+    if origin is typing.Literal:
+        return inner[inner.index(tree)]
     if origin is np.ndarray:
         return _array(arrays[_checked(tree, str)], inner)
     if origin is tuple:
         each = zip(_checked(tree, list), _of_each(inner, len(tree)), strict=True)
-        return tuple(_as_value(one, of, arrays) for one, of in each)
+        return tuple(put_together(one, of, arrays) for one, of in each)
     if origin in (dict, Mapping):
         entries = _checked(tree, dict).items()
-        return {key: _as_value(one, inner[1], arrays) for key, one in entries}
+        return {key: put_together(one, inner[1], arrays) for key, one in entries}
     if origin in PLAIN:
         return _checked(tree, origin)
     name, held = _checked(tree, list)
     found = _named(name, origin)
     return found(
-        **{field: _as_value(held[field], of, arrays) for field, of in _fields(found)}
+        **{field: put_together(held[field], of, arrays) for field, of in _fields(found)}
     )
+
+
+def _is_json(kind: Any) -> bool:
+    """Whether a type is `JSON`, in which annotations are nested to any depth."""
+    return {*PLAIN, NoneType} < set(typing.get_args(kind))
 
 
 def _without_none(kind: Any) -> tuple[Any, bool]:
@@ -129,7 +151,8 @@ def _of_each(inner: tuple[Any, ...], count: int) -> tuple[Any, ...]:
 def _array(value: Any, inner: Sequence[Any]) -> NDArray[Any]:
     """Return an array if its numbers are of the kind that is allowed. Raises TypeError otherwise."""
     (allowed,) = typing.get_args(inner[1])
-    if not isinstance(value, np.ndarray) or value.dtype.kind != np.dtype(allowed).kind:
+    kind = KINDS.get(allowed) or np.dtype(allowed).kind
+    if not isinstance(value, np.ndarray) or value.dtype.kind != kind:
         raise TypeError(f"an array of {allowed.__name__} is needed, not {type(value)}")
     return value
 

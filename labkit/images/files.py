@@ -20,10 +20,13 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from labkit.apart import run_apart
 from labkit.errors import InputError, shown
 from labkit.images import decoder
 
-Numbers = NDArray[np.uint8] | NDArray[np.uint16]
+Numbers = NDArray[np.unsignedinteger]
+"""Of 8 or 16 bit."""
+
 Format = Literal["png", "pgm", "tiff"]
 
 MOST_PIXELS = 2**28
@@ -98,6 +101,10 @@ def read_picture(
     Raises OSError where it cannot be read, and InputError, whose message leaves out the file's name, for one that is
     damaged, that declares more than `most_pixels`, or that is no picture of 8 or 16 bit in grey, or of 8 bit in colours.
     """
+    return run_apart(_read_picture, path, most_pixels, deep_colours=deep_colours)
+
+
+def _read_picture(path: Path, most_pixels: int, *, deep_colours: bool) -> Picture:
     with path.open("rb") as file:
         head = file.read(len(PNG))
     match format_of(head):

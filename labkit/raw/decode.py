@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.errors import RawError
+from labkit.apart import run_apart
+from labkit.errors import InputError, RawError
 from labkit.filter_array import pattern_of
 from labkit.images.files import Numbers
 from labkit.plan import Sensor
@@ -27,14 +28,18 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
     no photograph, or states otherwise than `sensor`.
     """
     try:
-        mosaic = (
-            _read_recognised(path, sensor)
-            if sensor.headerless_px is None
-            else _read_headerless(path, sensor)
-        )
-        _refuse_contradiction(mosaic, sensor)
-    except RawError as error:
+        return run_apart(_read, path, sensor)
+    except InputError as error:
         raise RawError(f"{path}: {error}") from error.__cause__
+
+
+def _read(path: Path, sensor: Sensor) -> Mosaic:
+    mosaic = (
+        _read_recognised(path, sensor)
+        if sensor.headerless_px is None
+        else _read_headerless(path, sensor)
+    )
+    _refuse_contradiction(mosaic, sensor)
     return mosaic
 
 

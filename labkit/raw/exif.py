@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
+from labkit.apart import run_apart
 from labkit.errors import InputError
 from labkit.images.files import PNG, TIFF, png_chunks
 from labkit.images.jpeg import JPEG, read_header
@@ -48,6 +49,13 @@ class Exif:
 
 def read_exif(path: Path) -> Exif:
     """Of a JPEG, TIFF, PNG or raw file. What is damaged counts as not stated. Raises OSError where it cannot be read."""
+    try:
+        return run_apart(_read_exif, path)
+    except InputError:
+        return Exif()
+
+
+def _read_exif(path: Path) -> Exif:
     with path.open("rb") as file:
         head = file.read(len(PNG))
         file.seek(0)

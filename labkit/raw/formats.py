@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import tifffile
 
+from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
 from labkit.files import refuse_special
 from labkit.images.files import check_strips, format_of
@@ -43,6 +44,15 @@ class Container:
 
 def recognise(path: Path) -> Container:
     """What `path` holds, by its content. Raises RawError for a file that is no photograph, or not whole."""
+    try:
+        return run_apart(_recognise, path)
+    except RawError:
+        raise
+    except InputError as error:
+        raise RawError(str(error)) from error
+
+
+def _recognise(path: Path) -> Container:
     try:
         refuse_special(path)
         with path.open("rb") as file:

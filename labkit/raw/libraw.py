@@ -44,6 +44,8 @@ def read_libraw(path: Path, container: Container) -> Mosaic:
                 else "is no raw photograph"
             )
             raise RawError(f"{cause} ({reason})") from error
+        except NotImplementedError as error:  # rawpy's, of a filter array that cannot be
+            raise RawError(f"is no raw photograph ({error})") from error
     if any(words in line for words in DAMAGE for line in chatter):
         raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
     return mosaic

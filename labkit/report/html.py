@@ -1,6 +1,7 @@
 """The report: one HTML file that needs nothing else, and its figures as files beside it."""
 
 from base64 import b64encode
+from collections.abc import Callable
 from hashlib import sha256
 from itertools import count
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from labkit.errors import InputError
+from labkit.errors import DataError, InputError
 from labkit.files import refuse_links, write_atomically, writing
 from labkit.report.best_focus import at_best_focus
 from labkit.report.contents import contents
@@ -62,15 +63,13 @@ def write_report(
         raise ValueError(
             "these results lie in no folder: Results.write them first, and load them from there"
         )
-    curves = curves_of(results, at_best_focus(results))
-    photographs = photographs_of(
-        results, min((c.focus.photographed for c in curves), key=_defocus)
-    )
-    drawn = draw_figures(results, curves, photographs, begin)
-    begin("writing the page")
+    try:
+        drawn, html = _made(results, begin)
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
+        raise DataError(
+            f"no report can be made of {results.folder}, numbers of no lens stand there ({error}): fit the session again"
+        ) from error
     _write_figures(results.folder, drawn)
-    words = contents(results, curves, photographs, set(drawn))
-    html = _render(words, drawn, downloads_of(results, curves))
     path = results.folder / "report.html"
     write_atomically(
         path, html.encode(errors="replace")
@@ -82,6 +81,20 @@ def write_report(
         write_pdf(path)
     progress(total, total, "")
     return path
+
+
+def _made(
+    results: Results, begin: Callable[[str], None]
+) -> tuple[dict[str, list[Plate]], str]:
+    """Make figures and page. begin: called with each step."""
+    curves = curves_of(results, at_best_focus(results))
+    photographs = photographs_of(
+        results, min((c.focus.photographed for c in curves), key=_defocus)
+    )
+    drawn = draw_figures(results, curves, photographs, begin)
+    begin("writing the page")
+    words = contents(results, curves, photographs, set(drawn))
+    return drawn, _render(words, drawn, downloads_of(results, curves))
 
 
 def _defocus(wavefront: Wavefront) -> float:

@@ -339,6 +339,12 @@ class Focus:
                     f"the covariance of best focus has shape {self.covariance.shape}; ({size}, {size}) is needed"
                 )
             refuse_no_covariance("the covariance of best focus", self.covariance)
+        for channel, std in self.residual_std_waves.items():
+            rest = self.residual_waves.get(channel, ())
+            if len(std) != len(rest):
+                raise ValueError(
+                    f"{channel} has {len(rest)} residuals and {len(std)} errors of them"
+                )
 
     def residuals(self, channel: str) -> list[Uncertain]:
         """Defocus residuals of a channel's ranges, waves RMS; an error that is not known is nan."""

@@ -278,10 +278,12 @@ def _focus_json(focus: Focus) -> Json:
             "identifiable": focus.identifiable,
         },
         "residual_waves": {
-            channel: list(rest) for channel, rest in focus.residual_waves.items()
+            channel: _listed(np.array(rest))
+            for channel, rest in focus.residual_waves.items()
         },
         "residual_std_waves": {
-            channel: list(std) for channel, std in focus.residual_std_waves.items()
+            channel: _listed(np.array(std))
+            for channel, std in focus.residual_std_waves.items()
         },
         "covariance": None if focus.covariance is None else _listed(focus.covariance),
         "chi2_per_freedom": focus.chi2_per_freedom,

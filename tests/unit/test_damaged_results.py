@@ -14,6 +14,7 @@ import pytest
 
 from labkit import npz
 from labkit.errors import DataError
+from labkit.report.html import write_report
 from labkit.results import Results
 from tests.results_contracts import CONTRACT_3, printed
 from tests.results_samples import full_results, written
@@ -98,16 +99,33 @@ def test_a_value_that_cannot_be_is_named(
 ) -> None:
     folder = tmp_path / "results" / "latest"
     file = full_results().write(folder)
+    changed(file, where, value)
+    with pytest.raises(DataError, match=re.escape(words)) as caught:
+        Results.load(tmp_path)
+    assert "is not as schema 3 has it" in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def changed(file: Path, where: str, value: Any) -> None:
+    """Put another value into results.json."""
     content = json.loads(file.read_text())
     inner, steps = content, [int(s) if s.isdigit() else s for s in where.split(".")]
     for step in steps[:-1]:
         inner = inner[step]
     inner[steps[-1]] = value
     file.write_text(json.dumps(content))
-    with pytest.raises(DataError, match=re.escape(words)) as caught:
-        Results.load(tmp_path)
-    assert "is not as schema 3 has it" in str(caught.value)
-    assert len(str(caught.value)) < 600
+
+
+def test_a_report_of_numbers_of_no_lens_is_refused_in_one_line(tmp_path: Path) -> None:
+    changed(full_results().write(tmp_path), "lens.f_number.value", 1e9)
+    with pytest.raises(DataError, match="no report can be made of") as caught:
+        write_report(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_residual_that_is_not_known_is_reported(tmp_path: Path) -> None:
+    changed(full_results().write(tmp_path), "focus.residual_waves.R.0", None)
+    assert write_report(tmp_path).exists()
 
 
 def flipped(text: bytes, rng: random.Random) -> bytes:

@@ -15,6 +15,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
+from labkit import apart
 from labkit.errors import InputError
 from labkit.images import files
 from labkit.images.files import PNG, read_picture
@@ -192,6 +193,7 @@ def test_an_interlaced_png_is_read(tmp_path: Path) -> None:
 def test_a_decoder_that_takes_too_much_memory_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(apart, "_serving", True)  # the picture is read in this process
     monkeypatch.setattr(files, "DECODER_MEMORY_BYTES", 20_000_000 - 4 * 2000 * 2000)
     assert "it takes more than 19 MiB to decode" in refusal(
         tmp_path, png(2000, 2000, bytes(2001) * 2000)
@@ -201,5 +203,6 @@ def test_a_decoder_that_takes_too_much_memory_is_ended(
 def test_a_decoder_that_takes_too_long_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(apart, "_serving", True)
     monkeypatch.setattr(files, "UNDER_LOAD", 1e-6)
     assert "to decode" in refusal(tmp_path, png(2000, 2000, bytes(2001) * 2000))

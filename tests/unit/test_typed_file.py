@@ -12,8 +12,11 @@ import pytest
 
 from labkit import npz, typed_file
 from labkit.estimation.local import Found
+from labkit.finding import Finding
+from labkit.findings import found
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Diffusion, Veil
+from labkit.key import Key
 from labkit.types import Floats
 
 
@@ -58,6 +61,18 @@ def test_arrays_and_classes_come_back_as_they_were() -> None:
     assert (read.pair, read.flag) == (WHOLE.pair, False)
     np.testing.assert_array_equal(read.table["x"], [0.0, 2.0])
     assert read.grid.flags.f_contiguous
+
+
+def test_a_finding_with_its_numbers_is_read_back() -> None:
+    finding = found(
+        "settings-differ", setting="ISO", first_file="a", first=1, file="b", other=[2.5]
+    )
+    both = (
+        finding,
+        Finding("note", Key(3200.0, "G", (1, 2)), {"table": {"x": None}}, "..."),
+    )
+    kind = tuple[Finding, ...]
+    assert typed_file.load(typed_file.dump(both, kind), kind) == both
 
 
 @pytest.mark.parametrize("value", [Whole(None, {"x": np.eye(2).astype(object)}), "text", 1])

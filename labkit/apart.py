@@ -1,0 +1,314 @@
+"""Run functions that read foreign files in a process of its own, with limits of time and memory.
+
+Libraries that decode photographs walk whatever a damaged file states: for minutes, through gigabytes, or into memory that
+is not theirs. The process is begun with the first file and serves all that follow; it ends with a file that breaks a limit,
+and another one takes its place. What comes back is a value of the type that the function states, see `labkit.typed_file`,
+so that not even a process that a file has taken over can make this one run anything.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import pickle
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import typing
+from collections.abc import Callable
+from contextlib import suppress
+from math import prod
+from pathlib import Path
+from typing import Any, NoReturn, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit import typed_file
+from labkit.errors import InputError, RawError, shown
+from labkit.npz import Arrays
+from labkit.types import JSON
+
+Arguments = ParamSpec("Arguments")
+Value = TypeVar("Value")
+Bytes = NDArray[np.uint8]
+
+SECONDS, BYTES_A_SECOND = 5, 4_000_000
+"""Processor time that a file may take: so much, and a second for each so many bytes of it. Raw files take a tenth."""
+
+MEMORY_BYTES, MEMORY_A_BYTE = 2**31, 64
+"""Memory that a file may take: so much, and so many bytes for each byte of it. It takes ten times the pixels at most."""
+
+BACKSTOP_S = 1800
+"""Of the clock, for what takes no processor time."""
+
+MOST_ANSWER_BYTES = 2**32
+
+LENGTH = struct.Struct("<Q")
+NUMBERS = re.compile(r"[<>|][biuf]\d")
+"""What arrays hold, and nothing that is an address."""
+
+ERRORS: dict[str, type[InputError]] = {one.__name__: one for one in (InputError, RawError)}
+DAMAGED = "is truncated or damaged"
+
+BEGIN = (
+    "import sys; sys.path[:] = {path!r}; from labkit.apart import serve; serve({memory})"
+)
+
+
+def run_apart(
+    function: Callable[Arguments, Value], *args: Arguments.args, **kwargs: Arguments.kwargs
+) -> Value:
+    """Return what a function returns of a file, which is its first argument, from the process with limits.
+
+    Raises InputError or RawError as the function does, InputError for a file that breaks a limit or the process,
+    and OSError.
+    """
+    if _serving:  # it is that process itself
+        return function(*args, **kwargs)
+    path = args[0]
+    assert isinstance(path, Path)
+    with _lock:
+        answer, arrays = _ask(pickle.dumps((function, args, kwargs, _allowed(path))))
+    if "failed" in answer:
+        _raise(answer)
+    try:
+        kind = typing.get_type_hints(function)["return"]
+        value: Value = typed_file.put_together(answer["tree"], kind, arrays)
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{DAMAGED} ({shown(str(error))})") from error
+    return value
+
+
+class _Process:
+    """The process with limits, and this process's ends of its pipes."""
+
+    def __init__(self) -> None:
+        self._memory = _memory()
+        begin = BEGIN.format(path=sys.path, memory=self._memory.fileno())
+        one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", begin],
+            pass_fds=[self._memory.fileno()],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **one_thread},
+            bufsize=0,
+        )
+        self.of = os.getpid()
+
+    def ask(self, request: bytes) -> tuple[dict[str, Any], Arrays]:
+        """Send a request and return the answer. Raises EOFError where the process ended, TimeoutError."""
+        deadline = time.monotonic() + BACKSTOP_S
+        assert self._process.stdin is not None
+        try:
+            for part in (LENGTH.pack(len(request)), request):
+                _write(self._process.stdin, part)
+        except BrokenPipeError:
+            raise EOFError from None
+        (length,) = LENGTH.unpack(self._received(LENGTH.size, deadline).data)
+        answer = json.loads(bytes(self._received(length, deadline)))
+        arrays, at = {}, 0
+        for name, dtype, shape in answer.pop("arrays", ()):
+            if not NUMBERS.fullmatch(dtype):
+                raise EOFError
+            size = np.dtype(dtype).itemsize * prod(shape)
+            arrays[name] = self._read(size, at).view(dtype).reshape(shape)
+            at += size
+        return answer, arrays
+
+    def end(self) -> int:
+        """End the process and return its exit status."""
+        self._process.kill()
+        status = self._process.wait()
+        for file in (self._process.stdin, self._process.stdout, self._memory):
+            assert file is not None
+            with suppress(OSError):
+                file.close()
+        return status
+
+    def ended(self) -> int:
+        """Return the exit status of a process whose pipe has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(1.0)
+        return self.end()
+
+    def _received(self, size: int, deadline: float) -> Bytes:
+        """Return so many bytes of the answer."""
+        if not 0 <= size <= MOST_ANSWER_BYTES:
+            raise EOFError
+        assert self._process.stdout is not None
+        buffer = np.empty(size, np.uint8)
+        view = buffer.data
+        while len(view):
+            left_s = max(deadline - time.monotonic(), 0.0)
+            if not select.select([self._process.stdout], [], [], left_s)[0]:
+                raise TimeoutError
+            count = os.readv(self._process.stdout.fileno(), [view])
+            if not count:
+                raise EOFError
+            view = view[count:]
+        return buffer
+
+    def _read(self, size: int, at: int) -> Bytes:
+        """Return so many bytes of the shared file."""
+        if not 0 <= size <= MOST_ANSWER_BYTES:
+            raise EOFError
+        buffer = np.empty(size, np.uint8)
+        view = buffer.data
+        while len(view):
+            count = os.preadv(self._memory.fileno(), [view], at)
+            if not count:
+                raise EOFError
+            view, at = view[count:], at + count
+        return buffer
+
+
+_lock = threading.Lock()
+_process: _Process | None = None
+_serving = False
+
+
+def _ask(request: bytes) -> tuple[dict[str, Any], Arrays]:
+    """Return the answer of the process, which is begun if there is none. Raises InputError where it ended."""
+    global _process
+    if _process is None or _process.of != os.getpid():
+        _process = _Process()
+    asked, _process = (
+        _process,
+        None,
+    )  # an interrupt leaves half an answer: it is not used again
+    try:
+        answer = asked.ask(request)
+    except EOFError:
+        status = asked.ended()
+        if status == -signal.SIGXCPU:
+            raise InputError(f"{DAMAGED}: it takes too long to decode") from None
+        raise InputError(f"{DAMAGED}: its decoder ended with status {status}") from None
+    except TimeoutError:
+        asked.end()
+        raise InputError(f"{DAMAGED}: not decoded in {BACKSTOP_S} s") from None
+    except BaseException:
+        asked.end()
+        raise
+    _process = asked
+    return answer
+
+
+def _raise(answer: dict[str, Any]) -> NoReturn:
+    """Raise the error that an answer reports."""
+    name, text = str(answer["failed"]), str(answer["text"])
+    if name == OSError.__name__:
+        raise OSError(int(answer["errno"]), text)
+    raise ERRORS.get(name, InputError)(text)
+
+
+@atexit.register
+def _end() -> None:
+    global _process
+    if _process is not None and _process.of == os.getpid():
+        _process.end()
+    _process = None
+
+
+def _memory() -> Any:
+    """Return a file without a name for the arrays of answers: pixels through a pipe would take as long as to decode them."""
+    if hasattr(os, "memfd_create"):  # TMPDIR may be full
+        return open(os.memfd_create("labkit"), "w+b", buffering=0)
+    return tempfile.TemporaryFile(buffering=0)
+
+
+def _write(file: Any, content: bytes | memoryview) -> None:
+    view = memoryview(content)
+    while len(view):
+        view = view[file.write(view) :]
+
+
+def serve(memory: int) -> None:
+    """Answer requests on standard input until it ends. What libraries print goes nowhere.
+
+    memory: descriptor of the file for arrays
+    """
+    global _serving
+    _serving = True
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks ends this process
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)
+    while len(head := requests.read(LENGTH.size)) == LENGTH.size:
+        (length,) = LENGTH.unpack(head)
+        _write(answers, _answer(requests.read(length), memory))
+
+
+def _answer(request: bytes, memory: int) -> bytes:
+    """Do what is asked, within limits, and return what comes of it; its arrays go into the file for them."""
+    arrays: Arrays = {}
+    answer: dict[str, JSON]
+    try:
+        function, args, kwargs, allowed = pickle.loads(request)
+        _limit(*allowed)
+        value = function(*args, **kwargs)
+        kind = typing.get_type_hints(function)["return"]
+        answer = {"tree": typed_file.taken_apart(value, kind, arrays)}
+    except InputError as error:
+        answer = {"failed": type(error).__name__, "text": str(error)}
+    except OSError as error:
+        text = str(error.strerror or error)
+        answer = {"failed": OSError.__name__, "errno": error.errno or 0, "text": text}
+    except MemoryError:
+        answer = {"failed": "InputError", "text": f"{DAMAGED}: it takes too much memory"}
+    except Exception as error:  # of whatever a damaged file breaks
+        answer = {"failed": "InputError", "text": f"{DAMAGED} ({shown(str(error))})"}
+    _unlimit()
+    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    answer["arrays"] = [[name, a.dtype.str, list(a.shape)] for name, a in whole.items()]
+    at = 0
+    for array in whole.values():
+        view = array.reshape(-1).view(np.uint8).data
+        while len(view):
+            count = os.pwrite(memory, view, at)
+            view, at = view[count:], at + count
+    head = json.dumps(answer).encode()
+    return LENGTH.pack(len(head)) + head
+
+
+def _allowed(path: Path) -> tuple[float, int]:
+    """Return the processor time, s, and the memory, bytes, that a file may take."""
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError):
+        size = 0
+    return SECONDS + size / BYTES_A_SECOND, MEMORY_BYTES + MEMORY_A_BYTE * size
+
+
+def _limit(seconds: float, memory_bytes: int) -> None:
+    """Take no more than that from now on; where the system knows no limits, only the clock does."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        until = int(used.ru_utime + used.ru_stime + seconds) + 1
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (until, most))
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        taken = pages * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + memory_bytes, most))
+
+
+def _unlimit() -> None:
+    """Let the answer be sent, whatever the file took."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        for what in (resource.RLIMIT_CPU, resource.RLIMIT_AS):
+            _, most = resource.getrlimit(what)
+            resource.setrlimit(what, (most, most))
