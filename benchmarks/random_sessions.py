@@ -6,7 +6,9 @@ sees it, light and ambient fitted.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from labkit.drivers.simulated.optics import (
     image_per_tangent_mm,
 )
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Spectrum, Veil
+from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import (
     REFERENCE_NM,
     BenchSettings,
@@ -50,7 +53,11 @@ Against 700 um that changes a pixel by 0.01 of its noise RMS, at f/1.9 by 0.04 (
 SAMPLES = 6
 """To a pixel, or as many as diffraction needs: a pixel changes by less than 0.01 of its noise from twenty."""
 
-MANY_MODES = tuple(range(5, 23))
+MANY_MODES = 22
+"""Last of Noll's modes."""
+
+HIGHER_WAVES = 0.005, 0.05
+"""Of lenses as they are made, RMS of Noll's modes 16 to 36."""
 
 PANEL_PIXELS = 320
 """Of a side; a cell of the carpet is one of them, and a flat fills all that the camera sees, its halo included."""
@@ -59,8 +66,8 @@ WAVELENGTHS_NM = {"R": (600, 650), "G": (525, 555), "B": (450, 475)}
 ENCODER_STD_MM = 0.005 / 12**0.5
 """Of a range: the encoder counts in steps of 0.005 mm."""
 
-PARTS_STREAM = 1
-"""Sets what draws a session's parts apart from what draws the session."""
+PARTS_STREAM, AS_MADE_STREAM = 1, 2
+"""Set what draws a session's parts, or its lens as it is made, apart from what draws the session."""
 
 EXPOSURE_S, WHITE_COUNTS = 0.02, 10_350.0
 ADDRESS = "simulated:"
@@ -87,22 +94,23 @@ def draw(seed: int, index: int) -> Drawn:
             return _session(lens, ranges_mm, sides, rng)
 
 
-def draw_many_modes(seed: int, index: int) -> Drawn:
-    """One of half a wave in Noll's modes 5 to 22, a wavefront for each of three ranges: before, about and behind best focus."""
+def draw_many_modes(
+    seed: int, index: int, last: int = MANY_MODES, waves: float = 0.5
+) -> Drawn:
+    """One of so many waves RMS in Noll's modes 5 to `last`, a wavefront for each of three ranges: before, about and behind best
+    focus. Its plan states the modes."""
     rng = np.random.default_rng([seed, index])
     best_mm = _even_in_log(rng, 1000, 3000)
     lens = TrueLens(
         f_number=_even_in_log(rng, 2.5, 4),
         wavelength_nm={"G": float(rng.uniform(*WAVELENGTHS_NM["G"]))},
         best_focus_mm={"G": best_mm},
-        noll=MANY_MODES,
-        aberration_waves=0.5,
+        noll=tuple(range(5, last + 1)),
+        aberration_waves=waves,
     )
     stops = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
     drawn = _session(lens, _ranges_at(lens, best_mm, stops), "through focus", rng)
-    return replace(
-        drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, MANY_MODES[-1])})
-    )
+    return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, last)}))
 
 
 def draw_with_parts(seed: int, index: int) -> Drawn:
@@ -134,7 +142,48 @@ def draw_with_parts(seed: int, index: int) -> Drawn:
     )
 
 
-KINDS = {"any": draw, "many-modes": draw_many_modes, "with-parts": draw_with_parts}
+def draw_as_made(seed: int, index: int) -> Drawn:
+    """The session that `draw` has of that number, through a lens as it is made, of which its plan says nothing.
+
+    Every lens has modes beyond Noll 15; most have a diaphragm, some of these an obstruction in place of it, some a cat's eye.
+    Drawn.kind["as_made"] tells them: higher_waves, and what the pupil has.
+    """
+    drawn = draw(seed, index)
+    rng = np.random.default_rng([seed, index, AS_MADE_STREAM])
+    higher_waves, pupil = _even_in_log(rng, *HIGHER_WAVES), _pupil(rng)
+    lens = replace(drawn.settings.lens, higher_waves=higher_waves, pupil=Pupil(**pupil))
+    return Drawn(
+        drawn.plan.replace(fit={"zernike_noll": None}),
+        replace(drawn.settings, lens=lens),
+        {**drawn.kind, "as_made": {"higher_waves": higher_waves, **pupil}},
+    )
+
+
+def _pupil(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a pupil: of 100, 60 have blades and 15 an obstruction; 25 of 100 have a cat's eye."""
+    pupil: dict[str, Any] = {}
+    kind, has_eye = rng.random(), bool(rng.random() < 0.25)
+    blades = int(rng.integers(5, 12))
+    turn_deg, rounding = float(rng.uniform(0, 360 / blades)), float(rng.uniform(0, 1))
+    obstruction, shift = float(rng.uniform(0.2, 0.5)), float(rng.uniform(0.2, 0.6))
+    eye = shift, float(rng.uniform(0.9, 1.2)), float(rng.uniform(0, 360))
+    if kind < 0.6:
+        pupil |= {"blades": blades, "turn_deg": turn_deg, "rounding": rounding}
+    elif kind < 0.75:
+        pupil["obstruction"] = obstruction
+    if has_eye:
+        pupil["cats_eye"] = eye
+    return pupil
+
+
+KINDS: dict[str, Callable[[int, int], Drawn]] = {
+    "any": draw,
+    "many-modes": draw_many_modes,
+    "many-modes-37": partial(draw_many_modes, last=37),
+    "many-modes-37-one-wave": partial(draw_many_modes, last=37, waves=1.0),
+    "with-parts": draw_with_parts,
+    "as-made": draw_as_made,
+}
 
 
 def make(drawn: Drawn, folder: Path) -> Truth:

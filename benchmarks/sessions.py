@@ -21,15 +21,24 @@ import numpy as np
 from scipy import stats
 
 import labkit
+from benchmarks.psf_errors import psf_errors
 from benchmarks.random_sessions import KINDS, Drawn, make
 from labkit.drivers.simulated.world import Truth
 from labkit.estimation.camera import chance_gain
 from labkit.execute import run_all
 from labkit.imaging.parts import KNOWN
+from labkit.results import Results
 
 Line = dict[str, Any]
 
-COUNTS = ("fits", "wrong_accepted", "wrong_rejected", "right_rejected", "mended")
+COUNTS = (
+    "fits",
+    "wrong_accepted",
+    "wrong_rejected",
+    "right_rejected",
+    "unjudged",
+    "mended",
+)
 
 WRONG_WAVES = 0.03
 """RMS over the modes above defocus beyond which, and beyond six standard errors, an optimum is another one than the right."""
@@ -46,6 +55,9 @@ PARTS = {
 TURNED = "low_pass_filter_turned"
 BLURS = ("low_pass_filter", TURNED, "diffusion", "smear")
 
+LEAST_CUT = 1e-6
+"""Share of the pupil that a cat's eye takes, at least, to be one: what a clear pupil's measured area may err by."""
+
 FAR_Z = 4.0
 """One error in 16,000 of a unit normal is beyond."""
 
@@ -55,8 +67,10 @@ ROWS = {
     "pupil magnification": ("pupil_magnification",),
     "range zero": ("range_zero",),
     "best focus": ("best_focus",),
+    "best focus, pupil cut": ("best_focus_cut",),
     "defocus": ("noll.4",),
     "other modes": tuple(f"noll.{j}" for j in range(5, 23)),
+    "modes beyond 22": tuple(f"noll.{j}" for j in range(23, 46)),
 }
 
 
@@ -88,6 +102,7 @@ def run(job: Job) -> Line:
             labkit.fit(folder, workers=1, plain=job.plain)
             results = json.loads((folder / "results/latest/results.json").read_text())
             line |= compared(results, truth) | _diagnosed(results)
+            line["psf"] = psf_errors(Results.load(folder), drawn.settings.lens, truth)
         except (
             Exception
         ) as error:  # whatever it is, it is a finding of the study and not its end
@@ -121,8 +136,11 @@ def _described(job: Job, drawn: Drawn) -> Line:
 def compared(results: Line, truth: Truth) -> Line:
     """Errors over standard errors of all that results.json tells, and how many fits ended in a wrong optimum.
 
-    Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch.
+    Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch. The f-number is by
+    clear area. A wavefront through a cat's eye has other modes about another middle, and with them another defocus: its modes
+    are not judged, and best foci are counted apart.
     """
+    cut = truth.clear_share < 1 - LEAST_CUT
     zero_mm = truth.visits[0].range_zero_mm
     best_mm = {
         colour: mm + truth.range_zero_mm - zero_mm
@@ -132,22 +150,25 @@ def compared(results: Line, truth: Truth) -> Line:
     lens, focus = results.get("lens") or {}, results.get("focus") or {}
     pupils = lens.get("pupil_magnification") or focus.get("pupil_magnification")
     _add(z, "focal_length", lens.get("focal_length_mm"), truth.focal_length_mm)
-    _add(z, "f_number", lens.get("f_number"), truth.f_number)
+    _add(z, "f_number", lens.get("f_number"), truth.f_number / truth.clear_share**0.5)
     _add(z, "pupil_magnification", pupils, truth.pupil_magnification)
     _add(z, "range_zero", lens.get("range_zero_mm"), zero_mm)
     for colour, best in focus.get("best_focus_mm", {}).items():
-        _add(z, "best_focus", best, best_mm[colour])
+        _add(z, "best_focus_cut" if cut else "best_focus", best, best_mm[colour])
     counts = dict.fromkeys(COUNTS, 0)
     counts["mended"] = sum(
         finding["code"] == "fit-mended" for finding in results["findings"]
     )
+    if cut:
+        counts["fits"] = counts["unjudged"] = len(results["wavefronts"])
+        return {"z": z, **counts}
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results["wavefronts"]:
         true = {
             **truth.modes_waves[w["channel"]],
             4: visits[w["range_mm"]].defocus_waves[w["channel"]],
         }
-        errors = np.array(w["waves_rms"]) - [true[j] for j in w["noll"]]
+        errors = np.array(w["waves_rms"]) - [true.get(j, 0.0) for j in w["noll"]]
         accepted, wrong = (
             w["global_test"]["accepted"],
             _is_wrong(errors[1:], np.array(w["std"][1:])),
@@ -221,6 +242,22 @@ def light_table(lines: Iterable[Line]) -> Iterator[str]:
         yield (
             f"light: no broader than what is allowed in {(true <= most).sum()} of {true.size} channels, standard deviations of "
             f"{true.min():.0f} to {true.max():.0f} nm; {np.median(most):.0f} nm are allowed in the median"
+        )
+
+
+def psf_table(lines: Iterable[Line]) -> Iterator[str]:
+    """What is printed of PSFs, in the lines that tell their errors."""
+    pairs = [
+        pair for line in lines if line["failed"] is None for pair in line.get("psf", [])
+    ]
+    if pairs:
+        error, stated = np.array(pairs).T
+        ratio = error / stated
+        yield (
+            f"PSFs: L1 errors of {100 * np.median(error):.2g} % in the median, "
+            f"{100 * error.max():.2g} % at most; over the stated error "
+            f"{np.median(ratio):.2f} in the median, more than 2 in "
+            f"{(ratio > 2).sum()} of {ratio.size}"
         )
 
 
@@ -318,7 +355,8 @@ def main() -> None:
         for _, line in run_all(run, jobs, asked.workers):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    print(*table(of_study()), *parts_table(of_study()), *light_table(of_study()), sep="\n")
+    tables = (table, parts_table, light_table, psf_table)
+    print(*(row for each in tables for row in each(of_study())), sep="\n")
 
 
 if __name__ == "__main__":

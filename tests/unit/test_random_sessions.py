@@ -11,11 +11,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.random_sessions import Drawn, draw, draw_many_modes, draw_with_parts
-from benchmarks.sessions import compared, parts_table, read, table
+from benchmarks.random_sessions import (
+    KINDS,
+    Drawn,
+    draw,
+    draw_as_made,
+    draw_many_modes,
+    draw_with_parts,
+)
+from benchmarks.sessions import compared, parts_table, psf_table, read, table
 from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
+from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.scene import carry
 from labkit.drivers.simulated.world import Truth, Visit
 from labkit.types import Floats
@@ -45,6 +53,56 @@ def test_sessions_of_many_modes_go_through_focus(index: int) -> None:
     assert abs(about) < min(-near, far) / 2
     assert one.plan.fit.zernike_noll == (4, 22)
     assert [*Bench(one.settings).truth.modes_waves["G"]] == [*range(5, 23)]
+
+
+@pytest.mark.parametrize(("kind", "waves"), [("37", 0.5), ("37-one-wave", 1.0)])
+def test_sessions_of_most_modes_have_them_to_noll_37(kind: str, waves: float) -> None:
+    one = KINDS[f"many-modes-{kind}"](1, 3)
+    assert one.plan.fit.zernike_noll == (4, 37)
+    modes = Bench(one.settings).truth.modes_waves["G"]
+    assert [*modes] == [*range(5, 38)]
+    assert np.linalg.norm([*modes.values()]) == pytest.approx(waves)
+
+
+@pytest.fixture(scope="module")
+def as_made() -> list[Drawn]:
+    return [draw_as_made(1, index) for index in range(SESSIONS)]
+
+
+def test_lenses_as_made_are_those_without_it_and_their_plans_say_nothing(
+    drawn: list[Drawn], as_made: list[Drawn]
+) -> None:
+    assert draw_as_made(1, 7) == as_made[7]
+    for plain, made in zip(drawn, as_made, strict=True):
+        assert made.plan == plain.plan.replace(fit={"zernike_noll": None})
+        assert "zernike_noll" not in made.plan.to_toml()
+        lens = replace(made.settings.lens, higher_waves=0.0, pupil=Pupil())
+        assert replace(made.settings, lens=lens) == plain.settings
+
+
+def test_what_is_told_of_a_lens_as_made_is_what_it_has(as_made: list[Drawn]) -> None:
+    for one in as_made:
+        told = json.loads(json.dumps(one.kind["as_made"]))
+        lens = one.settings.lens
+        assert 0.005 <= lens.higher_waves == told.pop("higher_waves") <= 0.05
+        if eye := told.get("cats_eye"):
+            told["cats_eye"] = tuple(eye)
+            assert lens.pupil.clear_share > 0.5
+        assert lens.pupil == Pupil(**told)
+
+
+@pytest.mark.parametrize(
+    ("has", "share"), [("blades", 0.6), ("obstruction", 0.15), ("cats_eye", 0.25)]
+)
+def test_pupils_of_every_kind_are_drawn(
+    as_made: list[Drawn], has: str, share: float
+) -> None:
+    having = [one.kind["as_made"][has] for one in as_made if has in one.kind["as_made"]]
+    # four standard deviations of a binomial
+    spread = (share * (1 - share) * SESSIONS) ** 0.5
+    assert len(having) == pytest.approx(share * SESSIONS, abs=4 * spread)
+    if has == "blades":
+        assert {5, 11} <= set(having) <= set(range(5, 12))
 
 
 @pytest.fixture(scope="module")
@@ -238,6 +296,40 @@ def test_results_of_the_first_schema_tell_less() -> None:
     assert set(compared(first | {"focus": None}, TRUTH)["z"]) == {"noll.4", "noll.5"}
 
 
+def test_a_mode_that_the_lens_lacks_is_truly_zero() -> None:
+    more = results(0.1, True)
+    more["wavefronts"][0] |= {
+        "noll": [4, 5, 30],
+        "waves_rms": [0.201, 0.1, 0.004],
+        "std": [0.001, 0.002, 0.002],
+    }
+    assert compared(more, TRUTH)["z"]["noll.30"] == [2.0]
+
+
+def test_through_a_cats_eye_modes_are_not_judged_and_the_f_number_is_by_clear_area() -> (
+    None
+):
+    cut = replace(TRUTH, clear_share=0.81)
+    line = compared(results(0.2, True), cut)
+    assert (line["fits"], line["unjudged"], line["wrong_accepted"]) == (1, 1, 0)
+    assert line["z"]["f_number"] == pytest.approx([(2.79 - 2.8 / 0.9) / 0.01])
+    assert set(line["z"]) & {"noll.4", "noll.5", "best_focus"} == set()
+    assert line["z"]["best_focus_cut"] == pytest.approx([1.0])
+
+
+def test_psfs_are_summed_up() -> None:
+    lines: list[dict[str, Any]] = [
+        {"failed": None, "psf": [[0.02, 0.01], [0.01, 0.02]]},
+        {"failed": None, "psf": [[0.05, 0.01]]},
+        {"failed": "no target"},
+    ]
+    assert [*psf_table(lines)] == [
+        "PSFs: L1 errors of 2 % in the median, 5 % at most; over the stated error 2.00 in the "
+        "median, more than 2 in 1 of 3"
+    ]
+    assert [*psf_table([{"failed": None}])] == []
+
+
 def test_a_torn_line_is_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "out.jsonl"
     assert read(path) == []
@@ -267,7 +359,7 @@ def test_the_table_sums_up_and_names_what_failed() -> None:
     assert float(row[3]) == pytest.approx(0, abs=4 / 400**0.5)
     assert float(row[4]) == pytest.approx(1, abs=4 / 800**0.5)
     assert (
-        "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, mended 400"
+        "400 sessions: fits 400, wrong accepted 0, wrong rejected 0, right rejected 0, unjudged 0, mended 400"
         in text
     )
     assert "401 s of making, 802 s of fitting" in text
