@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from labkit.plan import About, Plan
-from labkit.report.best_focus import ChannelFocus
+from labkit.report.answer import answer
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
 from labkit.report.curves import Curves
 from labkit.report.fit_tables import fit_table, method_table, residual_table
@@ -15,8 +15,6 @@ from labkit.report.lens_table import SOURCES, budget_table, lens_table
 from labkit.report.mode_tables import DEFOCUS, difference_table, mode_table, path_table
 from labkit.report.photographs import Photographs, photograph_table, place_table
 from labkit.report.quantities import (
-    NO_ERROR,
-    PLUS_MINUS,
     UNKNOWN,
     estimated,
     fixed,
@@ -27,7 +25,6 @@ from labkit.report.style import channel_inks
 from labkit.report.table import Table
 from labkit.results import Results, Wavefront
 from labkit.results.verdicts import explained
-from labkit.uncertain import Uncertain
 
 SECTIONS = {
     "best-focus": "At best focus",
@@ -74,12 +71,7 @@ def contents(
         "about": plan.about,
         "lede": _lede(m, plan, photographs),
         "reference": f"{reference_nm:g} nm",
-        "best_focus": _best_focus(m),
-        "strehl": [_card(b, b.best.strehl, least=3) for b in focused],
-        "rms": [
-            _card(b, b.best.rms, least=4) | {"nm": estimated(b.best.rms, reference_nm)}
-            for b in focused
-        ],
+        "cards": answer(m, focused, photographs),
         "magnification": estimated(focus.pupil_magnification) if focus else "",
         "missing": missing_words(m),
         "sources": SOURCES,
@@ -142,29 +134,6 @@ def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:
     lens = f"{plan.lens.focal_length_mm:g} mm f/{plan.lens.f_number:g}"
     taken = photographs.taken or f"estimated {when(m.created)}"
     return " · ".join(filter(None, (lens, photographs.camera, where, taken)))
-
-
-def _card(best: ChannelFocus, number: Uncertain, *, least: int) -> dict[str, str]:
-    return {
-        "channel": best.channel,
-        "range": millimetres(best.photographed.range_mm),
-    } | _split(number, least=least)
-
-
-def _split(number: Uncertain, least: int = 0) -> dict[str, str]:
-    value, mark, error = estimated(number, least=least).partition(PLUS_MINUS)
-    if not mark and value.endswith(NO_ERROR):
-        return {"value": value.removesuffix(NO_ERROR), "error": NO_ERROR}
-    return {"value": value, "error": f"{mark}{error}"}
-
-
-def _best_focus(m: Results) -> list[dict[str, str]]:
-    wavelengths = {w.channel: f"{w.wavelength_nm:g} nm" for w in m.wavefronts}
-    best = m.focus.best_focus_mm if m.focus else {}
-    return [
-        {"channel": c, "wavelength": wavelengths.get(c, "")} | _split(e)
-        for c, e in best.items()
-    ]
 
 
 def _checks(m: Results) -> list[dict[str, Any]]:

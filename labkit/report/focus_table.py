@@ -25,6 +25,7 @@ Cell = Callable[[ChannelFocus], str]
 def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
     """Strehl ratio, wavefront, MTF and energy of each channel without its defocus."""
     within = f"EE{100 * SHARE:.0f}, encircled energy"
+    at = "at the reference wavelength"
 
     def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
         cells = tuple(
@@ -41,12 +42,11 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
             beside=True,
         ),
         row("Strehl ratio", "", lambda b: estimated(b.best.strehl, least=3), first=True),
-        row("RMS", "waves", lambda b: estimated(b.best.rms, least=4), first=True),
-        row("", "nm", lambda b: estimated(b.best.rms, reference_nm), beside=True),
-        row("P–V", "waves", lambda b: estimated(b.best.peak_to_valley, least=3)),
-        row(
-            "", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm), beside=True
-        ),
+        row("RMS", "nm", lambda b: estimated(b.best.rms_nm), first=True),
+        row("in its own light", "waves", _own_waves, beside=True),
+        row(at, "waves", lambda b: estimated(b.best.rms, least=4), beside=True),
+        row("P–V", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm)),
+        row(at, "waves", lambda b: estimated(b.best.peak_to_valley, least=3), beside=True),
         row(
             "Astigmatism", "waves RMS", lambda b: _magnitude(b.best.astigmatism), first=True
         ),
@@ -169,6 +169,10 @@ def _on_sensor(curve: Curves) -> str:
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.cone_error * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
+
+
+def _own_waves(of: ChannelFocus) -> str:
+    return estimated(of.best.rms_own_waves, least=4)
 
 
 def _ideal(number: Uncertain) -> str:

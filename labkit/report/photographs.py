@@ -14,7 +14,7 @@ import numpy as np
 from labkit.errors import LabkitError
 from labkit.raw.decode import read_raw
 from labkit.raw.exif import Exif, read_exif
-from labkit.report.quantities import fixed, when
+from labkit.report.quantities import UNKNOWN, fixed, when
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results, Wavefront
 from labkit.session.describe import in_words
@@ -186,6 +186,31 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
     return {"preview": shown, "preview_px": block, "size_px": (rows, cols)}
 
 
+def off_centre(
+    results: Results, photographs: Photographs
+) -> tuple[list[float], list[float]] | None:
+    """Return how far the target's middle was from the frame's, in mm on the sensor and per cent of the half diagonal.
+
+    A number for each fit, by its first photograph; None where the frame's size is not known.
+    """
+    placed = [w.placement for w in results if w.placement is not None]
+    if photographs.size_px is None or not placed:
+        return None
+    away = [
+        _off_centre_px(placement.corners_px[0].mean(axis=0), photographs.size_px)
+        for placement in placed
+    ]
+    pitch_mm = results.plan.sensor.pixel_pitch_um * 1e-3
+    return [pitch_mm * px for px, _ in away], [100 * share for _, share in away]
+
+
+def _off_centre_px(centre: Floats, size_px: tuple[int, int]) -> tuple[float, float]:
+    """Return how far a place (row, column) is from the frame's centre, in pixels and in half diagonals."""
+    middle = (np.array(size_px) - 1) / 2
+    px = float(np.hypot(*(centre - middle)))
+    return px, px / float(np.hypot(*size_px) / 2)
+
+
 def photograph_table(photographs: Photographs) -> Table:
     """Camera, lens, settings, dates."""
     columns = (Column("", text=True), Column("", text=True))
@@ -204,6 +229,7 @@ def place_table(results: Results, photographs: Photographs) -> Table:
         Column("side", "px", why=CORNERS),
         Column("turned by", "degrees", why=CORNERS),
         Column("from the frame's centre", "mm on the sensor", why=CORNERS),
+        Column("of the half diagonal", "%", why=CORNERS),
     )
     rows = []
     for range_mm in results.ranges_mm:
@@ -215,14 +241,14 @@ def place_table(results: Results, photographs: Photographs) -> Table:
         corners = placed[0].corners_px[0]
         centre, side = corners.mean(axis=0), corners - np.roll(corners, 1, axis=0)
         top = corners[1] - corners[0]
-        away = "frame not at hand"
+        away = ["frame not at hand", UNKNOWN]
         if photographs.size_px is not None:
-            middle = (np.array(photographs.size_px) - 1) / 2
-            away = fixed(float(np.hypot(*(centre - middle))) * pitch_mm, 2)
+            px, share = _off_centre_px(centre, photographs.size_px)
+            away = [fixed(px * pitch_mm, 2), fixed(100 * share, 1)]
         turned = float(np.degrees(np.arctan2(top[0], top[1])))
         cells = (
             *(fixed(float(x), 1) for x in (*centre, median(np.hypot(*side.T)))),
             fixed(turned, 1),
         )
-        rows.append(Row(("none" if range_mm is None else f"{range_mm:g}", *cells, away)))
+        rows.append(Row(("none" if range_mm is None else f"{range_mm:g}", *cells, *away)))
     return Table(columns, tuple(rows))

@@ -18,7 +18,7 @@ from labkit.imaging.parts import (
 from labkit.imaging.parts.obstruction import USUAL_SHARE
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
 from labkit.optics.spectrum import WIDEST, Spectrum
-from labkit.plan import About, Plan
+from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
@@ -466,26 +466,3 @@ def test_a_plan_that_is_no_text_says_where(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_bytes(b"[lens]\n\xff")
     with pytest.raises(PlanError, match=r"plan\.toml: not UTF-8 at byte 7"):
         Plan.load(tmp_path / "plan.toml")
-
-
-def test_what_the_report_says_of_a_measurement_is_optional() -> None:
-    about = parse(LEAST + '[about]\ntitle = "Repair 17"\nserial = "0042"\n').about
-    assert (about.title, about.serial) == ("Repair 17", "0042")
-    assert parse(LEAST).about == About()
-    assert set(About().model_dump().values()) == {None}
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (f'title = "{"x" * 81}"', "about.title = 'xxx"),
-        (f'note = "{"x" * 201}"', "printable text of 1 to 200 characters"),
-        ('lens = ""', "about.lens = '': allowed is printable text of 1 to 80 characters"),
-        ('operator = " "', "about.operator = ' '"),
-        ('note = "a\\nb"', "on one line"),
-        ("serial = 42", "about.serial = 42"),
-        ('name = "x"', "about.name is no known key"),
-    ],
-)
-def test_what_the_report_says_is_short_and_printable(given: str, words: str) -> None:
-    assert words in refusal("[target]", f"[about]\n{given}\n[target]")

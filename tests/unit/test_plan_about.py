@@ -1,0 +1,45 @@
+"""What a plan says of a measurement for the report: short lines of text, all of them optional."""
+
+from __future__ import annotations
+
+import pytest
+
+from labkit.errors import PlanError
+from labkit.plan import About, Plan
+from tests.plans import PORTRAIT, plan_text
+
+LEAST = plan_text(PORTRAIT)
+
+
+def parse(text: str) -> Plan:
+    return Plan.parse(text, "/nowhere")
+
+
+def refusal(more: str) -> str:
+    """The message for a plan with something more in it."""
+    with pytest.raises(PlanError) as caught:
+        parse(LEAST + more)
+    return str(caught.value)
+
+
+def test_what_the_report_says_of_a_measurement_is_optional() -> None:
+    about = parse(LEAST + '[about]\ntitle = "Repair 17"\nserial = "0042"\n').about
+    assert (about.title, about.serial) == ("Repair 17", "0042")
+    assert parse(LEAST).about == About()
+    assert set(About().model_dump().values()) == {None}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (f'title = "{"x" * 81}"', "about.title = 'xxx"),
+        (f'note = "{"x" * 201}"', "printable text of 1 to 200 characters"),
+        ('lens = ""', "about.lens = '': allowed is printable text of 1 to 80 characters"),
+        ('operator = " "', "about.operator = ' '"),
+        ('note = "a\\nb"', "on one line"),
+        ("serial = 42", "about.serial = 42"),
+        ('name = "x"', "about.name is no known key"),
+    ],
+)
+def test_what_the_report_says_is_short_and_printable(given: str, words: str) -> None:
+    assert words in refusal(f"[about]\n{given}\n")
