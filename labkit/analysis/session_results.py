@@ -16,7 +16,6 @@ from labkit.estimation.columns import (
     RANGE_ZERO,
     WAVELENGTH,
 )
-from labkit.estimation.errors import covariance_with_bias, error_with_bias
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.findings import two_camps
 from labkit.estimation.lens_fit import LensFit
@@ -29,6 +28,7 @@ from labkit.finding import Finding
 from labkit.findings import found
 from labkit.imaging.optics import Optics
 from labkit.key import Key
+from labkit.optics.known_bias import covariance_with_bias, error_with_bias
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS
 from labkit.optics.zernike import is_even

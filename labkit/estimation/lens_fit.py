@@ -11,9 +11,9 @@ from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
 from labkit.estimation.columns import CONE, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH
-from labkit.estimation.errors import covariance_with_bias
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
+from labkit.optics.known_bias import covariance_with_bias
 from labkit.types import Bools, Floats
 
 LEAST_SHARE = float(np.sqrt(np.finfo(float).eps))

@@ -16,6 +16,7 @@ from scipy.special import j0, j1
 
 from labkit.arrays import real_array
 from labkit.optics.mtf import steepness, transfer_function
+from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats
@@ -56,6 +57,7 @@ class _Mean:
         return np.asarray((2 * np.pi) ** 2 * radius_um * (self.value @ kernel))
 
 
+@in_any_light
 def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> EncircledEnergy:
     """The share of all energy within circles about the PSF's centroid, at radii of any shape.
 
@@ -72,6 +74,7 @@ def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> Encirc
     return EncircledEnergy(radius, value.reshape(radius.shape), std.reshape(radius.shape))
 
 
+@in_any_light
 def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
     """The radius, um, of the circle about the PSF's centroid that holds a share of the energy.
 

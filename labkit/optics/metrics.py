@@ -5,12 +5,14 @@ in waves at the reference wavelength.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from labkit.arrays import positive
+from labkit.optics.known_bias import error_with_bias
 from labkit.optics.psf import Pupil
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.optics.zernike import nm_to_noll, noll_to_nm
@@ -20,6 +22,7 @@ from labkit.uncertain import Uncertain
 PUPIL_SAMPLES = (
     240  # across; the PSF of a pupil of samples repeats itself after so many lambda N
 )
+CONE_STEP = 1e-4  # relative, of a PSF's derivative by the f-number
 HALF_WIDTH_AIRY = 32.0  # of a PSF's usual window: 0.6 % of the light lies beyond
 RIM_ANGLES, RADII = (
     512,
@@ -53,11 +56,34 @@ class Directed:
 
 
 def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
-    """The PSF of the optics alone on a grid of a spacing, with standard errors; arguments and errors as of `psf_value`."""
+    """The PSF of the optics alone on a grid of a spacing, with standard errors, that of the f-number included.
+
+    Arguments and errors raised as of `psf_value`.
+    """
     value, slopes = _psf_at(wavefront, spacing_um, size, slice(None))
     total = value.sum()
     slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
-    return Psf(spacing_um, value / total, np.sqrt(wavefront.variance(slopes)) / total)
+    std = np.sqrt(wavefront.variance(slopes)) / total
+    value = value / total
+    if wavefront.f_number_std:
+        slower = replace(wavefront, f_number=wavefront.f_number * (1 + CONE_STEP))
+        by_cone = (psf_value(slower, spacing_um, len(value)) - value) / CONE_STEP
+        std = np.hypot(std, wavefront.cone_error * by_cone)
+    if (broad := wavefront.in_broadest_light) is not None:
+        std = error_with_bias(std, _by_light(wavefront, broad, spacing_um, value))
+    return Psf(spacing_um, value, std)
+
+
+def _by_light(
+    wavefront: FittedWavefront, broad: FittedWavefront, spacing_um: float, value: Floats
+) -> Floats:
+    """Return the change (n, n) of a PSF by the light's width, the RMS over squares of an Airy disc's diameter.
+
+    The spectrum's form is unknown too, and moves the rings between which the change is 0.
+    """
+    change = psf_value(broad, spacing_um, len(value)) - value
+    across = 2.44 * wavefront.wavelength_um * wavefront.f_number / spacing_um
+    return np.asarray(np.sqrt(uniform_filter(change**2, max(1, round(across)))))
 
 
 def psf_value(

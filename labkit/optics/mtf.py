@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import comb
 
 from labkit.arrays import positive, real_array
+from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import cartesian, nm_to_noll, noll_to_nm
 from labkit.types import Complexes, Floats
@@ -69,6 +70,7 @@ def azimuth_deg(direction: Direction | float, field: Sequence[float] = (0.0, 0.0
     return radius if direction == "tangential" else radius - 90.0
 
 
+@in_any_light
 def mtf(
     wavefront: FittedWavefront,
     frequency_per_mm: ArrayLike,

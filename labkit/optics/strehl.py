@@ -6,6 +6,7 @@ import numpy as np
 
 from labkit.optics.mtf import steepness
 from labkit.optics.psf import Pupil
+from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
@@ -28,6 +29,7 @@ class Peak:
     hessian: Floats
 
 
+@in_any_light
 def strehl(wavefront: FittedWavefront) -> Uncertain:
     """The PSF's maximum over that of the same pupil without aberration.
 

@@ -6,7 +6,7 @@ waves RMS of Noll 4 at the reference wavelength; `sensor_shift_um` is how far th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,6 +15,7 @@ from labkit.arrays import real_array
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.mtf import Direction, azimuth_deg, nodes_for
 from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
+from labkit.optics.unknown_light import in_any_light, widened
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
@@ -51,6 +52,7 @@ class FocusDepth:
     span: Uncertain
 
 
+@in_any_light
 def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> ThroughFocus:
     """Strehl ratio of a wavefront's modes but for its defocus, with others in its place, (n,) ascending, 0 among them.
 
@@ -82,6 +84,7 @@ def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> T
     return ThroughFocus(defocus, np.array([peak.value for peak in found]), std, slopes)
 
 
+@in_any_light
 def mtf_through_focus(
     wavefront: FittedWavefront,
     frequency_per_mm: float,
@@ -113,6 +116,18 @@ def mtf_through_focus(
 
 def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
     """The depth that a curve of Strehl ratios of a wavefront shows; None where it leaves it at an end of the curve."""
+    depth, broad = _depth(wavefront, curve), wavefront.in_broadest_light
+    if depth is None or broad is None:
+        return depth
+    there = _depth(broad, strehl_through_focus(broad, curve.defocus_waves))
+    if there is None:
+        return depth
+    names = [f.name for f in fields(depth)]
+    return FocusDepth(*(widened(getattr(depth, n), getattr(there, n)) for n in names))
+
+
+def _depth(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
+    """Return the depth in a wavefront's own light."""
     rest = wavefront.without((2, 3, DEFOCUS))
     x, spline = curve.defocus_waves, CubicSpline(curve.defocus_waves, curve.value)
     slopes = CubicSpline(x, curve.slopes, axis=1)

@@ -25,8 +25,9 @@ class FittedWavefront:
     noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
     waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
     reaches the sensor; f_number_std: its standard error, which enters what is measured in lengths as if it were independent of
-    the modes'. spectrum: of the light, about wavelength_um; its path differences are one, in length. Pupil coordinates as in
-    `labkit.optics.psf`: x to the right along the sensor's rows, y down.
+    the modes'. spectrum: of the light, about wavelength_um; its path differences are one, in length. widest_nm: if the spectrum
+    is not known, the largest standard deviation of the light that the photographs allow; 0 if it is known. Pupil coordinates
+    as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
     Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
     """
 
@@ -38,6 +39,7 @@ class FittedWavefront:
     f_number: float
     f_number_std: float = 0.0
     spectrum: Spectrum = field(default_factory=Spectrum)
+    widest_nm: float = 0.0
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -89,9 +91,13 @@ class FittedWavefront:
 
     def in_light(self, std_nm: float) -> FittedWavefront:
         """The same in light of a standard deviation about its wavelength; at most `labkit.optics.spectrum.WIDEST` of it."""
-        return replace(
-            self, spectrum=Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2)
-        )
+        spectrum = Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2)
+        return replace(self, spectrum=spectrum, widest_nm=0.0)
+
+    @property
+    def in_broadest_light(self) -> FittedWavefront | None:
+        """The same in the broadest light that the photographs allow; None if the light is known."""
+        return self.in_light(self.widest_nm) if self.widest_nm > 0 else None
 
     @property
     def radians_per_wave(self) -> float:

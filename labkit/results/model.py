@@ -173,6 +173,7 @@ class Wavefront:
     residuals: Residuals | None = field(default=None, repr=False)
     tile: tuple[int, int] | None = None
     sign_open: bool = False
+    widest_light_nm: float = 0.0
 
     def __post_init__(self) -> None:
         if self.sign_open and not any(map(is_even, self.noll)):
@@ -255,6 +256,7 @@ class Wavefront:
             reference_um,
             *cone,
             self.spectrum,
+            self.widest_light_nm,
         )
 
     @cached_property

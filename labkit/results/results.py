@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import inf, nan
 from pathlib import Path
@@ -62,6 +62,14 @@ class Results:
     )
     labkit_version: str = __version__
     folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Tell every wavefront how broad its light may be."""
+        told = tuple(
+            replace(w, widest_light_nm=self.widest_light_nm.get(w.channel, 0.0))
+            for w in self.wavefronts
+        )
+        object.__setattr__(self, "wavefronts", told)
 
     def __getitem__(self, place: Key | tuple[float | None, str]) -> Wavefront:
         """The wavefront of a key, or of a range (mm, or None where the frames have none) and channel.

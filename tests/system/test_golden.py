@@ -12,6 +12,8 @@ import pytest
 
 from benchmarks.claims import limit
 from labkit.cli import run
+from labkit.optics.metrics import psf
+from labkit.results import Results
 from tests.golden.measure import import_and_fit, resampled
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
@@ -129,6 +131,27 @@ def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(
     assert run(["fit", str(session), "--plan", str(plan), *options]) == 0
     (error,) = golden.psf_errors(session / "results/broad").values()
     assert error < limit(golden.claim, "psf_l1_stated")
+
+
+@of("golden_dslr")
+def test_the_unknown_width_of_the_light_is_in_the_errors(golden: Golden) -> None:
+    theirs = np.load(GOLDEN / "truth-dslr2-open-psf.npz")
+    spacing_um = float(golden.truth["psf_spacing_um"])
+    for w in Results.load(golden.folder):
+        true = theirs[f"{w.range_mm:g}_{w.channel}"].astype(float)
+        true /= true.sum()
+        ours = psf(w.fitted, spacing_um, len(true))
+        bright = true > 0.02 * true.max()
+        z = ((ours.value - true) / ours.std)[bright]
+        assert np.sqrt(np.mean(z**2)) < 3  # 2.4 measured, 44 without the width
+        strehl = w.strehl
+        assert abs(true.max() / ours.value.max() - 1) * strehl.value < 2 * strehl.std
+        at_um = spacing_um * (np.arange(len(true)) - len(true) // 2)
+        for per_mm in (20.0, 50.0, 100.0, 150.0):
+            wave = np.exp(-2j * np.pi * 1e-3 * per_mm * at_um)
+            seen, should = (abs(wave @ one.sum(axis=0)) for one in (ours.value, true))
+            if should > 0.1:  # about a zero of the MTF errors are rough
+                assert abs(seen - should) < 4 * w.mtf([per_mm]).std[0]
 
 
 def test_best_focus_and_magnification_are_right(golden: Golden) -> None:

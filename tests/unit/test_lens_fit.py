@@ -12,11 +12,11 @@ from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Observed
 from labkit.estimation.columns import FOCUS, MAGNIFICATION, RANGE_ZERO
-from labkit.estimation.errors import covariance_with_bias
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
+from labkit.optics.known_bias import covariance_with_bias
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

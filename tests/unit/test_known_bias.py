@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ncx2
 
-from labkit.estimation.errors import WITHIN, covariance_with_bias, error_with_bias
+from labkit.optics.known_bias import WITHIN, covariance_with_bias, error_with_bias
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.1, 1.0, 3.0, 6.0, 20.0, 99.0, 101.0])

@@ -1,0 +1,49 @@
+"""Errors of what is computed from a wavefront whose light has an unknown spectral width.
+
+Photographs hardly determine the width, but images of points depend on it: in light of the largest width that the photographs
+allow a Strehl ratio is lower by several of its standard errors. That change counts as a known bias that is not corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import Any, Protocol, TypeVar, cast
+
+from labkit.optics.known_bias import error_with_bias
+from labkit.optics.wavefront import FittedWavefront
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+
+class Estimated(Protocol):
+    """A dataclass of values with standard errors, of one shape."""
+
+    @property
+    def value(self) -> Floats | float: ...
+
+    @property
+    def std(self) -> Floats | float: ...
+
+
+Measure = TypeVar("Measure", bound=Callable[..., Any])
+N = TypeVar("N", bound=Estimated)
+
+
+def in_any_light(measure: Measure) -> Measure:
+    """Include, in the standard errors of a number, its change in the broadest light that the photographs allow."""
+
+    @wraps(measure)
+    def measured(wavefront: FittedWavefront, *args: Any, **kwargs: Any) -> Any:
+        number = measure(wavefront, *args, **kwargs)
+        broad = wavefront.in_broadest_light
+        return number if broad is None else widened(number, measure(broad, *args, **kwargs))
+
+    return cast(Measure, measured)
+
+
+def widened(number: N, there: N) -> N:
+    """Return a number with an error that includes its difference from another."""
+    std = error_with_bias(number.std, there.value - number.value)  # type: ignore[arg-type]
+    return replace(number, std=float(std) if isinstance(number, Uncertain) else std)  # type: ignore[type-var]

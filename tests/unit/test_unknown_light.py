@@ -1,0 +1,65 @@
+"""What is computed from a wavefront has errors that include the unknown width of its light."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.optics.encircled_energy import radius_of_energy
+from labkit.optics.metrics import psf, rms
+from labkit.optics.mtf import mtf, mtf50
+from labkit.optics.strehl import strehl
+from labkit.optics.through_focus import depth_of_focus, strehl_through_focus
+from labkit.optics.wavefront import FittedWavefront
+from tests.results_samples import a_wavefront, some_results
+
+KNOWN = FittedWavefront(
+    (4, 6, 8), np.array([0.25, 0.06, 0.05]), 1e-10 * np.eye(3), 0.55, 0.45, 3.5
+)
+OPEN = replace(KNOWN, widest_nm=30.0)
+BROAD = KNOWN.in_light(30.0)
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [strehl, lambda w: mtf50(w, 80.0), lambda w: radius_of_energy(w, 0.8)],
+    ids=["strehl", "mtf50", "energy"],
+)
+def test_an_error_holds_the_number_in_the_broadest_light(measure) -> None:  # type: ignore[no-untyped-def]
+    known, unknown, broad = measure(KNOWN), measure(OPEN), measure(BROAD)
+    assert unknown.value == known.value
+    # the width that holds 68 % is between the bias and the bias and a standard error
+    change = abs(broad.value - known.value)
+    assert 0.98 * change < unknown.std < 1.02 * change + known.std
+    assert unknown.std > 1.05 * known.std
+
+
+def test_curves_and_images_have_such_errors_too() -> None:
+    at = np.array([50.0, 150.0, 300.0])
+    change = np.abs(mtf(BROAD, at, "x").value - mtf(KNOWN, at, "x").value)
+    assert np.all(mtf(OPEN, at, "x").std >= change)
+    known, unknown = psf(KNOWN, 0.5, 21), psf(OPEN, 0.5, 21)
+    np.testing.assert_array_equal(unknown.value, known.value)
+    assert np.all(unknown.std > known.std)
+    change = np.sqrt(np.mean((psf(BROAD, 0.5, 21).value - known.value) ** 2))
+    assert change < np.sqrt(np.mean(unknown.std**2)) < 2 * change
+    defocus = np.linspace(-0.4, 0.4, 41)
+    deep = [depth_of_focus(w, strehl_through_focus(w, defocus)) for w in (KNOWN, OPEN)]
+    assert deep[0] is not None
+    assert deep[1] is not None
+    assert deep[1].span.value == deep[0].span.value
+    assert deep[1].span.std > deep[0].span.std
+
+
+def test_paths_do_not_depend_on_the_light() -> None:
+    assert rms(OPEN) == rms(KNOWN)
+
+
+def test_results_tell_every_wavefront_how_broad_its_light_may_be() -> None:
+    results = some_results(
+        wavefronts=(a_wavefront(channel="R"), a_wavefront(channel="B")),
+        widest_light_nm={"R": 20.0},
+    )
+    assert [w.fitted.widest_nm for w in results] == [20.0, 0.0]
