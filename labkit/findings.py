@@ -50,6 +50,10 @@ TEXTS = {
         "the panel's own pixels are seen, {pitch_mm:.4g} mm apart with {contrast:.0%} of contrast, and the plan has no "
         "[target.pixels], so fits would lack them: add {to_add} to [target]"
     ),
+    "surround-contradicted": (
+        'the plan has target.surround = "{surround}", but what lies around the target is {level:.0%} as light as its white: '
+        'write "{other}", or "unknown" where it is neither'
+    ),
     # flats and darks
     "no-dark-frames": (
         "no dark frames: the black level of the files (or the plan) is used, and hot pixels are not known"

@@ -26,7 +26,9 @@ from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.surround import surround_level
 from labkit.finding import Finding, each_once
+from labkit.findings import found
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.key import same_range
@@ -37,7 +39,7 @@ from labkit.raw.decode import read_raw
 from labkit.raw.mosaic import Mosaic
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
-from labkit.target import Target
+from labkit.target import Target, open_target
 from labkit.types import Floats, Progress, no_progress
 
 LEAST_PIXELS = 100  # usable ones on the target
@@ -109,7 +111,29 @@ def observe(
         for at in o.corners_px
     ]
     refuse_contradictions(sights, plan, target.size_mm)
+    findings += _surround_findings(plan, observations)
     return observations, each_once(findings)
+
+
+SURROUNDS = {"black": 0.0, "white": 1.0}
+"""How light a surround is, by the plan's name of it."""
+
+
+def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[Finding]:
+    """Report a surround that the photographs show to be another one than the plan states."""
+    stated = SURROUNDS.get(plan.target.surround)
+    levels = [
+        level
+        for o in observations
+        for frame, pose in zip(o.frames, o.poses, strict=True)
+        if (level := surround_level(frame.counts / frame.illumination, frame.used, pose))
+        is not None
+    ]
+    if stated is None or not levels or abs((seen := np.median(levels)) - stated) < 0.5:
+        return []
+    other = "white" if plan.target.surround == "black" else "black"
+    words = {"surround": plan.target.surround, "other": other}
+    return [found("surround-contradicted", None, words, level=float(seen))]
 
 
 def _chosen(
@@ -158,11 +182,29 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_raw(frame.path, plan.sensor)
     if plan.target.corners_px is not None:
         return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
+    grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
     try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
         return _Shot(frame, mosaic, _found(grey, target, _stated_scale(frame, plan)))
     except TargetError as error:
+        if other := _other_surround(grey, frame, plan):
+            raise TargetError(
+                f"{frame.file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
+                f'"{plan.target.surround}": write "{other}"'
+            ) from error
         raise TargetError(f"{frame.file}: {error}") from error
+
+
+def _other_surround(grey: Floats, frame: Frame, plan: Plan) -> str | None:
+    """Return the surround with which the target is found, black or white, where the plan states the other one."""
+    if plan.target.surround not in SURROUNDS:
+        return None
+    (other,) = SURROUNDS.keys() - {plan.target.surround}
+    target = open_target(plan.replace(target={"surround": other}).target)
+    try:
+        _found(grey, target, _stated_scale(frame, plan))
+    except TargetError:
+        return None
+    return other
 
 
 def _stated_scale(frame: Frame, plan: Plan) -> float | None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from labkit.acquisition.capture import run_plan
+from labkit.analysis.observe import observe
 from labkit.cli import run
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
@@ -25,6 +26,7 @@ from labkit.drivers.simulated.setup import settings_for
 from labkit.errors import RawError
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
+from labkit.target import open_target
 
 from .conftest import ADDRESS, ContextMaker
 
@@ -337,3 +339,20 @@ def test_a_plan_that_the_targets_size_contradicts_is_told_before_any_search(
         line = refusal(["fit", str(folder), "--plan", str(other), "--name", "other"], capfd)
         assert "pixels; it spans 38, as it would at" in line
         assert not (folder / "results").exists()
+
+
+def test_a_surround_that_the_photographs_contradict_is_named(
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plan = Plan.load(folder / "plan.toml").replace(target={"surround": "white"})
+    (tmp_path / "other.toml").write_text(plan.to_toml())
+    line = refusal(["fit", str(folder), "--plan", str(tmp_path / "other.toml")], capfd)
+    assert "the target is found in it if its surround is black" in line
+    assert 'the plan has target.surround = "white": write "black"' in line
+    # where the corners are given it need not be found
+    session, corners = Session.open(folder), [[40, 40], [40, 80], [80, 80], [80, 40]]
+    for surround, named in (("black", 0), ("white", 1)):
+        given = plan.replace(target={"surround": surround, "corners_px": corners})
+        _, findings = observe(session, given, open_target(given.target))
+        codes = [finding.code for finding in findings]
+        assert codes.count("surround-contradicted") == named

@@ -66,6 +66,12 @@ SAMPLES = [
     found(
         "panel-pixels-seen", None, {"to_add": "pixels = {}"}, pitch_mm=0.0962, contrast=0.02
     ),
+    found(
+        "surround-contradicted",
+        None,
+        {"surround": "black", "other": "white"},
+        level=0.93,
+    ),
     found("no-dark-frames"),
     found("bias-instead-of-darks"),
     found("dark-exposure-differs", least_s=0.01, most_s=0.02),
