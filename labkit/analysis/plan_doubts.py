@@ -68,7 +68,9 @@ def plan_findings(lens: LensFit | None, plan: Plan) -> Iterator[Finding]:
 
 def _key(kind: str, name: Name) -> str:
     """Return the plan's key of a column."""
-    return f"{KEYS[kind]} of {name[0]}" if name else KEYS[kind]
+    if kind == WAVELENGTH:
+        return f"{KEYS[kind]} of {name[0] if name else 'all channels'}"
+    return KEYS[kind]
 
 
 def _number(lens: LensFit, kind: str, name: Name, plan: Plan) -> _Number:
@@ -88,10 +90,12 @@ def _number(lens: LensFit, kind: str, name: Name, plan: Plan) -> _Number:
         PITCH: (plan.sensor.pixel_pitch_um, "um"),
         WAVELENGTH: (_wavelength_nm(name, plan), "nm"),
     }[kind]
+    if kind == WAVELENGTH and not name:
+        stated, unit = 1.0, "times"
     # the pitch's column is ln of the stated over the true
     true = stated * exp(-value if kind == PITCH else value)
     return _Number(_key(kind, name), stated, Uncertain(true, true * std, unit))
 
 
 def _wavelength_nm(name: Name, plan: Plan) -> float:
-    return next((c.wavelength_nm for c in plan.channel if (c.name,) == name), 0.0)
+    return next(c.wavelength_nm for c in plan.channel if not name or c.name == name[0])

@@ -138,10 +138,10 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
 
 def _light_nm(w: Wavefront, lens: LensFit) -> float:
     """Return the wavelength of a channel: as stated, or as estimated if the stated wavelength is a mistake."""
-    column = (WAVELENGTH, (w.channel,))
-    if column != lens.model.laws.mistaken:
-        return w.wavelength_nm
-    return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, w.channel)))
+    for name in ((w.channel,), ()):
+        if lens.model.laws.mistaken == (WAVELENGTH, name):
+            return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, *name)))
+    return w.wavelength_nm
 
 
 def _model_scatter(session: Estimate, lens: LensFit) -> Floats:

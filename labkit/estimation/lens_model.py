@@ -242,7 +242,7 @@ class LensModel:
         stated pitch is too large, so are N and the scale, by the same ratio.
         """
         seen = self.true(theta, local)
-        longer = theta[self._wavelengths]
+        longer = theta[self._wavelengths] + (theta[-1] if self._light_mistaken else 0.0)
         seen[:, : len(self.noll)] *= np.exp(-longer)[:, None]
         seen[:, -2] += longer
         if self._pitch_mistaken:
@@ -259,7 +259,8 @@ class LensModel:
         own[:, self._law_rows] += np.einsum(
             "lan,anc->nlc", by_argument, layout.local_arguments
         )
-        shrunk = np.exp(-theta[self._wavelengths, None, None])
+        common = theta[-1] if self._light_mistaken else 0.0
+        shrunk = np.exp(-theta[self._wavelengths, None, None] - common)
         modes = slice(0, len(self.noll))
         whole[:, modes] *= shrunk
         own[:, modes] *= shrunk
@@ -270,13 +271,15 @@ class LensModel:
         by_wavelength[:, modes] = -self.predicted(theta, local)[:, modes]
         by_wavelength[:, -2] = 1.0
         whole[n, :, self._wavelengths] = by_wavelength
+        if self._light_mistaken:
+            whole[:, :, -1] = by_wavelength
         return whole, own
 
     def true_slopes(self, slopes: Floats) -> Floats:
         """Return slopes (n, values, columns) of `true` from those of `predicted`."""
         slopes = slopes.copy()
         slopes[np.arange(len(slopes)), :, self._wavelengths] = 0.0
-        if self._pitch_mistaken:
+        if self._pitch_mistaken or self._light_mistaken:
             slopes[:, :, -1] = 0.0
         return slopes
 
@@ -300,6 +303,11 @@ class LensModel:
     def _pitch_mistaken(self) -> bool:
         """Whether the pitch is a parameter: the last column. A stated pitch that is no mistake is exact."""
         return self.laws.mistaken == (PITCH, ())
+
+    @property
+    def _light_mistaken(self) -> bool:
+        """Whether a common factor of all wavelengths is a parameter: the last column."""
+        return self.laws.mistaken == (WAVELENGTH, ())
 
     def _widened(self, column: Column) -> Column:
         """Return the column, with the error of a mistake if the laws call its number mistaken."""
@@ -343,6 +351,8 @@ class LensModel:
         yield from () if self.tiled else self._mode_columns()
         if self._pitch_mistaken:  # last, so that the other columns keep their places
             yield Column(PITCH, (), 0.0, 0.0, 1e-4)
+        if self._light_mistaken:
+            yield Column(WAVELENGTH, (), 0.0, 0.0, 1e-3)
 
     def _mode_columns(self) -> Iterator[Column]:
         for j in self._upper_modes:

@@ -28,11 +28,13 @@ from labkit.estimation.settings import SETTINGS
 
 
 def possible_mistakes(channels: Sequence[str]) -> Iterator[Place]:
-    """Yield the column of each number that may be a mistake."""
+    """Yield the column of each number that may be a mistake; the wavelengths of several channels may be so together."""
     for kind in (F_NUMBER, FOCAL_LENGTH, SIZE, PITCH, RANGE_ZERO):
         yield kind, ()
     for channel in channels:
         yield WAVELENGTH, (channel,)
+    if len(channels) > 1:
+        yield WAVELENGTH, ()
 
 
 def with_mistakes(lens: LensFit) -> Iterator[LensFit]:
@@ -65,15 +67,14 @@ def models(lens: LensFit) -> list[tuple[float, LensFit]]:
 
 
 def with_doubts(lens: LensFit) -> LensFit:
-    """Return the estimate with a mistake if one is nearly sure, else without, with errors that allow for all others.
+    """Return the estimate with the likeliest mistake if one is nearly sure, else without; errors allow for all others.
 
     The fits of a field's tiles keep the plan's numbers.
     """
     if lens.model.tiled:
         return lens
     every = models(lens)
-    (probability, likeliest), *_ = every
-    if probability < SETTINGS.mistake_sure:
-        (likeliest,) = (fit for _, fit in every if fit.model.laws.mistaken is None)
+    ((right, plain),) = (one for one in every if one[1].model.laws.mistaken is None)
+    likeliest = plain if right > 1 - SETTINGS.mistake_sure else every[0][1]
     others = tuple(one for one in every if one[1] is not likeliest)
     return replace(likeliest, others=others)

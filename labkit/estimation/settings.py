@@ -85,7 +85,7 @@ class Settings:
     """Odds, before any photograph, that a stated number is a mistake. With lower odds a pitch that is 5 % off at close range,
     which photographs hardly tell, would be more than four errors away."""
     mistake_sure: float = 0.9
-    """Probability above which the results assume a mistake and report it; below, only the errors allow for it."""
+    """Probability of any mistake above which the results assume the likeliest; below, only the errors allow for mistakes."""
     magnification_bounds: tuple[float, float] = (0.05, 20.0)
     """Bounds of the pupil magnification: no lens is outside."""
     defocus_floor_waves: float = 2e-4

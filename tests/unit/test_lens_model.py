@@ -45,6 +45,7 @@ def tiled() -> LensModel:
 def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
     """(modes + 2,) that observation k should measure, by the printed laws; theta (columns,) and own real or complex."""
     here = model.readings[k]
+    common_light = model.laws.mistaken == (WAVELENGTH, ())
 
     def at(kind: str, *name: str | float) -> Any:
         return theta[model.index(kind, *name)]
@@ -67,9 +68,9 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
         + (0.0 if channel == "G" else at("lateral colour", channel))
     )
     upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
-    wavelength = at("wavelength", channel)
+    wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
-    pitch = at("pixel pitch") if model.laws.mistaken else 0.0
+    pitch = at("pixel pitch") if model.laws.mistaken == (PITCH, ()) else 0.0
     return np.array([*modes, cone + at("cone") + wavelength + pitch, scale + pitch])
 
 
@@ -84,13 +85,15 @@ def near_focus(model: LensModel) -> tuple[Floats, Floats]:
     return theta, own
 
 
-def of_another_pitch() -> LensModel:
-    """As `sampled`, with a pixel pitch that is a mistake."""
-    return replace(sampled(), laws=Laws(mistaken=(PITCH, ())))
+def mistaken(kind: str) -> LensModel:
+    """As `sampled`, with a pixel pitch or wavelengths that are a mistake."""
+    return replace(sampled(), laws=Laws(mistaken=(kind, ())))
 
 
 @pytest.mark.parametrize(
-    "model", [sampled(), tiled(), of_another_pitch()], ids=["frames", "tiles", "pitch"]
+    "model",
+    [sampled(), tiled(), mistaken(PITCH), mistaken(WAVELENGTH)],
+    ids=["frames", "tiles", "pitch", "light"],
 )
 def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
     theta, own = near_focus(model)

@@ -106,6 +106,7 @@ CASES = {
         (WAVELENGTH, ("G",)), longer(550 / 450), channels="G"
     ),
     "570 nm for 550 nm": Case((WAVELENGTH, ("G",)), longer(550 / 570)),
+    "all wavelengths 10 % too short": Case((WAVELENGTH, ()), longer(1 / 0.9, "RGB")),
     "pitch 5 % too large": Case((PITCH, ()), of_pitch(1.05), named=False),
     "pitch 5 % too small": Case((PITCH, ()), of_pitch(0.95), named=False),
     "pitch of another camera": Case((PITCH, ()), of_pitch(1.25)),

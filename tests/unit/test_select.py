@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
-from labkit.estimation.columns import CONE
+from labkit.estimation.columns import CONE, WAVELENGTH
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.select import Options, Selection, _Choices, select
@@ -296,9 +296,16 @@ def test_a_cone_of_another_lens_is_not_believed() -> None:
         stated(60.0, 4.0, **exact, range_zero_std_mm=0.1),
     )
     assert select(every, plan).lens.model.laws.paraxial
-    selection = select(
-        [moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every], plan
-    )
+    slow = [moved(one, -0.04 * measured_of(one).values[0], 0.04) for one in every]
+    mistaken = select(slow, plan).lens.model.laws.mistaken
+    assert mistaken == (WAVELENGTH, ())  # of all colours: it looks the same
+    breathing = [
+        with_values(one, measured_of(one).values + np.array([0.0, 0.0, size]))
+        for one, size in zip(
+            slow, np.repeat([1e-3, -1e-3, 1e-3, -1e-3, 1e-3], 3), strict=True
+        )
+    ]
+    selection = select(breathing, plan)
     assert selection.outliers == []
     assert not selection.lens.model.laws.paraxial
     # without sizes the pupils take a part of it upon them: 0.020 is left
