@@ -81,14 +81,16 @@ def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
 def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
     """Classify a fit: the session decides whether the optimum is right, the residuals whether the model is complete.
 
-    Without other ranges, an optimum is right if many starts returned to it. If the model lacks a part, the same fit with the
-    part may confirm the optimum.
+    At one range nothing but the many starts that returned to it confirms an optimum. If the model lacks a part, the same fit
+    with the part may confirm it.
     """
     if w.test is None:
         return w
     if not w.test.accepted and confirmed(session, k):
         return replace(w, test=replace(w.test, name="parts", accepted=True))
-    if session.lens is None:
+    if k in session.outliers:
+        return replace(w, test=replace(w.test, name="session", accepted=False))
+    if len({session.fits[i].observation.range_mm for i in session.members}) < 2:
         if w.test.undetermined or not session.fits[k].found.settled:
             return w
         return replace(
@@ -99,8 +101,6 @@ def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
         )
     if k in session.members and not w.test.accepted:
         return replace(w, test=replace(w.test, name="session", accepted=True))
-    if k in session.outliers:
-        return replace(w, test=replace(w.test, name="session", accepted=False))
     return w
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.report.best_focus import DIRECTIONS, ChannelFocus
+from labkit.report.focus_table import NOT_FITTED
 from labkit.report.photographs import Photographs, off_centre
 from labkit.report.quantities import NO_ERROR, PLUS_MINUS, estimated, fixed
 from labkit.results import ColourShift, Results
@@ -54,14 +55,14 @@ def answer(
 
 
 def _strehl(focused: Sequence[ChannelFocus]) -> Card:
-    rows = [(b.channel, (_number(b.best.strehl, least=3),)) for b in focused]
+    rows = [(b.channel, (_of(b, b.best.strehl, least=3),)) for b in focused]
     note = "1 is a perfect lens, 0.8 and above is called diffraction limited."
     return Card("Strehl ratio without defocus", note, tuple(rows))
 
 
 def _rms(focused: Sequence[ChannelFocus]) -> Card:
     rows = [
-        (b.channel, (_number(b.best.rms_nm), _number(b.best.rms_own_waves, least=4)))
+        (b.channel, (_of(b, b.best.rms_nm), _of(b, b.best.rms_own_waves, least=4)))
         for b in focused
     ]
     light = ", ".join(f"{b.channel} {b.photographed.wavelength_nm:g} nm" for b in focused)
@@ -73,7 +74,7 @@ def _rms(focused: Sequence[ChannelFocus]) -> Card:
 
 def _mtf50(focused: Sequence[ChannelFocus]) -> Card:
     rows = [
-        (b.channel, tuple(_number(b.mtf50(direction)) for direction in DIRECTIONS))
+        (b.channel, tuple(_of(b, b.mtf50(direction)) for direction in DIRECTIONS))
         for b in focused
     ]
     note = (
@@ -129,6 +130,11 @@ def _span(values: Sequence[float], places: int) -> str:
     """Return the least and the greatest, one number where they print alike."""
     ends = (float(np.min(values)), float(np.max(values)))
     return " to ".join(dict.fromkeys(fixed(end, places) for end in ends))
+
+
+def _of(b: ChannelFocus, number: Uncertain, *, least: int = 0) -> Number:
+    """Return a number of the lens, or that it was not fitted: no mode was but defocus."""
+    return _number(number, least=least) if b.fitted.noll else Number(NOT_FITTED, "")
 
 
 def _number(number: Uncertain, *, least: int = 0) -> Number:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from labkit.optics.mtf import Direction, pixel_mtf
 from labkit.optics.wavefront import FittedWavefront
@@ -18,12 +20,12 @@ DIRECTIONS: tuple[Direction, ...] = ("x", "y")
 class ChannelFocus:
     """A channel's wavefront nearest to focus, and the pixels that it is photographed with.
 
-    errors_known: whether the standard errors hold, as `labkit.results.verdicts.confirmed` has it.
+    unsure: the same numbers with unknown errors, where `labkit.results.verdicts.confirmed` has them so; else None.
     """
 
     photographed: Wavefront
     sensor: Sensor
-    errors_known: bool = True
+    unsure: BestFocus | None = None
 
     @property
     def channel(self) -> str:
@@ -32,8 +34,8 @@ class ChannelFocus:
 
     @property
     def best(self) -> BestFocus:
-        """Its numbers at best focus, of the optics alone."""
-        return self.photographed.best
+        """Its numbers at best focus, of the optics alone; their errors are nan where they are not known."""
+        return self.photographed.best if self.unsure is None else self.unsure
 
     @property
     def fitted(self) -> FittedWavefront:
@@ -73,7 +75,15 @@ def at_best_focus(results: Results) -> list[ChannelFocus]:
     """For each channel, what its wavefront of least defocus is without it."""
     sensor = results.plan.sensor
     nearest = [results.nearest_focus(channel) for channel in results.channels]
-    return [ChannelFocus(w, sensor, confirmed(w, results.wavefronts)) for w in nearest]
+    return [ChannelFocus(w, sensor, _unsure(w, results)) for w in nearest]
+
+
+def _unsure(w: Wavefront, results: Results) -> BestFocus | None:
+    if confirmed(w, results.wavefronts):
+        return None
+    fitted = w.at_focus()
+    unknown = np.full_like(fitted.covariance, np.nan)
+    return BestFocus(replace(fitted, covariance=unknown, f_number_std=np.nan))
 
 
 def full_nyquist_per_mm(sensor: Sensor) -> float:

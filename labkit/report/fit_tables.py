@@ -10,7 +10,7 @@ import numpy as np
 from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
 from labkit.report.table import Column, Row, Table
 from labkit.results import Focus, OptimumTest, Results, Wavefront
-from labkit.results.verdicts import model_word, optimum_word
+from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain
 
 TEST = "what a test of the fit found: it has a distribution, not an error"
@@ -29,16 +29,22 @@ def fit_table(results: Results) -> Table:
         Column("optimum", text=True),
         Column("model", text=True),
     ]
-    rows = [
-        Row(_fit_cells(w, blur=bool(results.lens)), first=first)
-        for first, w in _in_order(results)
-    ]
+    rows = [Row(_fit_cells(w, results), first=first) for first, w in _in_order(results)]
     return Table(tuple(columns), tuple(rows), channels=1)
 
 
-def _fit_cells(w: Wavefront, *, blur: bool) -> tuple[str, ...]:
-    between = [estimated(w.blur, least=2)] if blur else []
-    defocus = "not fitted" if w.defocus is None else estimated(w.defocus, least=4)
+def _fit_cells(w: Wavefront, results: Results) -> tuple[str, ...]:
+    known = confirmed(w, results.wavefronts)
+
+    def shown(number: Uncertain | None, least: int) -> str:
+        return (
+            UNKNOWN
+            if number is None
+            else estimated(stated(number, known=known), least=least)
+        )
+
+    between = [shown(w.blur, 2)] if results.lens else []
+    defocus = "not fitted" if w.defocus is None else shown(w.defocus, 4)
     verdicts = optimum_word(w.test), model_word(w.test)
     return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), *verdicts)
 

@@ -9,13 +9,14 @@ from labkit.optics.metrics import Directed
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
 from labkit.report.best_focus import ChannelFocus
 from labkit.report.curves import Curves
-from labkit.report.quantities import estimated, fixed, millimetres, without_error
+from labkit.report.quantities import estimated, fixed, millimetres
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results
 from labkit.results.best_focus import SHARE
 from labkit.uncertain import Uncertain
 
 NOT_FITTED = "not fitted"
+PERFECT = "of a perfect lens"
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
 PITCH = "by the pixel pitch, which the plan states without an error"
 
@@ -28,9 +29,8 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
     at = "at the reference wavelength"
 
     def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
-        cells = tuple(
-            cell(b) if b.errors_known else without_error(cell(b)) for b in focused
-        )
+        holds = name == PERFECT or kind.get("exact") or kind.get("why")
+        cells = tuple(cell(b) if b.fitted.noll or holds else NOT_FITTED for b in focused)
         return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
     rows = (
@@ -58,7 +58,7 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
         *_mtf_rows(row),
         row(within, "µm radius", lambda b: estimated(b.best.energy_radius()), first=True),
         row(
-            "of a perfect lens",
+            PERFECT,
             "µm radius",
             lambda b: _ideal(b.best.ideal.energy_radius()),
             beside=True,
@@ -78,7 +78,7 @@ def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
         ),
         row("along y", "cycles/mm", lambda b: estimated(b.mtf50("y"))),
         row(
-            "of a perfect lens",
+            PERFECT,
             "cycles/mm",
             lambda b: _ideal(b.best.ideal.mtf50("x")),
             beside=True,
@@ -101,7 +101,7 @@ def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
         ),
         row("along y", "", lambda b: estimated(b.at_nyquist("y"), least=3)),
         row(
-            "of a perfect lens",
+            PERFECT,
             "",
             lambda b: _ideal(b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
             beside=True,

@@ -13,6 +13,7 @@ from labkit.report.best_focus import ChannelFocus
 from labkit.report.quantities import MINUS, estimated
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results, Wavefront
+from labkit.results.verdicts import confirmed, stated
 from labkit.uncertain import Uncertain
 
 DEFOCUS = 4
@@ -31,17 +32,17 @@ def path_table(results: Results, without: tuple[int, ...] = ()) -> Table:
         Column("", "nm"),
     )
     rows = [
-        Row(_path_cells(w, without), first=k == 0)
+        Row(_path_cells(w, without, known=confirmed(w, results.wavefronts)), first=k == 0)
         for range_mm in results.ranges_mm
         for k, w in enumerate(results.at_range(range_mm))
     ]
     return Table(columns, tuple(rows), channels=1)
 
 
-def _path_cells(w: Wavefront, without: tuple[int, ...]) -> tuple[str, ...]:
+def _path_cells(w: Wavefront, without: tuple[int, ...], *, known: bool) -> tuple[str, ...]:
     cells = ["none" if w.range_mm is None else f"{w.range_mm:g}", w.channel]
     for measure, least in ((metrics.rms, 4), (metrics.peak_to_valley, 3)):
-        number = measure(w.fitted, without)
+        number = stated(measure(w.fitted, without), known=known)
         cells += [
             estimated(number, least=least),
             estimated(number, w.reference_wavelength_nm),
@@ -62,7 +63,7 @@ def mode_table(focused: Sequence[ChannelFocus], unit: str, factor: float = 1.0) 
     rows = []
     for j in modes:
         cells = [str(j), str(noll_to_osa(j)), str(noll_to_fringe(j)), mode_name(j)]
-        numbers = [_coefficient(best.photographed, j) for best in focused]
+        numbers = [_coefficient(best, j) for best in focused]
         cells += [
             estimated(number, factor, least=4 if factor == 1 else 1) for number in numbers
         ]
@@ -117,5 +118,6 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
     return rows
 
 
-def _coefficient(w: Wavefront, j: int) -> Uncertain | None:
-    return w[j] if j in w.noll else None
+def _coefficient(focus: ChannelFocus, j: int) -> Uncertain | None:
+    w = focus.photographed
+    return stated(w[j], known=focus.unsure is None) if j in w.noll else None

@@ -53,12 +53,6 @@ def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) 
     return f"±{text}, {SIGN_OPEN}" if number.sign_open else text
 
 
-def without_error(text: str) -> str:
-    """Return the text of an estimate whose standard error is not known."""
-    value, mark, _ = text.partition(PLUS_MINUS)
-    return value + NO_ERROR if mark else text
-
-
 def when(iso: str) -> str:
     """A moment as a reader writes it: "22 November 2026, 06:28 UTC"; as it stands where it is none."""
     try:

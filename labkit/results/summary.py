@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, Any
 
 from labkit.optics.wavefront import DEFOCUS
 from labkit.results.colour import ColourShift
 from labkit.results.model import Wavefront
-from labkit.results.verdicts import confirmed, model_word, optimum_word
+from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
@@ -72,8 +72,7 @@ def channel_summary(results: Results, channel: str) -> ChannelSummary:
     colours = {shift.channel: shift for shift in results.longitudinal_colour()}
     best = {} if results.focus is None else results.focus.best_focus_mm
     strehl, rms_nm, rms_waves, mtf50_x, mtf50_y = (
-        number if known or number is None else replace(number, std=nan)
-        for number in _of_optics(w)
+        None if number is None else stated(number, known=known) for number in _of_optics(w)
     )
     return ChannelSummary(
         channel,

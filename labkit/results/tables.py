@@ -10,7 +10,7 @@ from math import sqrt
 from labkit.results.colour import ColourShift
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.results.summary import ChannelSummary
-from labkit.results.verdicts import model_word, optimum_word
+from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain, decimals
 
 Rows = list[list[str]]
@@ -67,12 +67,14 @@ def wavefront_rows(wavefronts: Sequence[Wavefront], reference_wavelength_nm: flo
         ]
     ]
     for w in wavefronts:
+        known = confirmed(w, wavefronts)
+        defocus = None if w.defocus is None else stated(w.defocus, known=known)
         rows.append(
             [
                 _range(w),
                 w.channel,
-                NOT_FITTED if w.defocus is None else _signed(w.defocus),
-                _to_error(w.rms()),
+                NOT_FITTED if defocus is None else _signed(defocus),
+                _to_error(stated(w.rms(), known=known)),
                 f"{w.chi2_per_pixel:.3f}",
                 optimum_word(w.test),
                 model_word(w.test),

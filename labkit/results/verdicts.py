@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from math import nan
 
 from labkit.results.model import OptimumTest, Wavefront
+from labkit.uncertain import Uncertain, decimals
 
 MOST_NAMES = 6
 """Number of wavefronts that a sentence names; of more it gives the number."""
@@ -80,6 +83,13 @@ def headline(wavefronts: Sequence[Wavefront]) -> str:
 def explained(wavefront: Wavefront) -> bool:
     """Whether the residuals of a wavefront were tested and are noise alone."""
     return wavefront.test is not None and wavefront.test.explains
+
+
+def stated(number: Uncertain, *, known: bool) -> Uncertain:
+    """Return a number with its error if that is known, as `confirmed` has it; else with none."""
+    if known:
+        return number
+    return replace(number, value=round(number.value, decimals(number.std)), std=nan)
 
 
 def _named(some: Sequence[Wavefront], every: Sequence[Wavefront]) -> str:

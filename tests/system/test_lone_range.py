@@ -25,6 +25,17 @@ PLAN = plan_text(
 )
 
 
+def assert_nothing_is_confirmed(results: Results) -> None:
+    """A session of one range confirms no optimum, and shows no error of a model that is incomplete."""
+    (wavefront,) = results.wavefronts
+    assert wavefront.test is not None
+    assert not wavefront.test.explains
+    assert wavefront.test.name != "session"
+    _, row = results.wavefront_rows()
+    assert [cell.partition(" ± ")[2][:7] for cell in row[2:4]] == ["unknown"] * 2
+    assert "errors are not known" in results.headline or "doubtful" in results.headline
+
+
 def assert_the_sign_is_open(results: Results, true: Floats) -> None:
     """No sign is printed that the photographs do not determine; one of the two twins is the truth."""
     (wavefront,) = results.wavefronts
@@ -52,6 +63,8 @@ def test_a_lone_range_near_focus_ends_at_the_right_optimum_without_parts(
     assert results.model_parts == {}
     true = np.array([modes[noll] for noll in range(5, 16)]) * 450 / 550
     assert_the_sign_is_open(results, true)
+    alone = fit(tmp_path / "session", workers=1, noll=(4, 4), name="defocus")
+    assert_nothing_is_confirmed(alone)
     even = np.isin(np.arange(5, 16), (5, 6, 11, 12, 13, 14, 15))
     found = wavefront.waves[1:]
     twin = np.where(even, -found, found)

@@ -63,6 +63,20 @@ def test_an_error_that_nothing_confirms_is_not_printed(tmp_path: Path) -> None:
     alone = a_wavefront(test=INCOMPLETE)
     html = report(tmp_path, alone, focus=None)
     row = html[html.index("Strehl ratio</td>") :].split("</tr>")[0]
-    value = f"{alone.best.strehl.value:.4f}"
+    value = f"{alone.best.strehl.value:.3f}"
     assert f"{value}\N{NO-BREAK SPACE}(error\N{NO-BREAK SPACE}unknown)" in row
     assert "±" not in row
+    defocus = "<td>0.0751\N{NO-BREAK SPACE}(error\N{NO-BREAK SPACE}unknown)</td>"
+    assert defocus in html[html.index("χ²/pixel") :]
+
+
+def test_of_defocus_alone_no_number_of_the_lens_is_shown(tmp_path: Path) -> None:
+    alone = a_wavefront(noll=(4,), waves=np.array([0.1]), covariance=1e-6 * np.eye(1))
+    html = report(tmp_path, alone, focus=None)
+    assert "1.000" not in html
+    assert (
+        html[html.index("Strehl ratio</td>") :]
+        .split("</tr>")[0]
+        .endswith("<td>not fitted</td>")
+    )
+    assert html.count("<strong>not fitted</strong>") >= 3  # the cards that lead
