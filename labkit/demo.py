@@ -29,7 +29,6 @@ PLAN = """\
 
 [about]                # on the report's title and in print on every page; may be left out
 title = "A simulated lens"
-lens = "70 mm f/2.8"
 operator = "labkit demo"
 
 [lens]
