@@ -85,11 +85,11 @@ TEXTS = {
     "undetermined": "{where}: the frames do not determine {list}; is the target lit, sharp and large enough?",
     "model-incomplete": (
         "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); {confirmed} the "
-        "optimum: the model lacks something{such_as}; standard errors allow for it"
+        "optimum: the model lacks something{such_as}; {errors}"
     ),
     "optimum-doubtful": (
         "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); the optimum may "
-        "be a wrong one, or the model lacks something{such_as}; standard errors allow for it"
+        "be a wrong one, or the model lacks something{such_as}; its errors are not known"
     ),
     "model-incomplete-everywhere": (
         "the residuals of {count} of {fits} fits are more than noise (χ² per pixel {least:.2f} to {most:.2f}); the fits "

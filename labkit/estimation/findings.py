@@ -24,6 +24,10 @@ LIKE_PIXELS = (LowPass.name, Diffusion.name)
 """Parts whose blur is like that of a larger pixel."""
 
 
+ERRORS_OF = {"starts": "how much its numbers err is not known"}
+"""What is known of the errors of an incomplete model, by the name of the test: starts alone decide at one range."""
+
+
 @dataclass(frozen=True, slots=True)
 class Moves:
     """Changes of a session's results under another model of the camera.
@@ -89,6 +93,7 @@ def residuals_not_noise(
     if confirmed_by is not None:
         code = "model-incomplete"
         words["confirmed"] = CONFIRMED_BY.get(confirmed_by, "the session confirms")
+        words["errors"] = ERRORS_OF.get(confirmed_by, "standard errors allow for it")
     return found(
         code,
         key,

@@ -65,6 +65,10 @@ DRAWINGS = 11
 
 
 def _at_best_focus(results: Results, curves: Sequence[Curves]) -> Iterator[Plate]:
+    """Yield what the lens does; nothing where no mode but defocus was fitted."""
+    curves = [c for c in curves if c.focus.fitted.noll]
+    if not curves:
+        return
     yield _mtfs(results, curves)
     yield _psfs([c.focus for c in curves])
     yield _energy(results, curves)

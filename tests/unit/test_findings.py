@@ -230,7 +230,10 @@ def test_an_accepted_optimum_and_a_doubtful_one_have_codes_of_their_own() -> Non
         "camera confirms the optimum: the model lacks something, such as smear, by a shake or a rolling shutter; "
         "standard errors allow for it"
     )
+    by_starts = residuals_not_noise(GREEN, 1e-6, 1.234, [], "starts")
+    assert by_starts.text.endswith("; how much its numbers err is not known")
     doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, [], None)
+    assert doubtful.text.endswith("; its errors are not known")
     assert (doubtful.code, doubtful.key) == ("optimum-doubtful", GREEN)
     assert doubtful.numbers == {
         "p_value": None,

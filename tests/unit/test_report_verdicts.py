@@ -9,6 +9,8 @@ import pytest
 
 from labkit.report.best_focus import at_best_focus
 from labkit.report.charts import zernike_chart
+from labkit.report.curves import curves_of
+from labkit.report.figures import _at_best_focus
 from labkit.report.html import write_report
 from labkit.report.style import channel_inks
 from labkit.results import Wavefront
@@ -80,3 +82,6 @@ def test_of_defocus_alone_no_number_of_the_lens_is_shown(tmp_path: Path) -> None
         .endswith("<td>not fitted</td>")
     )
     assert html.count("<strong>not fitted</strong>") >= 3  # the cards that lead
+    results = some_results(wavefronts=(alone,), focus=None)
+    curves = curves_of(results, at_best_focus(results))
+    assert list(_at_best_focus(results, curves)) == []
