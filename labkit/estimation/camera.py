@@ -112,6 +112,13 @@ def extended(parts: Parts, name: str) -> Parts:
     return parts | set(groups[: groups.index(name) + 1])
 
 
+def kind(name: str) -> str:
+    """Return what a part or a group of modes is an example of: parts of one kind explain the same."""
+    if name in GROUPS:
+        return "modes"
+    return "blur" if name in BLURS else name.rstrip("_0123456789")
+
+
 def _explained(fits: Iterable[Optimum]) -> int:
     """Return the number of fits whose residuals are noise alone."""
     return sum(fit.verdict.accepted for fit in fits)
@@ -161,17 +168,44 @@ class CameraChoice:
         """
         best, ends, refused = parts, dict(fits), set[Parts]()
         while True:
-            for choice in self._proposals(ends, best):
-                if choice in refused:
-                    continue
-                reached = self._reached(ends, best, choice)
-                if reached is None:
-                    refused.add(choice)
-                    continue
-                best, ends = choice, reached
-                break
+            for choice, telling in self._trials(ends, best, refused):
+                reached = self._reached(ends, best, choice, telling)
+                if reached is not None:
+                    best, ends = choice, reached
+                    break
+                refused.add(choice)
             else:
                 return best
+
+    def _trials(
+        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts, refused: set[Parts]
+    ) -> Iterator[tuple[Parts, dict[int, Optimum]]]:
+        """Yield choices that raise the penalised likelihood of the most telling fits, with these fits; add others to `refused`.
+
+        A score is an approximation, which is poor for numbers far from 0. So a choice that does not explain the fits is
+        compared with the next ones of other kinds, and the best choice comes first.
+        """
+        while True:
+            trials = list[tuple[float, Parts, dict[int, Optimum]]]()
+            kinds = set[str]()
+            for choice in self._proposals(ends, parts):
+                added = choice - parts
+                if choice in refused or {kind(name) for name in added} & kinds:
+                    continue
+                fits = dict(self.refit(self._telling(ends, choice ^ parts), choice))
+                gain = self._gain(ends, fits) - cost(choice) + cost(parts)
+                if gain <= 0:
+                    refused.add(choice)
+                    continue
+                trials.append((gain, choice, fits))
+                kinds |= {kind(name) for name in added}
+                explained = _explained(fits.values()) == len(fits)
+                if explained or not added or len(trials) == SETTINGS.tried:
+                    break
+            if not trials:
+                return
+            for _, choice, fits in sorted(trials, key=lambda trial: -trial[0]):
+                yield choice, fits
 
     def _proposals(
         self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts
@@ -204,15 +238,22 @@ class CameraChoice:
                 yield (parts - {name}) | set(more_common)
 
     def _reached(
-        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts, choice: Parts
+        self,
+        ends: Mapping[int, tuple[str, Optimum]],
+        parts: Parts,
+        choice: Parts,
+        telling: Mapping[int, Optimum],
     ) -> dict[int, tuple[str, Optimum]] | None:
-        """Return the fits with another choice of parts, or None if the penalised likelihood does not rise."""
-        telling = self._telling(ends, choice ^ parts)
-        fits = dict(self.refit(telling, choice))
-        if self._gain(ends, fits) <= cost(choice) - cost(parts):
-            return None
-        rest = [k for k in ends if k not in fits]
-        fits |= self.refit(rest, choice)
+        """Return the fits with another choice of parts, or None if the penalised likelihood does not rise.
+
+        Parameters
+        ----------
+        ends, parts : the present fits, and the parts in their model
+        choice : the other parts
+        telling : fits with the other parts that are made already
+        """
+        rest = [k for k in ends if k not in telling]
+        fits = {**telling, **self.refit(rest, choice)}
         added = choice - parts
         if self._better(ends, fits, parts, choice):
             self.tried = [one for one in self.tried if one.name not in choice]

@@ -327,7 +327,9 @@ class _Search:
             else self._all_frames(state)
         )
         freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
-        if not freed.solution.converged:
+        if (
+            not freed.solution.converged and freed.solution.steps < SETTINGS.newton_rounds
+        ):  # it diverged; steps that still gain have only a poor model to go by
             near = maximize(self.whole, begin, exact=False)
             freed = free_cone(
                 self.whole, near.begun or Start(near.state), self.guesses.f_number_std
