@@ -24,7 +24,20 @@ MEANINGS = {
         "Its light, `[[nm, share], ...]`, as the plan states it or the photographs call for it, by a few wavelengths of the "
         "same moments. MTF, Strehl ratio, encircled energy and PSFs are of all of it. Null for one wavelength."
     ),
-    "wavefronts[].f_number": "F-number of the cone that reaches the sensor.",
+    "wavefronts[].pupil": (
+        "The pupil's rim, lengths over the full pupil's radius, angles from x (right) towards y (down); null for a clear disc. "
+        "F-numbers are those of the circle of equal clear area, and modes are Zernike's over it."
+    ),
+    "wavefronts[].pupil.cuts": "Edges that limit it, the innermost at every angle.",
+    "wavefronts[].pupil.cuts[].blades": "Number of a diaphragm's blades.",
+    "wavefronts[].pupil.cuts[].turn_deg": "Direction of the middle of a blade.",
+    "wavefronts[].pupil.cuts[].roundness": "Curvature of the blades, 0 where they are straight, 1 where they make a circle.",
+    "wavefronts[].pupil.cuts[].shift": "Distance of a circle's centre from the pupil's.",
+    "wavefronts[].pupil.cuts[].radius": "Radius of a circle.",
+    "wavefronts[].pupil.cuts[].direction_deg": "Direction of its shift.",
+    "wavefronts[].pupil.uneven": "Relative departures of the outline along cos 2t, sin 2t, cos 3t and sin 3t.",
+    "wavefronts[].pupil.obstructed": "Share of the outline's area that is obstructed.",
+    "wavefronts[].f_number": "F-number of the cone that reaches the sensor, by the pupil's clear area.",
     "wavefronts[].f_number_working": "The same with its standard error.",
     "wavefronts[].f_number_working.value": "Value.",
     "wavefronts[].f_number_working.std": "Standard error.",

@@ -120,6 +120,7 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     numbers = dict(zip(labels, values[modes:-2], strict=True))
     parameters = [*(numbers[label] for label in optics.camera_labels), values[-2]]
     f_number, waves = float(np.exp(values[-2])), values[:modes]
+    optics = optics.with_camera_parameters(np.array(parameters))
     at = w.noll.index(DEFOCUS)
     um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
     pull = np.zeros(len(values))
@@ -127,7 +128,8 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     return replace(
         w,
         wavelength_nm=_light_nm(w, lens),
-        spectrum=optics.with_camera_parameters(np.array(parameters)).light,
+        spectrum=optics.light,
+        rim=optics.rim,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,
@@ -340,6 +342,7 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
         wavelength_nm=round(optics.wavelength_um * 1e3, 6),
         reference_wavelength_nm=round(optics.reference_um * 1e3, 6),
         spectrum=optics.light,
+        rim=optics.rim,
         f_number=optics.f_number,
         f_number_std=float(np.sqrt(optimum.measured.covariance[-2, -2])) * optics.f_number,
         noll=optimum.noll,

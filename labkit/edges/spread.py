@@ -107,6 +107,7 @@ def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWave
         node * optics.wavelength_um,
         optics.reference_um,
         optics.f_number,
+        rim=optics.rim,
     )
 
 
@@ -140,7 +141,7 @@ def edge_spread(
     """
     if not reach_um > 0:
         raise ValueError(f"reach_um = {reach_um:g}: a distance above 0 is needed (um)")
-    airy_um = optics.airy_um * min(optics.light.nodes)
+    airy_um = optics.airy_um * min(optics.light.nodes) / optics.rim.reach
     period_um = PERIODS * max(reach_um, LEAST_REACH * airy_um)
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
     of = camera_slice(optics, waves, azimuth, harmonic / period_um)
@@ -162,6 +163,7 @@ def edge_spread(
         sum(share * node for share, node in optics.light.shares)
         * 2
         * optics.airy_um
+        * optics.rim.halo
         / np.pi**3
     )
     rows[0] += 0.5 + tail * 2 * np.pi / period_um * halo

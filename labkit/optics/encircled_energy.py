@@ -17,11 +17,12 @@ from scipy.special import j0, j1
 from labkit.arrays import real_array
 from labkit.optics.mtf import steepness, transfer_function
 from labkit.optics.unknown_light import in_any_light
-from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+STEP = 1e-5  # of the pupil's radius, in differences
 MOST = 0.99  # share of the energy that a radius is computed for; beyond, 0.2 lambda N / r of the light is the halo's
 
 
@@ -109,12 +110,32 @@ def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
     """
     rest = wavefront.without((2, 3))
     matrix = np.vstack([np.zeros((2, len(rest.noll))), np.eye(len(rest.noll))])
+    if not rest.rim.is_round:
+        matrix[:2] = -0.5 * _mean_slopes(rest)  # slopes of Noll 2 and 3 are 2
+        return rest.mapped((2, 3, *rest.noll), matrix)
     for k, (n, m) in enumerate(noll_to_nm(j) for j in rest.noll):
         if abs(m) == 1:
             matrix[0 if m > 0 else 1, k] = (
                 -sqrt(2 * (n + 1)) / 2
             )  # Noll 2 and 3 are 2 on the rim
     return rest.mapped((2, 3, *rest.noll), matrix)
+
+
+def _mean_slopes(wavefront: FittedWavefront) -> Floats:
+    """(2, modes) mean slopes of the modes along x and y over a pupil that is no disc."""
+    x, y, weights = wavefront.rim.quadrature(24, 96)
+    steps = ((STEP, 0.0), (0.0, STEP))
+    return np.array(
+        [
+            (
+                modes_at(wavefront.noll, x + dx, y + dy)
+                - modes_at(wavefront.noll, x - dx, y - dy)
+            )
+            @ weights
+            / (2 * STEP)
+            for dx, dy in steps
+        ]
+    )
 
 
 def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:

@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter
 from labkit.arrays import positive
 from labkit.optics.known_bias import error_with_bias
 from labkit.optics.psf import Pupil
+from labkit.optics.rim import Rim
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.optics.zernike import nm_to_noll, noll_to_nm
 from labkit.types import Bools, Floats
@@ -127,7 +128,7 @@ def _psf_at(
         )
     apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
     # in all lights alike: PSFs are shares of light on such samples
-    fine_um = airy_um / 2 * min(wavefront.spectrum.nodes)
+    fine_um = airy_um / (2 * wavefront.rim.reach) * min(wavefront.spectrum.nodes)
     across, at_um = (
         int(np.ceil(apart_um / fine_um)),
         spacing_um * np.arange(-half, half + 1.0),
@@ -135,7 +136,9 @@ def _psf_at(
     value: Floats = np.zeros((at_um.size, at_um.size))
     slopes: Floats = np.zeros((len(wavefront.noll[modes]), at_um.size, at_um.size))
     for share, w in wavefront.lights:
-        pupil = Pupil(w.wavelength_um, w.reference_um, w.f_number, fine_um, across, w.noll)
+        pupil = Pupil(
+            w.wavelength_um, w.reference_um, w.f_number, fine_um, across, w.noll, w.rim
+        )
         of_light, its_slopes = pupil.psf_at(w.waves, at_um, modes)
         value += share * of_light
         slopes += share * its_slopes
@@ -145,16 +148,16 @@ def _psf_at(
 def opd_map(
     wavefront: FittedWavefront, samples: int, without: Collection[int] = ()
 ) -> OpdMap:
-    """Path difference on samples x samples squares that cover the pupil's diameter, at their centres.
+    """Path difference on samples x samples squares that cover the pupil, at their centres; a disc's edge is at their border.
 
     without: Noll modes to leave out. Raises ValueError for fewer than one sample.
     """
     if samples < 1:
         raise ValueError(f"samples = {samples}: at least 1 is needed")
     wavefront = wavefront.without(without)
-    at = (2 * np.arange(samples) + 1 - samples) / samples
+    at = (2 * np.arange(samples) + 1 - samples) / samples * wavefront.rim.longest
     y, x = np.meshgrid(at, at, indexing="ij")
-    inside: Bools = np.hypot(x, y) <= 1
+    inside: Bools = wavefront.rim.inside(x, y)
     value, std = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
     modes = modes_at(wavefront.noll, x[inside], y[inside])
     value[inside] = wavefront.waves @ modes
@@ -163,8 +166,18 @@ def opd_map(
 
 
 def rms(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
-    """RMS of the path difference about its mean. without: Noll modes to leave out; the errors are as `magnitude`'s."""
-    return magnitude(wavefront.without({1, *without}))
+    """RMS of the path difference about its mean over the clear pupil. without: Noll modes to leave out; the errors are as
+    `magnitude`'s."""
+    wavefront = wavefront.without({1, *without})
+    if wavefront.rim.is_round:
+        return magnitude(wavefront)
+    x, y, weights = wavefront.rim.quadrature(24, 96)
+    modes = modes_at(wavefront.noll, x, y)
+    modes -= (modes @ weights)[:, None]
+    # the root of the modes' products: with it a sum of squares is that over the pupil
+    values, vectors = np.linalg.eigh((modes * weights) @ modes.T)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return magnitude(wavefront.mapped(wavefront.noll, root))
 
 
 def rms_by_order(wavefront: FittedWavefront) -> dict[int, Uncertain]:
@@ -205,18 +218,20 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
     wavefront = wavefront.without(without)
     if not wavefront.noll:
         return Uncertain(0.0, 0.0, "waves")
-    modes = _all_over(wavefront.noll)
+    modes = _all_over(wavefront.noll, wavefront.rim)
     path = wavefront.waves @ modes
     gradient = modes[:, path.argmax()] - modes[:, path.argmin()]
     return Uncertain(np.ptp(path), float(np.sqrt(wavefront.variance(gradient))), "waves")
 
 
 @lru_cache(maxsize=4)
-def _all_over(noll: tuple[int, ...]) -> Floats:
+def _all_over(noll: tuple[int, ...], rim: Rim) -> Floats:
     """(modes, points) the modes over the pupil and its rim."""
     rho, theta = np.meshgrid(
         np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES
     )
+    if not rim.is_round:
+        rho = rim.inner + rho * (rim.outline(theta) - rim.inner)
     return modes_at(noll, rho * np.cos(theta), rho * np.sin(theta)).reshape(len(noll), -1)
 
 

@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import comb
 
 from labkit.arrays import positive, real_array
+from labkit.optics.rim_transfer import rim_transfer
 from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import cartesian, nm_to_noll, noll_to_nm
@@ -35,6 +36,7 @@ COSINES, SINES = (
     np.cos(2 * np.pi / TURNS * np.arange(TURNS)),
     np.sin(2 * np.pi / TURNS * np.arange(TURNS)),
 )
+TURN_DEG = 0.05  # of a rim, in differences
 HALF_MODULATION_GRID = (
     200  # frequencies up to the cutoff among which the first below one half is looked for
 )
@@ -179,6 +181,8 @@ def transfer_function(
 
     It is the Fourier transform of the PSF: light to the right of the origin has a falling phase along x.
     """
+    if not wavefront.rim.is_round:
+        return rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
     return _slice(
         wavefront, frequency_per_mm, _tables(wavefront.noll, np.deg2rad(azimuth_deg))
     )
@@ -191,6 +195,14 @@ def turning_transfer_function(
 
     Turning the slice is turning the wavefront the other way, so that it costs one more row of the same sums.
     """
+    if not wavefront.rim.is_round:
+        value, slopes = rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
+        after, before = (
+            rim_transfer(wavefront, frequency_per_mm, azimuth_deg + d)[0]
+            for d in (TURN_DEG, -TURN_DEG)
+        )
+        by_turn = (after - before) / (2 * np.deg2rad(TURN_DEG))
+        return value, np.concatenate([slopes, by_turn[None]])
     turn = np.deg2rad(azimuth_deg)
     turning = np.tensordot(wavefront.waves, _tables(wavefront.noll, turn, slope=True), 1)
     return _slice(

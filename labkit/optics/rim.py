@@ -7,14 +7,14 @@ the pupil's are in `labkit.optics.psf`. The f-number is that of this circle: ISO
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
-from labkit.types import Floats
+from labkit.types import Bools, Floats
 
 FULL_TURN = 2 * np.pi
 ARCS = 512  # of an outline, for its extent and its length
@@ -31,6 +31,10 @@ class Cut(Protocol):
     @property
     def corners(self) -> Sequence[float]:
         """Angles of the edge's corners."""
+        ...
+
+    def turned(self, angle: float) -> Self:
+        """Return the edge turned by an angle, from x towards y."""
         ...
 
 
@@ -53,6 +57,10 @@ class Diaphragm:
     def corners(self) -> Sequence[float]:
         """Angles of the corners, half a blade from its middle."""
         return [self.turn + FULL_TURN * (k + 0.5) / self.blades for k in range(self.blades)]
+
+    def turned(self, angle: float) -> Diaphragm:
+        """Return the diaphragm turned by an angle."""
+        return replace(self, turn=self.turn + angle)
 
     def radius(self, theta: Floats) -> Floats:
         """Distance of the blades from the centre.
@@ -88,6 +96,10 @@ class Circle:
         """A circle has no corners."""
         return ()
 
+    def turned(self, angle: float) -> Circle:
+        """Return the circle turned by an angle."""
+        return replace(self, direction=self.direction + angle)
+
     def radius(self, theta: Floats) -> Floats:
         """Distance of the circle from the pupil's centre."""
         away = theta - self.direction
@@ -116,6 +128,54 @@ class Rim:
         """Whether the pupil is a clear disc."""
         return not (self.cuts or any(self.uneven) or self.obstructed)
 
+    def turned(self, angle: float) -> Rim:
+        """Return the rim turned by an angle, from x towards y."""
+        if self.is_round:
+            return self
+        uneven = list(self.uneven)
+        for k in range(0, len(uneven), 2):
+            cosine, sine = self.uneven[k : k + 2]
+            turn = (2 + k // 2) * angle
+            uneven[k] = float(cosine * np.cos(turn) - sine * np.sin(turn))
+            uneven[k + 1] = float(cosine * np.sin(turn) + sine * np.cos(turn))
+        cuts = tuple(cut.turned(angle) for cut in self.cuts)
+        return replace(self, cuts=cuts, uneven=tuple(uneven))
+
+    def outline(self, theta: Floats) -> Floats:
+        """Distance of the outline from the centre at angles of any shape."""
+        return np.asarray(self._scale * self._radius(theta))
+
+    @property
+    def inner(self) -> float:
+        """Radius of the obstructed disc."""
+        return float(np.sqrt(max(self.obstructed, 0.0) / (1 - self.obstructed)))
+
+    def inside(self, x: Floats, y: Floats) -> Bools:
+        """Whether points lie in the clear part."""
+        rho = np.hypot(x, y)
+        if self.is_round:
+            return np.asarray(rho <= 1)
+        return np.asarray((rho >= self.inner) & (rho <= self.outline(np.arctan2(y, x))))
+
+    def quadrature(self, radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
+        """Points x, y (points,) in the clear part and their weights, with sum 1.
+
+        Parameters
+        ----------
+        radial, angular : Gauss's nodes along a radius, and around the rim at least
+        """
+        ends = np.unique([*np.linspace(0, FULL_TURN, 8), *(self._kinks() % FULL_TURN)])
+        node, weight = np.polynomial.legendre.leggauss(4 + angular // (len(ends) - 1))
+        half = 0.5 * np.diff(ends)[:, None]
+        theta = (ends[:-1, None] + half * (1 + node)).ravel()[:, None]
+        by_angle = (half * weight).ravel()[:, None]
+        node, weight = np.polynomial.legendre.leggauss(radial)
+        depth = 0.5 * (self.outline(theta) - self.inner)
+        rho = self.inner + depth * (1 + node)
+        weights = (rho * depth * weight * by_angle).ravel()
+        x, y = (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel()
+        return x, y, weights / weights.sum()
+
     def edges(self, arcs: int) -> list[Floats]:
         """Closed chains of parabolic arcs about a clear area of exactly pi; the obstruction's runs the other way round.
 
@@ -137,6 +197,18 @@ class Rim:
         share = self.obstructed / clear
         inner = circle * np.sqrt(np.pi * abs(share) / _area(circle))
         return [outer, np.roll(inner[::-1], 1, axis=0) if share > 0 else inner]
+
+    @cached_property
+    def _scale(self) -> float:
+        """Return the unit of `_radius`."""
+        ends = np.unique(
+            [
+                *np.linspace(0.0, FULL_TURN, ARCS, endpoint=False),
+                *(self._kinks() % FULL_TURN),
+            ]
+        )
+        area = _area(_chain(ends, self._radius))
+        return float(np.sqrt(np.pi / ((1 - self.obstructed) * area)))
 
     def _radius(self, theta: Floats) -> Floats:
         """Return the outline's distance from the centre, in any unit."""
@@ -204,8 +276,8 @@ class Rim:
 
     @property
     def outer(self) -> float:
-        """Radius of the circle whose area is the outline's, the obstruction included."""
-        return float((1 - self.obstructed) ** -0.5)
+        """Radius of the full pupil: a diaphragm's corners, a mirror's edge, or what a cat's eye cuts."""
+        return 1.0 if self.is_round else self._scale
 
 
 ROUND = Rim()

@@ -6,6 +6,7 @@ import numpy as np
 
 from labkit.optics.mtf import steepness
 from labkit.optics.psf import Pupil
+from labkit.optics.rim import Rim
 from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
@@ -65,7 +66,9 @@ class Climber:
         steep = steepness(wavefront) + 2 * most_tilt * max(
             factor for _, factor in self._lights
         )
-        self._weights, self._modes = _over_pupil((*TILTS, *wavefront.noll), steep)
+        self._weights, self._modes = _over_pupil(
+            (*TILTS, *wavefront.noll), steep, wavefront.rim
+        )
 
     def peak(self, waves: Floats, tilts: Floats) -> Peak:
         """The maximum for coefficients (modes,), from tilts (2,), waves RMS."""
@@ -123,8 +126,14 @@ def _peak(
     return float(np.abs(total) ** 2), slope, bend
 
 
-def _over_pupil(noll: tuple[int, ...], steep: float) -> tuple[Floats, Floats]:
+def _over_pupil(noll: tuple[int, ...], steep: float, rim: Rim) -> tuple[Floats, Floats]:
     """(points,) weights, with sum 1, of a quadrature over the pupil that resolves a steepness; (modes, points) the modes."""
+    if not rim.is_round:
+        steep *= rim.longest
+        x, y, weights = rim.quadrature(
+            16 + int(np.ceil(0.35 * steep)), 48 + 2 * int(np.ceil(0.7 * steep))
+        )
+        return weights, modes_at(noll, x, y)
     node, weight = np.polynomial.legendre.leggauss(16 + int(np.ceil(0.35 * steep)))
     angles = 48 + 2 * int(np.ceil(0.7 * steep))
     rho, theta = np.meshgrid(
@@ -150,7 +159,13 @@ def brightest_tilts(wavefront: FittedWavefront) -> Floats:
     psf = np.zeros((size, size))
     for share, light in w.lights:
         psf += share * Pupil(
-            light.wavelength_um, w.reference_um, w.f_number, airy_um / 8, size, w.noll
+            light.wavelength_um,
+            w.reference_um,
+            w.f_number,
+            airy_um / 8,
+            size,
+            w.noll,
+            w.rim,
         ).psf(w.waves)
     row, column = np.unravel_index(psf.argmax(), psf.shape)
     away_um = np.array([column - size // 2, row - size // 2]) * airy_um / 8

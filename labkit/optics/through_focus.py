@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from labkit.arrays import real_array
 from labkit.optics.lens import blur_per_wave_um
-from labkit.optics.mtf import Direction, azimuth_deg, nodes_for
+from labkit.optics.mtf import Direction, azimuth_deg, nodes_for, transfer_function
 from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
 from labkit.optics.unknown_light import in_any_light, widened
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
@@ -93,6 +93,18 @@ def mtf_through_focus(
 ) -> ThroughFocus:
     """MTF of the optics alone at one frequency along a direction, of modes and defocus as in `strehl_through_focus`."""
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
+    if not rest.rim.is_round:
+        at, along = np.array([frequency_per_mm]), azimuth_deg(direction)
+        every = [
+            transfer_function(_with_defocus(rest, float(waves)), at, along)
+            for waves in defocus
+        ]
+        return _modulus(
+            rest,
+            defocus,
+            np.array([value[0] for value, _ in every]),
+            np.array([slopes[:-1, 0] for _, slopes in every]).T,
+        )
     steepest = _with_defocus(rest, float(np.abs(defocus).max()))
     transfer, by_mode = (
         np.zeros(len(defocus), complex),
@@ -108,6 +120,13 @@ def mtf_through_focus(
         turned: Complexes = share * area * np.exp(factor * phase)
         transfer += turned.sum(axis=1)
         by_mode += factor * (differences[:-1] @ turned.T)
+    return _modulus(rest, defocus, transfer, by_mode)
+
+
+def _modulus(
+    rest: FittedWavefront, defocus: Floats, transfer: Complexes, by_mode: Complexes
+) -> ThroughFocus:
+    """The modulus of a transfer function (n,), with its derivatives (modes, n)."""
     value = np.abs(transfer)
     unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
     slopes = (by_mode * unit).real

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.arrays import positive, real_array
+from labkit.optics.rim import ROUND, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.zernike import zernike
 from labkit.types import Floats
@@ -25,7 +26,8 @@ class FittedWavefront:
     noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
     waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
     reaches the sensor; f_number_std: its standard error, which enters what is measured in lengths as if it were independent of
-    the modes'. spectrum: of the light, about wavelength_um; its path differences are one, in length. widest_nm: if the spectrum
+    the modes'. rim: of the pupil; the f-number is that of the circle of its clear area, over which the modes are Noll's.
+    spectrum: of the light, about wavelength_um; its path differences are one, in length. widest_nm: if the spectrum
     is not known, the largest standard deviation of the light that the photographs allow; 0 if it is known. Pupil coordinates
     as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
     Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
@@ -40,6 +42,7 @@ class FittedWavefront:
     f_number_std: float = 0.0
     spectrum: Spectrum = field(default_factory=Spectrum)
     widest_nm: float = 0.0
+    rim: Rim = ROUND
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -73,8 +76,12 @@ class FittedWavefront:
 
     @property
     def cutoff_per_mm(self) -> float:
-        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm; of the shortest light."""
-        return 1e3 / (min(self.spectrum.nodes) * self.wavelength_um * self.f_number)
+        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm; of the shortest light.
+
+        A pupil that is no disc passes more along its largest width.
+        """
+        shortest_um = min(self.spectrum.nodes) * self.wavelength_um
+        return self.rim.reach * 1e3 / (shortest_um * self.f_number)
 
     @property
     def lights(self) -> list[tuple[float, FittedWavefront]]:

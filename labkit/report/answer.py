@@ -56,7 +56,7 @@ def answer(
 
 def _strehl(focused: Sequence[ChannelFocus]) -> Card:
     rows = [(b.channel, (_of(b, b.best.strehl, least=3),)) for b in focused]
-    note = "1 is a perfect lens, 0.8 and above is called diffraction limited."
+    note = "1 is the diffraction limit of this pupil, 0.8 and above is called diffraction limited."
     return Card("Strehl ratio without defocus", note, tuple(rows))
 
 

@@ -15,6 +15,7 @@ from labkit.report.lens_table import SOURCES, budget_name
 from labkit.report.mtf_charts import mtf_chart
 from labkit.report.photographs import Photographs
 from labkit.report.plates import Panel, Plate, chip, drawing, picture
+from labkit.report.pupil_chart import pupil_chart
 from labkit.report.quantities import estimated, fixed, millimetres, plus_minus
 from labkit.report.style import channel_inks, styled
 from labkit.report.through_charts import modulation_chart, strehl_chart
@@ -77,6 +78,22 @@ def _at_best_focus(results: Results, curves: Sequence[Curves]) -> Iterator[Plate
 def _wavefronts(results: Results, focused: Sequence[ChannelFocus]) -> Iterator[Plate]:
     yield _maps(results, focused)
     yield _maps_photographed(results)
+    if not results.wavefronts[0].rim.is_round:
+        yield _pupil(results.wavefronts[0])
+
+
+def _pupil(wavefront: Wavefront) -> Plate:
+    clear, outer = (
+        estimated(number)
+        for number in (wavefront.working_f_number, wavefront.outer_f_number)
+    )
+    alt = f"The pupil as found: f/{clear} by its clear area, f/{outer} by the circle around it."
+    caption = (
+        "The pupil as found, x to the right along the sensor's rows, y down. Dashed: the circle of equal clear area, by which "
+        f"the f-number is counted ({clear} at the sensor) and over which the modes are Zernike's; grey: the full pupil "
+        f"({outer}). RMS, Strehl ratio, MTF and diffraction limits are those of the clear part."
+    )
+    return Plate((drawing("pupil", pupil_chart(wavefront.rim), alt),), caption)
 
 
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:

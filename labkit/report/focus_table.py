@@ -16,7 +16,8 @@ from labkit.results.best_focus import SHARE
 from labkit.uncertain import Uncertain
 
 NOT_FITTED = "not fitted"
-PERFECT = "of a perfect lens"
+LIMIT = "diffraction limit of this pupil"
+PERFECT = LIMIT
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
 PITCH = "by the pixel pitch, which the plan states without an error"
 

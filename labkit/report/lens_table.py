@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite, sqrt
 
+from labkit.optics.rim import Rim
 from labkit.report.quantities import UNKNOWN, estimated, fixed
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results
@@ -38,6 +39,7 @@ def lens_table(results: Results) -> Table | None:
     rows = (
         _row("Focal length", "mm", lens.focal_length, stated.stated_focal_length),
         _row("f-number at infinity", "", lens.f_number, stated.stated_f_number),
+        *_full_pupil(results.wavefronts[0].rim, lens.f_number),
         _row("Pupil magnification", "", lens.pupil_magnification),
         _row("True ranges less stated", "mm", lens.range_zero, zero),
         *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
@@ -50,6 +52,15 @@ def lens_table(results: Results) -> Table | None:
         Column("stated"),
     )
     return Table(columns, rows, strong=2, channels=1)
+
+
+def _full_pupil(rim: Rim, f_number: Uncertain) -> list[Row]:
+    """The f-number of the circle around a pupil that is no clear disc."""
+    if rim.is_round:
+        return []
+    outer = Uncertain(f_number.value / rim.outer, f_number.std / rim.outer)
+    row = _row("of the full pupil", "", outer)
+    return [Row(row.cells, beside=True)]
 
 
 def working_f_number(results: Results, channel: str) -> Uncertain:

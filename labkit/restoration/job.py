@@ -88,7 +88,7 @@ class Job:
     def nyquist_samples(self) -> int:
         """To a pixel, that hold all that the lens passes."""
         optics = [colour.optics for colour in self.colours]
-        nyquist_um = min(o.airy_um * o.shortest / 2 for o in optics)
+        nyquist_um = min(o.airy_um * o.shortest / (2 * o.rim.reach) for o in optics)
         return math.ceil(self.pitch_um / nyquist_um * (1 - 1e-9))
 
     def of_samples(self, samples: int) -> Job:
@@ -217,7 +217,7 @@ def _from(motion: Floats, origin: Floats) -> Floats:
 def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     """Half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference wavelength."""
     torus, side_um = grid.pixels, min(grid.pixels.fine) * grid.pixels.spacing_um
-    cutoff = 1 / (optics.airy_um * optics.shortest)
+    cutoff = optics.rim.reach / (optics.airy_um * optics.shortest)
     finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
     spacing_um = torus.spacing_um / finer
     window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
@@ -230,6 +230,7 @@ def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
         spacing_um,
         size,
         optics.noll,
+        optics.rim,
     )
     blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
     return grid.whole(blur.transfer(waves))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite, nan
+from math import isfinite, nan, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from labkit.key import Key
 from labkit.optics import metrics
 from labkit.optics.lens import ThinLens
 from labkit.optics.mtf import Curve, Direction, mtf
+from labkit.optics.rim import ROUND, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.wavefront import FittedWavefront, at_focus
@@ -140,7 +141,8 @@ class Wavefront:
     8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
     which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
-    wavelength, as the plan states it or the photographs call for it. tile: (row, column), None for the whole frame.
+    wavelength, as the plan states it or the photographs call for it. rim: of the pupil; f-number and modes are those of the
+    circle with its clear area. tile: (row, column), None for the whole frame.
     sign_open: whether the `twin`, whose even modes have the other sign, is as likely: from one range it always is.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
@@ -168,6 +170,7 @@ class Wavefront:
     blur: Uncertain | None = None
     missing: tuple[str, ...] = ()
     spectrum: Spectrum = field(default_factory=Spectrum)
+    rim: Rim = ROUND
     residual_spectrum: ResidualSpectrum | None = field(default=None, repr=False)
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
@@ -212,6 +215,7 @@ class Wavefront:
             self,
             waves=self.waves * signs,
             covariance=self.covariance * np.outer(signs, signs),
+            rim=self.rim.turned(pi),
             blur=None if self.blur is None else replace(self.blur, value=-self.blur.value),
         )
 
@@ -232,8 +236,13 @@ class Wavefront:
 
     @property
     def working_f_number(self) -> Uncertain:
-        """Of the cone that reaches the sensor."""
+        """Of the cone that reaches the sensor, by the pupil's clear area."""
         return Uncertain(self.f_number, self.f_number_std)
+
+    @property
+    def outer_f_number(self) -> Uncertain:
+        """Of the cone from the circle around the pupil, as if nothing cut or obstructed it."""
+        return Uncertain(self.f_number / self.rim.outer, self.f_number_std / self.rim.outer)
 
     @property
     def accepted(self) -> bool:
@@ -257,6 +266,7 @@ class Wavefront:
             *cone,
             self.spectrum,
             self.widest_light_nm,
+            self.rim,
         )
 
     @cached_property

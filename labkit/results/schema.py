@@ -6,7 +6,7 @@ any lens: no number in a file makes a report or a restoration take the machine's
 
 from __future__ import annotations
 
-from math import nan
+from math import nan, radians
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from labkit.errors import LONGEST, shown
 from labkit.finding import NOTE, Finding
 from labkit.key import Key
+from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results.model import (
@@ -40,7 +41,7 @@ LENS = {
 }
 """Keys of the lens, the fields that they hold, and their units."""
 
-UNITS = {"px": "px", "px2": "px²", "nm": "nm"}
+UNITS = {"px": "px", "px2": "px²", "nm": "nm", "deg": "deg"}
 """Of numbers of the camera, by the end of their names."""
 
 MOST_WAVES = 1e3
@@ -155,6 +156,45 @@ class ModelEntry(Entry):
     residual_spectrum: ResidualSpectrumEntry | None = None
 
 
+class BladesEntry(Entry):
+    """A diaphragm."""
+
+    blades: Annotated[int, Field(ge=3, le=20)]
+    turn_deg: Finite
+    roundness: Annotated[Finite, Field(ge=0, le=1)]
+
+
+class CircleEntry(Entry):
+    """A circle that cuts the pupil."""
+
+    shift: Annotated[Finite, Field(ge=0, le=5)]
+    radius: Annotated[Finite, Field(gt=0, le=10)]
+    direction_deg: Finite
+
+
+class PupilEntry(Entry):
+    """The rim of a pupil that is no clear disc."""
+
+    cuts: Annotated[tuple[BladesEntry | CircleEntry, ...], Field(max_length=5)] = ()
+    uneven: Annotated[tuple[Finite, ...], Field(max_length=4)] = ()
+    obstructed: Annotated[Finite, Field(ge=-0.9, le=0.9)] = 0.0
+
+    @property
+    def rim(self) -> Rim:
+        """The rim. Raises ValueError where it is no closed curve."""
+        if sum(map(abs, self.uneven)) >= 1:
+            raise ValueError(f"uneven = {self.uneven}: the rim is no closed curve")
+        cuts = list[Cut]()
+        for cut in self.cuts:
+            if isinstance(cut, BladesEntry):
+                cuts.append(Diaphragm(cut.blades, radians(cut.turn_deg), cut.roundness))
+            elif cut.shift >= cut.radius:
+                raise ValueError(f"a circle {cut.shift:g} off, of radius {cut.radius:g}")
+            else:
+                cuts.append(Circle(cut.shift, cut.radius, radians(cut.direction_deg)))
+        return Rim(tuple(cuts), self.uneven, self.obstructed)
+
+
 class WavefrontEntry(Entry):
     """A wavefront. Before schema 3 its identity is its range and channel."""
 
@@ -167,6 +207,7 @@ class WavefrontEntry(Entry):
         Annotated[tuple[tuple[Nanometres, Finite], ...], Field(min_length=1, max_length=99)]
         | None
     ) = None
+    pupil: PupilEntry | None = None
     f_number: FNumber | None = None
     f_number_working: NumberEntry | None = None
     blur_um: NumberEntry | None = None
@@ -229,6 +270,7 @@ class WavefrontEntry(Entry):
             frames=self.frames,
             missing=() if model is None else model.missing,
             spectrum=Spectrum.of_lines(lines, self.wavelength_nm),
+            rim=ROUND if self.pupil is None else self.pupil.rim,
             residual_spectrum=None if left is None else left.spectrum(),
             placement=self._placement(),
         )

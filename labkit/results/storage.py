@@ -25,6 +25,7 @@ from labkit.files import (
 from labkit.key import Key
 from labkit.mode_groups import USUAL_NOLL
 from labkit.optics.metrics import rms_by_order
+from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results.model import (
@@ -179,6 +180,22 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
     }
 
 
+def _pupil_json(rim: Rim) -> Json:
+    cuts = list[Json]()
+    for cut in rim.cuts:
+        if isinstance(cut, Diaphragm):
+            turn_deg = float(np.degrees(cut.turn))
+            cuts.append(
+                {"blades": cut.blades, "turn_deg": turn_deg, "roundness": cut.roundness}
+            )
+        elif isinstance(cut, Circle):
+            direction_deg = float(np.degrees(cut.direction))
+            cuts.append(
+                {"shift": cut.shift, "radius": cut.size, "direction_deg": direction_deg}
+            )
+    return {"cuts": cuts, "uneven": list(rim.uneven), "obstructed": rim.obstructed}
+
+
 def _wavefront_json(w: Wavefront) -> Json:
     entry = {
         "key": w.key.as_json(),
@@ -187,6 +204,7 @@ def _wavefront_json(w: Wavefront) -> Json:
         "channel": w.channel,
         "wavelength_nm": w.wavelength_nm,
         "spectrum": None if w.spectrum == Spectrum() else w.spectrum.lines(w.wavelength_nm),
+        "pupil": None if w.rim.is_round else _pupil_json(w.rim),
         "f_number": w.f_number,
         "f_number_working": w.working_f_number.as_json(),
         "blur_um": None if w.blur is None else w.blur.as_json(),

@@ -16,6 +16,7 @@ import pytest
 import labkit
 from labkit.errors import InputError
 from labkit.optics.metrics import psf_value
+from labkit.optics.rim import Diaphragm, Rim
 from labkit.optics.wavefront import FittedWavefront
 from labkit.report.focus_charts import defocus_chart
 from labkit.report.html import write_report
@@ -160,7 +161,7 @@ def test_numbers_at_best_focus_stand_in_a_table(report: Path) -> None:
     assert "at the reference wavelength waves 0.0500 ± 0.0013" in words
     assert re.search(r"RMS nm 22\.50 ± 0\.5\d", words)  # of 450 nm
     # 0.40397 of the cutoff, 1/(0.65 µm · 2.8) and 1/(0.45 µm · 2.8): Goodman's MTF is one half there; 0.008 of 2.8 is 0.29 %
-    assert "of a perfect lens cycles/mm 221.96 ± 0.63 320.61 ± 0.92" in words
+    assert "diffraction limit of this pupil cycles/mm 221.96 ± 0.63 320.61 ± 0.92" in words
     assert "Astigmatism waves RMS not fitted not fitted" in words  # Noll 6 is missing
 
 
@@ -241,6 +242,18 @@ def test_what_was_found_of_the_camera_has_a_section(
     assert "spectrum standard deviation, G nm 12.0 ± 3.0" in words
     assert "low-pass filter 812.3 taken in veil of stray light 0.0" in words
     assert "The camera" not in Page(report.read_text()).words()
+
+
+def test_a_pupil_that_is_no_disc_is_drawn_and_explained(tmp_path: Path) -> None:
+    rim = Rim((Diaphragm(6, 0.1),), obstructed=0.1)
+    wavefronts = tuple(replace(w, rim=rim) for w in some_results().wavefronts)
+    page = Page(write_report(written(tmp_path, wavefronts=wavefronts)).read_text())
+    words = page.words()
+    assert "The pupil as found" in words
+    assert "the circle of equal clear area" in words
+    assert f"of the full pupil {2.874 / rim.outer:.3f}" in words
+    alts = [attrs.get("alt") or "" for _, attrs in page.tags]
+    assert [alt for alt in alts if alt.startswith("The pupil as found: f/")]
 
 
 def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(

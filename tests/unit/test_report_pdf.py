@@ -99,7 +99,7 @@ def test_no_page_but_the_last_is_half_empty(pages: pdfium.PdfDocument) -> None:
 @pytest.mark.slow
 @prints
 def test_no_row_on_a_new_page_has_lost_its_parent(pages: pdfium.PdfDocument) -> None:
-    children = ("along y", "of a perfect lens", "nm", "at degrees", "G", "B")
+    children = ("along y", "diffraction limit of this pupil", "nm", "at degrees", "G", "B")
     firsts = [first_words(page) for page in pages]
     assert len(set(firsts)) == len(firsts)
     assert not [words for words in firsts if words.startswith(children)]

@@ -15,6 +15,7 @@ from labkit.errors import DataError
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.key import Key
+from labkit.optics.rim import ROUND, Circle, Diaphragm, Rim
 from labkit.report.html import write_report
 from labkit.results import OptimumTest, ResidualSpectrum, Results
 from labkit.results.model import PartTried
@@ -419,3 +420,41 @@ def test_other_names_of_results_are_offered(tmp_path: Path) -> None:
     some_results().write(tmp_path / "results" / "22-modes")
     with pytest.raises(DataError, match="results there are: 22-modes"):
         Results.load(tmp_path)
+
+
+def test_the_pupil_is_kept_with_each_wavefront(tmp_path: Path) -> None:
+    rim = Rim(
+        (Diaphragm(6, 0.1, 0.2), Circle(), Circle(0.2, 0.9, 0.3)),
+        (0.01, 0.0, 0.02, 0.0),
+        0.17,
+    )
+    wavefronts = (a_wavefront(rim=rim), a_wavefront(channel="B"))
+    read = Results.load(written(tmp_path, wavefronts=wavefronts))
+    cut, kept = read.wavefronts
+    assert kept.rim == ROUND
+    assert cut.fitted.rim == cut.rim
+    assert cut.rim.edges(90)[0] == pytest.approx(rim.edges(90)[0], rel=1e-12)
+    assert cut.outer_f_number.value == pytest.approx(cut.f_number / rim.outer)
+    assert cut.outer_f_number.value < cut.f_number
+
+
+@pytest.mark.parametrize(
+    ("pupil", "words"),
+    [
+        ({"cuts": [{"blades": 2, "turn_deg": 0, "roundness": 0}]}, "blades"),
+        ({"obstructed": 0.95}, "obstructed"),
+        ({"uneven": [0.7, 0.0, 0.4, 0.0]}, "no closed curve"),
+        ({"cuts": [{"shift": 1.0, "radius": 0.9, "direction_deg": 0}]}, "1 off"),
+    ],
+)
+def test_a_pupil_that_cannot_be_gives_one_line(
+    tmp_path: Path, pupil: dict[str, object], words: str
+) -> None:
+    folder = written(tmp_path)
+    file = folder / "results.json"
+    entry = json.loads(file.read_text())
+    entry["wavefronts"][0]["pupil"] = pupil
+    file.write_text(json.dumps(entry))
+    with pytest.raises(DataError, match=words) as caught:
+        Results.load(folder)
+    assert "\n" not in str(caught.value)
