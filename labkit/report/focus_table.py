@@ -16,8 +16,7 @@ from labkit.results.best_focus import SHARE
 from labkit.uncertain import Uncertain
 
 NOT_FITTED = "not fitted"
-LIMIT = "diffraction limit of this pupil"
-PERFECT = LIMIT
+PERFECT = "diffraction limit of this pupil"
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
 PITCH = "by the pixel pitch, which the plan states without an error"
 
