@@ -225,7 +225,7 @@ class CameraChoice:
             for name, test in tests.items()
             if (test.gain > least or _far(name)) and name not in self.wanted
         }
-        for name in sorted(net, key=lambda one: -net[one]):
+        for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
         for name in [one for one in BLURS if one in parts]:

@@ -316,3 +316,22 @@ def test_a_fit_whose_climb_is_lost_stays_as_it_was() -> None:
     ends = {k: ("G", fits.end(Parts())) for k in range(FITS)}
     assert choice.chosen(ends, Parts()) == {"smear"}
     assert choice.tried == [PartTried("smear", 400.0, adopted=True)]
+
+
+def test_an_obstruction_is_tried_by_a_fit_where_its_score_promises_little() -> None:
+    fits = Fits(
+        heights={("obstruction",): 990.0, ("veil",): 300.0},
+        called={"veil": 300.0, "obstruction": 40.0},
+        unexplained=1000.0,
+        explaining=Parts(["obstruction"]),
+    )
+    parts, _ = fits.chosen()
+    assert parts == {"obstruction"}
+    # it comes first, and a veil is not fitted in its place
+    assert fits.refits[0][1] == Parts(["obstruction"])
+
+
+def test_where_fits_are_explained_an_obstruction_needs_a_score_as_others_do() -> None:
+    fits = Fits(heights={("obstruction",): 3.0}, called={"obstruction": 1.0})
+    assert fits.chosen()[0] == set()
+    assert fits.refits == []
