@@ -117,6 +117,10 @@ MEANINGS = {
     "lens.focal_length_mm": "Focal length.",
     "lens.focal_length_mm.value": "Value, mm.",
     "lens.focal_length_mm.std": "Standard error, mm.",
+    "lens.modes": "Zernike modes of the fits.",
+    "lens.modes.noll": "First and last mode, by Noll.",
+    "lens.modes.orders": "Radial orders beyond 4 that the session added: `order`, and `waves_rms`, RMS of its modes with the standard error "
+    "in the wavefront that determines them best.",
     "lens.f_number": "F-number at infinity.",
     "lens.f_number.value": "Value.",
     "lens.f_number.std": "Standard error.",
