@@ -10,6 +10,7 @@ import numpy as np
 
 from labkit.finding import Finding
 from labkit.findings import found
+from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results import (
@@ -126,6 +127,14 @@ def noted(*texts: str) -> tuple[Finding, ...]:
 BROAD = Spectrum((0.98, 1.0, 1.02), (0.25, 0.5, 0.25))
 
 
+CUT = Rim(
+    cuts=(Diaphragm(7, 0.1, 0.3), Circle(0.4, 1.2, 0.5)),
+    uneven=(0.01, 0.0, 0.0, 0.0),
+    obstructed=0.04,
+)
+"""A pupil that lacks nothing that pupils may have."""
+
+
 def full_results() -> Results:
     """Results that hold everything that results can hold."""
     others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
@@ -140,10 +149,17 @@ def full_results() -> Results:
                 missing=("low_pass_filter",),
                 spectrum=BROAD,
                 residual_spectrum=left,
+                rim=CUT,
             ),
         ),
         joint={"focal_length_mm": 0.1},
-        model_parts={"low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px")},
+        model_parts={
+            "low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px"),
+            "blades_7.turn_deg": Uncertain(5.7, 0.4, "deg"),
+            "blades_7.roundness": Uncertain(0.3, 0.02),
+            "uneven_rim.cosine_2": Uncertain(0.01, 0.001),
+            "uneven_rim.sine_2": Uncertain(0.0, 0.001),
+        },
         parts_tried=(PartTried("low_pass_filter", 120.0, adopted=True),),
         widest_light_nm={"G": 20.0},
     )

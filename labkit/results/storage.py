@@ -23,11 +23,10 @@ from labkit.files import (
     writing,
 )
 from labkit.key import Key
-from labkit.mode_groups import USUAL_NOLL
-from labkit.optics.metrics import rms_by_order
 from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
+from labkit.results.lens_entry import modes_entry, pupil_entry
 from labkit.results.model import (
     Focus,
     Lens,
@@ -144,7 +143,7 @@ def entry(results: Results) -> Json:
         "reference_wavelength_nm": plan.reference_wavelength_nm,
         "wavefronts": [_wavefront_json(w) for w in r.wavefronts],
         "focus": None if r.focus is None else _focus_json(r.focus),
-        "lens": None if r.lens is None else {**_lens_json(r.lens), "modes": _modes_json(r)},
+        "lens": None if r.lens is None else _lens_json(r, r.lens),
         "budget": {name: dict(shares) for name, shares in r.budget.items()},
         "joint": dict(r.joint),
         "model_parts": {name: number.as_json() for name, number in r.model_parts.items()},
@@ -270,20 +269,9 @@ def _optimum_json(test: OptimumTest) -> Json:
     }
 
 
-def _lens_json(lens: Lens) -> Json:
-    return {name: getattr(lens, field).as_json() for name, (field, _) in LENS.items()}
-
-
-def _modes_json(r: Results) -> Json:
-    """Return the modes, and the RMS of each order beyond the usual ones in the wavefront that determines them best."""
-    best = min(r.wavefronts, key=lambda w: float(np.sum(w.std)))
-    higher = rms_by_order(best.fitted.without(range(USUAL_NOLL[1] + 1)))
-    return {
-        "orders": [
-            {"order": order, "waves_rms": rms.as_json()} for order, rms in higher.items()
-        ],
-        "noll": [min(best.noll), max(best.noll)],
-    }
+def _lens_json(r: Results, lens: Lens) -> Json:
+    numbers = {name: getattr(lens, field).as_json() for name, (field, _) in LENS.items()}
+    return {**numbers, "modes": modes_entry(r), "pupil": pupil_entry(r, lens)}
 
 
 def _focus_json(focus: Focus) -> Json:

@@ -206,8 +206,17 @@ def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
     assert entry["schema"] == 3
     for part in ("optimum", "model") if contract["schema"] >= 2 else ():
         assert contract["wavefronts"][0][part].keys() <= written[part].keys()
-    assert entry["lens"].keys() == {*CONTRACT_2["lens"], "modes"}
+    assert entry["lens"].keys() == {*CONTRACT_2["lens"], "modes", "pupil"}
     assert entry["lens"]["modes"] == {"orders": [], "noll": [4, 8]}
+    assert entry["lens"]["pupil"] == {
+        "blades": None,
+        "turn_deg": None,
+        "roundness": None,
+        "obstruction": {"value": 0.0, "std": 0.0},
+        "rim": [],
+        "cats_eye": None,
+        "outer_f_number": entry["lens"]["f_number"],
+    }
     assert written["optimum"]["accepted"] == written["global_test"]["accepted"]
 
 
