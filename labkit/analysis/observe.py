@@ -182,11 +182,11 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_raw(frame.path, plan.sensor)
     if plan.target.corners_px is not None:
         return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
-    grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
     try:
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
         return _Shot(frame, mosaic, _found(grey, target, _stated_scale(frame, plan)))
     except TargetError as error:
-        if other := _other_surround(grey, frame, plan):
+        if other := _other_surround(mosaic, frame, plan):
             raise TargetError(
                 f"{frame.file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
                 f'"{plan.target.surround}": write "{other}"'
@@ -194,13 +194,14 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
         raise TargetError(f"{frame.file}: {error}") from error
 
 
-def _other_surround(grey: Floats, frame: Frame, plan: Plan) -> str | None:
+def _other_surround(mosaic: Mosaic, frame: Frame, plan: Plan) -> str | None:
     """Return the surround with which the target is found, black or white, where the plan states the other one."""
     if plan.target.surround not in SURROUNDS:
         return None
     (other,) = SURROUNDS.keys() - {plan.target.surround}
     target = open_target(plan.replace(target={"surround": other}).target)
     try:
+        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
         _found(grey, target, _stated_scale(frame, plan))
     except TargetError:
         return None
