@@ -27,6 +27,9 @@ from labkit.results.model import PartTried
 BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
 """Parts with the same blur to first order, the most common first."""
 
+STAND_INS = {"uneven_rim": "cats_eye"}
+"""Parts that are looked for in place of others, whose likelihood is not regular where they are absent."""
+
 Parts = frozenset[str]
 Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
 
@@ -116,7 +119,7 @@ def kind(name: str) -> str:
     """Return what a part or a group of modes is an example of: parts of one kind explain the same."""
     if name in GROUPS:
         return "modes"
-    return "blur" if name in BLURS else name.rstrip("_0123456789")
+    return "blur" if name in BLURS else KNOWN[name].kind or name
 
 
 def _explained(fits: Iterable[Optimum]) -> int:
@@ -228,6 +231,8 @@ class CameraChoice:
         for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
+        for name in STAND_INS.keys() & parts:
+            yield (parts - {name}) | {STAND_INS[name]}
         for name in [one for one in BLURS if one in parts]:
             more_common = [one for one in BLURS[: BLURS.index(name)] if one in tests]
             for one in more_common:

@@ -53,8 +53,10 @@ class Refits:
         for k, end in ends.items():
             begin = self._most_similar(k, end, parts, choice)
             optics = optics_of(self.plan, self.search.observations[k].channel)
-            optics = optics.with_parts(choice).begun.with_named(
-                begin.optics.camera_labels, begin.optics.camera_parameters
+            optics = (
+                optics.with_parts(choice)
+                .begun(begin.optics.parts)
+                .with_named(begin.optics.camera_labels, begin.optics.camera_parameters)
             )
             state = with_modes(begin.state, begin.optics, optics)
             guess = Guesses(SETTINGS.shared_cone_std, state=state, deep=False)

@@ -306,7 +306,7 @@ class _Loop:
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
         observation = self.observations[k]
-        optics = optics_of(self.plan, observation.channel).with_parts(self.parts).begun
+        optics = optics_of(self.plan, observation.channel).with_parts(self.parts).begun()
         if not self.found:
             return replace(optics, f_number=self.engraved_cone.value)
         if selection is not None and k in self.ranged:

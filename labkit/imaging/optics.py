@@ -154,10 +154,9 @@ class Optics:
             noll=(*self.noll, *chain.from_iterable(modes)),
         )
 
-    @property
-    def begun(self) -> Optics:
-        """The same optics, parts that do nothing yet as fits begin with them."""
-        parts = (part.begun if part.idle else part for part in self.parts)
+    def begun(self, before: Sequence[Part] = ()) -> Optics:
+        """Return the same optics, parts that do nothing yet as fits begin with them. before: parts of the fit before."""
+        parts = (part.begun(before) if part.idle else part for part in self.parts)
         return replace(self, parts=tuple(parts))
 
     def twin(self) -> Optics:

@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.mode_groups import USUAL_NOLL
 from labkit.optics.metrics import rms_by_order
-from labkit.optics.rim import Circle, Diaphragm
+from labkit.optics.rim import Diaphragm
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
@@ -52,18 +52,12 @@ def pupil_entry(results: Results, lens: Lens) -> Json:
             for k in (2, 3)
             if f"uneven_rim.cosine_{k}" in parts
         ],
-        "cats_eye": next(
-            (
-                {
-                    "shift": cut.shift,
-                    "radius": cut.size,
-                    "direction_deg": math.degrees(cut.direction),
-                }
-                for cut in rim.cuts
-                if isinstance(cut, Circle)
-            ),
-            None,
-        ),
+        "cats_eye": None
+        if "cats_eye.shift" not in parts
+        else {
+            name: parts[f"cats_eye.{name}"].as_json()
+            for name in ("shift", "radius", "direction_deg")
+        },
         "outer_f_number": Uncertain(
             outer.value / rim.outer, outer.std / rim.outer
         ).as_json(),

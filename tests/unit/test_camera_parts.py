@@ -21,6 +21,7 @@ from labkit.imaging.optics import ESTIMATED
 from labkit.imaging.parts import (
     KNOWN,
     Blades,
+    CatsEye,
     Diffusion,
     LowPass,
     Obstruction,
@@ -54,6 +55,7 @@ RIMS = (
     Blades(7, 0.3, -0.2),
     Obstruction(0.42**2),
     UnevenRim(0.05, -0.02, 0.03, 0.01),
+    CatsEye(0.3, -0.4, 0.2),
 )
 WIDTH = SpectrumWidth(0.02**2)
 
@@ -134,9 +136,9 @@ def test_a_rim_stays_a_closed_curve_and_a_blade_no_more_than_straight() -> None:
 def test_fits_look_for_an_obstruction_from_a_share_that_shows() -> None:
     idle = OPTICS.with_parts(["obstruction", "diffusion"])
     assert idle.parts == (Diffusion(), Obstruction())
-    assert idle.begun.parts == (Diffusion(), Obstruction(USUAL_SHARE))
+    assert idle.begun().parts == (Diffusion(), Obstruction(USUAL_SHARE))
     found = replace(OPTICS, parts=(Obstruction(0.2),))
-    assert found.begun == found
+    assert found.begun() == found
 
 
 def test_a_part_of_the_light_goes_before_a_spectrum() -> None:
@@ -297,3 +299,30 @@ def test_a_new_part_stands_in_the_report(streak: Streak) -> None:
     table = part_table(some_results(model_parts=streak.quantities([Uncertain(0.04, 0.01)])))
     assert table is not None
     assert table.rows[0].cells[:3] == ("streak", "width of the streak", "px")
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 100.0, -60.0])
+def test_a_cats_eye_begins_with_the_circle_that_an_uneven_rim_is_like(
+    turn_deg: float,
+) -> None:
+    """The harmonics of a cut pupil lead back to its circle within half a step of those that are tried."""
+    turn = np.radians(turn_deg)
+    true = CatsEye(0.5 * np.cos(turn), 0.5 * np.sin(turn), 0.2)
+    theta = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
+    outline = replace(OPTICS, parts=(true,)).rim.outline(theta)
+    waves = [wave(k * theta) for k in (2, 3) for wave in (np.cos, np.sin)]
+    harmonics = 2 * np.mean(waves * outline, axis=1) / outline.mean()
+    begun = CatsEye().begun([UnevenRim(*harmonics)])
+    assert begun.values == pytest.approx(true.values, abs=0.06)
+
+
+def test_a_cats_eye_without_an_uneven_rim_does_nothing_yet() -> None:
+    assert CatsEye().begun([Blades(7, 0.3, 0.1)]) == CatsEye()
+    assert replace(OPTICS, parts=(CatsEye(),)).rim.is_round
+
+
+def test_a_cats_eye_excludes_an_uneven_rim_and_keeps_its_centre_inside() -> None:
+    assert "uneven_rim" not in replace(OPTICS, parts=(CatsEye(0.3, 0.0, 0.1),)).lacking
+    assert "cats_eye" not in OPTICS.lacking
+    far = CatsEye().at((3.0, 4.0, 0.0))
+    assert np.hypot(far.right, far.down) == pytest.approx(0.95)

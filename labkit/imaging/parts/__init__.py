@@ -1,6 +1,7 @@
 """Parts of camera and lens that blur, one a file. A new part is a file and a place in `KNOWN`."""
 
 from labkit.imaging.parts.blades import Blades
+from labkit.imaging.parts.cats_eye import CatsEye
 from labkit.imaging.parts.diffusion import Diffusion
 from labkit.imaging.parts.low_pass import LowPass
 from labkit.imaging.parts.obstruction import Obstruction
@@ -13,6 +14,7 @@ from labkit.imaging.parts.veil import Veil
 __all__ = [
     "KNOWN",
     "Blades",
+    "CatsEye",
     "Diffusion",
     "LowPass",
     "Obstruction",
@@ -36,6 +38,7 @@ KNOWN: dict[str, Part] = {
         *(Blades(number) for number in range(3, 21)),
         Obstruction(),
         UnevenRim(),
+        CatsEye(),
     )
 }
 """Parts that camera and lens may have, by name, the commonest first; each does nothing yet."""

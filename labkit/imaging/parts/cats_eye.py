@@ -96,7 +96,7 @@ class CatsEye(Part):
         )
 
     def onto(self, rim: Rim) -> Rim:
-        return rim if self.idle else replace(rim, cuts=(*rim.cuts, self._circle))
+        return rim if self.idle else replace(rim, cuts=(*rim.cuts, Circle(), self._circle))
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
         return None

@@ -42,8 +42,7 @@ class Obstruction(Part):
         (share,) = values
         return type(self)(min(max(float(share), -(MOST**2)), MOST**2))
 
-    @property
-    def begun(self) -> Self:
+    def begun(self, before: Sequence[Part]) -> Self:
         return type(self)(USUAL_SHARE)
 
     def onto(self, rim: Rim) -> Rim:
@@ -54,7 +53,7 @@ class Obstruction(Part):
         if diameter is None:
             return None
         if isinstance(diameter, str):
-            return self.begun, True
+            return self.begun(()), True
         return type(self)(diameter**2), False
 
     def quantities(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from typing import ClassVar, Self
 
@@ -57,9 +57,8 @@ class Part(Estimated):
         """Factor of each number in the twin, whose pupil is turned by 180 degrees (thesis §3.6): -1 for odd numbers."""
         return (1.0,) * len(self.labels)
 
-    @property
-    def begun(self) -> Self:
-        """The part with the numbers that a fit begins with, where another part does not tell them."""
+    def begun(self, before: Sequence[Part]) -> Self:
+        """Return the part with the numbers that a fit begins with. before: parts in the model of the fit before."""
         return self
 
     @property

@@ -37,6 +37,7 @@ class UnevenRim(Part):
         "sine_3": "sin 3t",
     }
     of_rim: ClassVar[bool] = True
+    kind: ClassVar[str] = "uneven rim"
     one_sided: ClassVar[bool] = False
 
     @property
