@@ -76,7 +76,8 @@ def run_apart(
     path = args[0]
     assert isinstance(path, Path)
     with _lock:
-        answer, arrays = _ask(pickle.dumps((function, args, kwargs, _allowed(path))))
+        request = (function, args, kwargs, _allowed(path), _here())
+        answer, arrays = _ask(pickle.dumps(request))
     if "failed" in answer:
         _raise(answer)
     try:
@@ -253,8 +254,10 @@ def _answer(request: bytes, memory: int) -> bytes:
     arrays: Arrays = {}
     answer: dict[str, JSON]
     try:
-        function, args, kwargs, allowed = pickle.loads(request)
+        function, args, kwargs, allowed, here = pickle.loads(request)
         _limit(*allowed)
+        if here is not None:
+            os.chdir(here)
         value = function(*args, **kwargs)
         kind = typing.get_type_hints(function)["return"]
         answer = {"tree": typed_file.taken_apart(value, kind, arrays)}
@@ -278,6 +281,14 @@ def _answer(request: bytes, memory: int) -> bytes:
             view, at = view[count:], at + count
     head = json.dumps(answer).encode()
     return LENGTH.pack(len(head)) + head
+
+
+def _here() -> Path | None:
+    """Return the current folder, which relative paths start from; None if it was removed."""
+    try:
+        return Path.cwd()
+    except OSError:
+        return None
 
 
 def _allowed(path: Path) -> tuple[float, int]:

@@ -38,13 +38,13 @@ def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts and modes, in log-likelihood.
 
     By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
-    distributed as chi-squared with n degrees of freedom.
+    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest one.
     """
-    numbers = [len(KNOWN[name].labels) for name in parts if name in KNOWN]
+    rarer = parts & set(BLURS[1:])
+    numbers = [len(KNOWN[name].labels) for name in parts - rarer if name in KNOWN]
+    numbers += [len(KNOWN[BLURS[0]].labels)] * len(rarer)
     numbers += [len(GROUPS[name].noll) for name in parts if name in GROUPS]
-    return sum(map(chance_gain, numbers)) + SETTINGS.clear_gain * len(
-        parts & set(BLURS[1:])
-    )
+    return sum(map(chance_gain, numbers)) + SETTINGS.clear_gain * len(rarer)
 
 
 def chance_gain(numbers: int) -> float:

@@ -379,7 +379,10 @@ def refuse_no_covariance(name: str, matrix: Floats) -> None:
         return
     scale = np.sqrt(np.abs(np.diag(matrix)))
     scales = np.outer(scale, scale)
-    scaled = matrix / np.where(scales > 0, scales, 1.0)
+    with np.errstate(over="ignore"):
+        scaled = matrix / np.where(scales > 0, scales, 1.0)
+    if not np.isfinite(scaled).all():
+        raise ValueError(f"{name} has a variance below 0")
     if not np.allclose(scaled, scaled.T, rtol=0, atol=ROUNDING):
         raise ValueError(f"{name} is not symmetric")
     if matrix.size and np.linalg.eigvalsh(scaled).min() < -ROUNDING * len(matrix):

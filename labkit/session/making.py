@@ -35,12 +35,13 @@ def refuse_existing(folder: Path, go_on: str = "") -> None:
             f"{folder} is the folder you are in, and cannot be made anew: give the name of a new one in it"
         )
     above = folder.absolute().parent
+    for place in (above, *above.parents):
+        if place.exists() and not place.is_dir():
+            raise SessionError(f"{folder} cannot be made: {place} is no folder")
     if not above.exists():
         raise SessionError(
             f"{folder} cannot be made: {above} is not there; correct the path, or make that folder first"
         )
-    if not above.is_dir():
-        raise SessionError(f"{folder} cannot be made: {above} is no folder")
 
 
 @contextmanager

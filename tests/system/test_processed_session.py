@@ -111,5 +111,7 @@ def test_pictures_of_8_bit_give_the_raw_files_wavefront(
     expected, found = raw[2060, "G"], results[2060, "G"]
     std = np.sqrt(np.diag(found.covariance) + np.diag(expected.covariance))
     # the same photons: what differs is the rounding's alone, well below the photons' noise
-    assert np.all(np.abs(found.waves - expected.waves) < 1.5 * std)
+    # both sessions leave the sign of the even modes open: of twins the nearer one counts
+    twins = [found.waves] if found.twin is None else [found.waves, found.twin.waves]
+    assert min(np.abs((one - expected.waves) / std).max() for one in twins) < 1.5
     assert any("sRGB" in warning and "PSF" in warning for warning in results.warnings)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.claims import limit
+from labkit.imaging.parts import KNOWN
 
 CLAIM = "real_photograph"
 ROOT = Path(__file__).parents[2]
@@ -33,7 +34,9 @@ def test_a_real_photograph_is_settled_and_agrees_with_another_method(
     assert outcome.settled
     assert outcome.starts < 2 * 33
     assert not outcome.explained
-    assert (
-        max(outcome.gained.values()) < 10
-    )  # of none of the parts that we know: SETTINGS.part_cost
+    # of none of the camera's parts that we know; a rim stands for a little of what the model lacks, 18.1
+    rims = {name for name, part in KNOWN.items() if part.of_rim}
+    gained = outcome.gained
+    assert max(gain for name, gain in gained.items() if name not in rims) < 10
+    assert max(gain for name, gain in gained.items() if name in rims) < 36
     assert (tmp_path / "work" / "real_photograph.png").stat().st_size > 10_000

@@ -142,3 +142,19 @@ def test_a_tiff_of_thousands_of_overlapping_directories_is_refused(
     (tmp_path / "a.tif").write_bytes(content)
     with pytest.raises(RawError, match=r"a\.tif: .* takes too long to decode"):
         read_raw(tmp_path / "a.tif", Sensor(pixel_pitch_um=5.0))
+
+
+def size_of(path: Path) -> int:
+    return path.stat().st_size
+
+
+def test_relative_paths_start_from_the_folder_that_one_is_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process is older than a change of folder, as a notebook makes it."""
+    for size in (1, 2):
+        folder = tmp_path / str(size)
+        folder.mkdir()
+        (folder / "file").write_bytes(b"x" * size)
+        monkeypatch.chdir(folder)
+        assert run_apart(size_of, Path("file")) == size

@@ -18,7 +18,7 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Diaphragm, Rim
 from labkit.report.html import write_report
 from labkit.results import OptimumTest, ResidualSpectrum, Results
-from labkit.results.model import PartTried
+from labkit.results.model import PartTried, refuse_no_covariance
 from labkit.results.storage import kept_keys
 from tests.results_contracts import CONTRACT, CONTRACT_2, CONTRACT_3, printed
 from tests.results_samples import (
@@ -467,3 +467,8 @@ def test_a_pupil_that_cannot_be_gives_one_line(
     with pytest.raises(DataError, match=words) as caught:
         Results.load(folder)
     assert "\n" not in str(caught.value)
+
+
+def test_a_covariance_that_overflows_its_variances_is_none() -> None:
+    with pytest.raises(ValueError, match="has a variance below 0"):
+        refuse_no_covariance("it", np.array([[1e-300, 1e200], [1e200, 1e-300]]))
