@@ -228,7 +228,7 @@ def test_a_commoner_part_takes_the_place_of_one_that_explains_no_more() -> None:
 
 
 def test_a_cats_eye_takes_the_place_of_an_uneven_rim_that_explains_less() -> None:
-    heights = {("uneven_rim",): 100.0, ("cats_eye",): 150.0}
+    heights: dict[tuple[str, ...], float] = {("uneven_rim",): 100.0, ("cats_eye",): 150.0}
     assert Fits(heights, {"uneven_rim": 60.0}).chosen()[0] == {"cats_eye"}
     heights = {("uneven_rim",): 100.0, ("cats_eye",): 90.0}
     assert Fits(heights, {"uneven_rim": 60.0}).chosen()[0] == {"uneven_rim"}
