@@ -20,10 +20,14 @@ GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
 NAMES = {
     "golden_bench": "bench-open",
     "golden_beyond": "beyond-open",
+    "golden_blades": "blades-open",
+    "golden_mirror": "mirror-open",
     "golden_dslr": "dslr2-open",
     "golden_engraved": "engraved2-open",
     "golden_messy": "messy-open",
 }
+
+EXPLAINED = [name for name in NAMES if name != "golden_messy"]
 
 pytestmark = [
     pytest.mark.skipif(
@@ -218,7 +222,7 @@ def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(
     )  # standard errors: 0.0014 measured; 0.7 by fits expanded where each ended
 
 
-@of("golden_bench", "golden_beyond", "golden_dslr", "golden_engraved")
+@of(*EXPLAINED)
 def test_the_model_explains_the_frames(golden: Golden) -> None:
     assert all(fit["model"]["accepted"] for fit in golden.measured["wavefronts"])
     codes = {finding["code"] for finding in golden.measured["findings"]}
@@ -247,7 +251,7 @@ def test_a_model_that_is_poor_for_all_is_one_finding(golden: Golden) -> None:
     assert not {"model-incomplete", "chi2-unusual"} & set(codes)
 
 
-@of("golden_bench", "golden_beyond", "golden_dslr", "golden_engraved")
+@of(*EXPLAINED)
 def test_noise_is_right(golden: Golden) -> None:
     for fit in golden.measured["wavefronts"]:
         assert abs(fit["chi2_per_pixel"] - 1) < limit(golden.claim, "chi2")
@@ -275,3 +279,22 @@ def test_as_many_modes_are_fitted_as_the_photographs_show(golden: Golden) -> Non
     assert [entry["order"] for entry in modes["orders"]] == [5, 6, 7]
     codes = [finding["code"] for finding in golden.measured["findings"]]
     assert codes.count("higher-modes-found") == 1
+
+
+@of("golden_blades")
+def test_the_diaphragm_is_found(golden: Golden) -> None:
+    pupil, true = golden.measured["lens"]["pupil"], golden.truth["pupil"]
+    assert pupil["blades"] == true["blades"]
+    assert abs(pupil["roundness"]["value"] - true["round"]) < 2 * pupil["roundness"]["std"]
+    # the truth counts from down towards right, the results from right towards down
+    turn = pupil["turn_deg"]["value"] - (90 - true["turn_deg"])
+    between = 360 / true["blades"]
+    assert abs((turn + between / 2) % between - between / 2) < 0.1  # 0.003 measured
+
+
+@of("golden_mirror")
+def test_the_obstruction_is_found(golden: Golden) -> None:
+    obstruction = golden.measured["lens"]["pupil"]["obstruction"]
+    true = golden.truth["pupil"]["obscuration"]
+    assert abs(obstruction["value"] - true) < 0.0006  # 0.0003 measured
+    assert abs(obstruction["value"] - true) < 3 * obstruction["std"]
