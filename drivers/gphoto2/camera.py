@@ -465,7 +465,7 @@ def _error(
 
 
 def _printable(text: str) -> str:
-    """What a camera calls itself, fit for a terminal."""
+    """Return the printable part of the name that a camera gives itself."""
     return "".join(letter for letter in text if letter.isprintable())
 
 

@@ -53,7 +53,7 @@ class Link:
         self._asked = 0
 
     def ask(self, do: str, limit_s: float, **arguments: Any) -> Any:
-        """What the worker's request of that name returns. Raises Trouble, HUNG if it takes longer than `limit_s`."""
+        """Return the worker's answer to a request. Raises Trouble, HUNG if the answer takes longer than `limit_s`."""
         channel = self._open()
         self._asked += 1
         request = {"id": self._asked, "do": do, "with": arguments, "limit_s": limit_s}

@@ -38,7 +38,7 @@ LOSSY = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Insist:
-    """What must be so, by whichever of the names a body has for it; `by_hand` is said if it has none.
+    """A setting that must have a value, under any of its names on different bodies; a body without it gets the line `by_hand`.
 
     value: the whole of a right value, whatever its case; switch: a right value that only a switch on the lens sets.
     """

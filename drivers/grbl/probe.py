@@ -14,7 +14,7 @@ ASK_AGAIN_S = 0.5
 
 
 def answers(path: str) -> str | None:
-    """What it calls itself, such as "GRBL 1.1"; None for anything else. Raises RailError for a port that does not open."""
+    """Return the firmware at a port, such as "GRBL 1.1"; None for other devices. Raises RailError if the port does not open."""
     wire = SerialWire(path, 115_200)
     try:
         end_s = time.monotonic() + BOOT_S

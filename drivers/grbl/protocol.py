@@ -97,7 +97,7 @@ def read_report(line: str) -> Report | None:
 
 
 def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
-    """What a rail cannot be driven with, in words that name the setting; None if nothing is."""
+    """Return the setting with which a rail cannot be driven, in words; None if there is none."""
     reports = int(settings[REPORTS])
     if settings[INCHES]:
         return "reports in inches ($13=1); set $13=0"
@@ -127,7 +127,7 @@ def doubts(settings: Mapping[int, float]) -> tuple[str, ...]:
 
 
 def travel(settings: Mapping[int, float], is_hal: bool, options: str) -> Travel:
-    """Where X may go, in machine coordinates, a pull-off away from both ends. Raises ValueError if that is nowhere.
+    """Return the travel of X, in machine coordinates, a pull-off away from both ends. Raises ValueError if there is none.
 
     settings: by number; options: the letters of [OPT:...]. GRBL's machine space is negative, unless zero is set where
     the machine is homed.

@@ -118,7 +118,7 @@ def camera_part_found(
     moves : changes of all results without the added parts
     """
     plain = {
-        name.removesuffix("_px").removesuffix("_nm"): value
+        name.removesuffix("_px").removesuffix("_nm").removesuffix("_deg"): value
         for name, value in values.items()
     }
     words = ", ".join(

@@ -327,9 +327,9 @@ class _Search:
             else self._all_frames(state)
         )
         freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
-        if (
-            not freed.solution.converged and freed.solution.steps < SETTINGS.newton_rounds
-        ):  # it diverged; steps that still gain have only a poor model to go by
+        ended = freed.solution
+        # steps that still gain after all rounds have a poor model to go by: they are not repeated
+        if not ended.converged and ended.steps < SETTINGS.newton_rounds:
             near = maximize(self.whole, begin, exact=False)
             freed = free_cone(
                 self.whole, near.begun or Start(near.state), self.guesses.f_number_std

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from labkit.estimation.expansion import Expansion
 from labkit.estimation.identifiability import inverse
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.mode_groups import GROUPS
@@ -102,7 +103,7 @@ def score_tests(
     new = np.unique(np.concatenate([*added.values()]))
     kept = np.setdiff1d(np.arange(len(wider.gradient)), new)
     information, gradient = wider.information.copy(), wider.gradient
-    information[cone, cone] += max(f_number_std, 1e-6) ** -2
+    information[cone, cone] += max(f_number_std, SETTINGS.exact) ** -2
     others = kept[
         (kept >= first) & (kept < cone)
     ]  # present parts keep the prior that they have in a climb

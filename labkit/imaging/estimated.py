@@ -87,6 +87,23 @@ def root(square: Uncertain, unit: str = "") -> Uncertain:
     return Uncertain(value, std, unit)
 
 
+def polar(
+    cosine: Uncertain, sine: Uncertain, order: int = 1
+) -> tuple[Uncertain, Uncertain]:
+    """Return length and direction, degrees, of two independent components along cosine and sine of `order` times the angle.
+
+    The error of a direction is at most that of any direction within a period.
+    """
+    length = math.hypot(cosine.value, sine.value) or 1e-9
+    along, across = cosine.value / length, sine.value / length
+    angle = math.degrees(math.atan2(sine.value, cosine.value)) / order
+    std = math.degrees(math.hypot(across * cosine.std, along * sine.std) / length) / order
+    return (
+        Uncertain(length, math.hypot(along * cosine.std, across * sine.std)),
+        Uncertain(angle, min(std, 360 / order / math.sqrt(12)), "deg"),
+    )
+
+
 def mean(numbers: Sequence[Uncertain]) -> Uncertain:
     """Return the mean of independent numbers."""
     value = sum(number.value for number in numbers)

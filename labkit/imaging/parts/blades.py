@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
+from labkit.imaging.estimated import polar
 from labkit.imaging.parts.part import Part, finite
 from labkit.optics.rim import Diaphragm, Rim
 from labkit.plan import Channel, Plan
@@ -81,18 +82,10 @@ class Blades(Part):
         self, numbers: Sequence[Uncertain], channel: Channel | None = None
     ) -> dict[str, Uncertain]:
         cosine, sine = numbers
-        straight = math.hypot(cosine.value, sine.value) or 1e-9
-        along, across = cosine.value / straight, sine.value / straight
-        turn = math.degrees(math.atan2(sine.value, cosine.value)) / self.number
-        turn_std = math.hypot(across * cosine.std, along * sine.std) / straight
-        unknown = 360 / self.number / math.sqrt(12)
+        straight, turn_deg = polar(cosine, sine, self.number)
         return {
-            f"{self.name}.roundness": Uncertain(
-                1 - straight, math.hypot(along * cosine.std, across * sine.std)
-            ),
-            f"{self.name}.turn_deg": Uncertain(
-                turn, min(math.degrees(turn_std) / self.number, unknown), "deg"
-            ),
+            f"{self.name}.roundness": Uncertain(1 - straight.value, straight.std),
+            f"{self.name}.turn_deg": turn_deg,
         }
 
     def from_quantities(

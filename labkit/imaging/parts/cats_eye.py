@@ -10,6 +10,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from labkit.imaging.estimated import polar
 from labkit.imaging.parts.part import Part, finite
 from labkit.imaging.parts.uneven_rim import UnevenRim
 from labkit.optics.rim import FULL_TURN, Circle, Rim
@@ -105,19 +106,11 @@ class CatsEye(Part):
         self, numbers: Sequence[Uncertain], channel: Channel | None = None
     ) -> dict[str, Uncertain]:
         right, down, growth = numbers
-        shift = math.hypot(right.value, down.value) or 1e-9
-        along, across = right.value / shift, down.value / shift
-        turn_std = math.hypot(across * right.std, along * down.std) / shift
+        shift, direction_deg = polar(right, down)
         return {
-            "cats_eye.shift": Uncertain(
-                shift, math.hypot(along * right.std, across * down.std)
-            ),
+            "cats_eye.shift": shift,
             "cats_eye.radius": Uncertain(1 + growth.value, growth.std),
-            "cats_eye.direction_deg": Uncertain(
-                math.degrees(math.atan2(down.value, right.value)),
-                min(math.degrees(turn_std), 360 / math.sqrt(12)),
-                "deg",
-            ),
+            "cats_eye.direction_deg": direction_deg,
         }
 
     def from_quantities(
